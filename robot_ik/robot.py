@@ -281,13 +281,16 @@ class Robot:
     def clip(self, q: ArrayLike) -> Array:
         """The nearest q (nq,) inside the limits, joint by joint."""
         inside = self.check_q(q).copy()
+        if self.nq == self.nv:  # hinges and slides only: a new machine need not compile anything to load it
+            return np.asarray(np.clip(inside, self.tree.lower, self.tree.upper))
         kinematics.tree_clip(self.tree.handle, np.arange(self.tree.size), inside)
         return inside
 
     def follow(self, q: ArrayLike) -> Array:
         """``q`` (nq,) with each coupled joint where its leader puts it."""
         moved = self.check_q(q).copy()
-        kinematics.tree_follow(self.tree.handle, moved)
+        if len(self.tree.tied):
+            kinematics.tree_follow(self.tree.handle, moved)
         return moved
 
     def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:

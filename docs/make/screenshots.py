@@ -76,8 +76,8 @@ SHOTS = (
 
 
 @contextmanager
-def served(shot: Shot) -> Iterator[tuple[Session, Page]]:
-    """The page of a picture, running."""
+def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
+    """The page of a picture, running until the event is set."""
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
@@ -86,7 +86,7 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page]]:
             loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
             loop.start()
             try:
-                yield session, page
+                yield session, page, stop
             finally:
                 stop.set()
                 loop.join()
@@ -100,7 +100,7 @@ def wait(holds: Callable[[], Any]) -> None:
 
 def take(browser: Any, shot: Shot) -> None:
     """Takes one picture."""
-    with served(shot) as (session, page):
+    with served(shot) as (session, page, stop):
         wait(lambda: session.ready and not session.busy)
         width, height = shot.size
         window = browser.new_page(viewport={"width": width, "height": height})
@@ -119,7 +119,9 @@ def take(browser: Any, shot: Shot) -> None:
         wait(lambda: not session.busy and shot.until(page._view))
         if shot.text:
             window.get_by_text(shot.text).first.wait_for()
-        window.wait_for_timeout(2500)  # tables are renewed once a second
+        window.wait_for_timeout(1500)  # tables are renewed once a second
+        stop.set()
+        window.wait_for_timeout(2500)  # a browser without a GPU draws parts of a frame late
         raw = window.screenshot(timeout=PATIENCE)
         window.close()
     picture: Image.Image = Image.open(BytesIO(raw)).convert("RGB")

@@ -239,7 +239,8 @@ class PageClient:
             origin=f"http://{where.netloc}", subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[arg-type, list-item]
             compression=None, max_size=None, max_queue=None, ping_interval=None,
         )  # fmt: skip
-        self._unpack, self._live = zstandard.ZstdDecompressor(), False
+        self._unpack = zstandard.ZstdDecompressor()
+        self._places: dict[str, bytes] = {}
         self._send({
             "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0],
             "fov": 0.7, "near": 0.01, "far": 100.0, "look_at": [0.0, 0.0, 0.0],
@@ -264,15 +265,19 @@ class PageClient:
         except TimeoutError:
             return 0, False
         assert isinstance(data, bytes)
-        size = int.from_bytes(data[8:16], "little")
+        begin = 16 + int.from_bytes(data[8:16], "little")
+        packet = msgspec.msgpack.decode(self._unpack.decompress(data[16:begin]))
+        ends = np.cumsum([-(-size // 8) * 8 for size in packet["binaryBufferLengths"]]) + -(-begin // 8) * 8
         moved = False
-        for message in msgspec.msgpack.decode(self._unpack.decompress(data[16 : 16 + size]))["messages"]:
-            if (
-                message["type"] == "ReplayDoneMessage"
-            ):  # what came before is how the page was when it was opened
-                self._live = True
-            elif message["type"] == "SceneNodeUpdateMessage" and "batched_positions" in message["updates"]:
-                moved |= self._live and re.fullmatch(r"/robot/\d+_\d+", message["name"]) is not None
+        for message in packet["messages"]:
+            if message["type"] != "SceneNodeUpdateMessage" or "batched_positions" not in message["updates"]:
+                continue
+            if name := re.fullmatch(r"/robot/\d+_\d+", message["name"]):
+                index = message["updates"]["batched_positions"]["__binary_index"]
+                size = packet["binaryBufferLengths"][index]
+                place = data[ends[index] - -(-size // 8) * 8 :][:size]
+                moved |= self._places.get(name[0], place) != place  # the first is where it stands
+                self._places[name[0]] = place
         return len(data), moved
 
     def __enter__(self) -> Self:

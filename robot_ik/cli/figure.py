@@ -275,7 +275,7 @@ def _watch(
         return watch(robot, hands, frames, lambda frame: None)
     from robot_ik.testbed.frontends.window import WindowSink
 
-    with WindowSink(robot) as window:
+    with WindowSink(robot, instead="run it without --viewer, or film it with --record") as window:
         began = time.monotonic()
 
         def show(frame: FigureFrame) -> None:

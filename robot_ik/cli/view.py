@@ -18,11 +18,16 @@ from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import claimed
-from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
+from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.arm import ArmLink
     from robot_ik.testbed.commands import CommandLog, Start
+    from robot_ik.testbed.frontends.door import Door
     from robot_ik.testbed.session import Session, View
 
 _COUNTS = (1, 2, 4)
@@ -125,22 +130,43 @@ def _web_is_there() -> bool:
     return all(find_spec(name) is not None for name in ("viser", "mjviser"))
 
 
-def _start(options: ViewOptions) -> Start:
-    from robot_ik.testbed.commands import Start
+def _view(options: ViewOptions, viewer: str) -> int:
+    from robot_ik.testbed.commands import Start, checked_start
 
     robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
-    return Start(robot, options.count, options.method, options.seed)  # type: ignore[arg-type]
+    find_robot(robot)
+    start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
+    with contextlib.ExitStack() as stack:
+        door = None
+        if viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue():
+            door = stack.enter_context(_open_door(options))  # nothing that is asked for can be wrong
+        if viewer == "recorder":
+            return _film(start, options)
+        return _run(start, options, viewer, door)
 
 
-def _view(options: ViewOptions, viewer: str) -> int:
+def _open_door(options: ViewOptions) -> Door:
+    """The server; says where it is, and opens the browser, which then loads beside this program."""
+    from robot_ik.testbed.frontends.door import Door
+
+    real = options.bus != NONE and not _is_virtual(options.bus)
+    door = Door(
+        options.host, options.port, token=real, names=options.host_name, dark=options.dark,
+        shadows=options.shadows,
+    )  # fmt: skip
+    console.out().print(f"the testbed is at {door.url}", markup=False, highlight=False, soft_wrap=True)
+    if options.open:
+        webbrowser.open(door.url)
+    return door
+
+
+def _run(start: Start, options: ViewOptions, viewer: str, door: Door | None) -> int:
+    """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
-    start = _start(options)
-    if viewer == "recorder":
-        return _film(start, options)
     link = _arm(start, options)
     try:
-        with Session(start, arm=link) as session, _opened(viewer, session, options) as draw:
+        with Session(start, arm=link) as session, _opened(viewer, session, options, door) as draw:
             _loop(session, draw, options)
             if options.log is not None:
                 session.log().save(options.log)
@@ -161,7 +187,9 @@ def _arm(start: Start, options: ViewOptions) -> ArmLink | None:
 
 
 @contextlib.contextmanager
-def _opened(viewer: str, session: Session, options: ViewOptions) -> Iterator[Callable[[View], bool]]:
+def _opened(
+    viewer: str, session: Session, options: ViewOptions, door: Door | None
+) -> Iterator[Callable[[View], bool]]:
     """A front end's ``draw``; it says False once it is closed."""
     if viewer == "window":
         from robot_ik.testbed.frontends.window import SessionWindow
@@ -170,26 +198,30 @@ def _opened(viewer: str, session: Session, options: ViewOptions) -> Iterator[Cal
             console.say("keys: " + window.help, "dim")
             yield window.draw
         return
-    from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.frontends.browser import Page
 
-    real = options.bus != NONE and not _is_virtual(options.bus)
-    camera = CameraTab(session) if options.camera else None
-    with Page(
-        session, host=options.host, port=options.port, dark=options.dark, token=real,
-        names=options.host_name, shadows=options.shadows, camera=camera,
-    ) as page:  # fmt: skip
-        console.out().print(f"the testbed is at {page.url}", markup=False, highlight=False, soft_wrap=True)
-        if session.busy:
-            console.say("kernels are loaded, or compiled on a new machine, while the page is open", "dim")
-        if options.open:
-            webbrowser.open(page.url)
+    camera = _camera(session) if options.camera else None
+    with Page(session, door or _open_door(options), camera=camera) as page:
 
         def draw(view: View) -> bool:
             page.draw(view)
             return True
 
         yield draw
+
+
+def _camera(session: Session) -> Callable[[], tuple[NDArray[np.uint8], str] | None]:
+    """The camera's tab, which loads what it needs with the first picture that is asked for."""
+    tabs: list[CameraTab] = []
+
+    def read() -> tuple[NDArray[np.uint8], str] | None:
+        if not tabs:
+            from robot_ik.jobs.testbed import CameraTab
+
+            tabs.append(CameraTab(session))
+        return tabs[0]()
+
+    return read
 
 
 def _is_virtual(bus: str) -> bool:

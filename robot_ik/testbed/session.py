@@ -25,9 +25,12 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
+from robot_ik.kernels import jit
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers.base import Solver
+from robot_ik.solvers.levenberg_marquardt import lm_levels
 from robot_ik.testbed.commands import (
     Act,
     Command,
@@ -50,10 +53,12 @@ from robot_ik.testbed.commands import (
     checked_command,
     checked_start,
 )
+from robot_ik.testbed.compiling import Compilers, is_compiled
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.setup import (
     ExtraGoal,
     Ready,
+    RobotGoals,
     Setup,
     branches_of,
     first_ball,
@@ -196,10 +201,10 @@ class Session:
         self.robot: Robot
         self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
-        self._preparer = _Preparer(setup, self.robot, self._queue.put if beside else self._adopt)
-        if beside:
-            self._preparer.begin()
-        self._preparer.ask(None)
+        done = self._queue.put if beside else self._adopt
+        self._preparer = _Preparer(setup, self.robot, done, beside=beside)
+        if not beside:
+            self._preparer.ask(None)
 
     # --------------------------------------------------------------------------------- from any thread
 
@@ -237,7 +242,11 @@ class Session:
         return self._ready is not None
 
     def tick(self) -> None:
-        """Takes what was asked, moves the ball, solves every instance once."""
+        """Takes what was asked, moves the ball, solves every instance once.
+
+        The first one lets preparing begin: a front end has its first picture before a compiler runs.
+        """
+        self._preparer.begin()
         while not self._queue.empty():
             self._take(self._queue.get())
         if self._ready is None:
@@ -453,7 +462,7 @@ class Session:
         self.robot = robot
         self.instances = [Instance(robot, None, self.start.rate) for _ in range(count)]
         self._ball = first_ball(robot)
-        self._branches = ()
+        self._branches, self._scratch = (), mujoco.MjData(robot.model)
 
     def _begin_random(self) -> None:
         self._random = RandomSource(self.robot, seed=self.start.seed, period=_RANDOM_PERIOD)
@@ -467,7 +476,7 @@ class Session:
             self._branches = ()
             self._say(str(error).splitlines()[0])
             return
-        data = mujoco.MjData(ready.robot.model)
+        data = self._scratch
         for branch in branches:
             data.qpos[:] = ready.robot.qpos(branch.q)
             mujoco.mj_kinematics(ready.robot.model, data)
@@ -480,23 +489,27 @@ class Session:
 
 
 class _Preparer:
-    """Makes setups ready, one after the other: on a thread once ``begin`` was called, else at once.
+    """Makes setups ready, one after the other.
 
     Args:
         setup: What the session begins with.
         robot: That of the setup.
         done: Called with what came of each.
+        beside: On a thread, from ``begin`` on; else at once.
     """
 
-    def __init__(self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None]) -> None:
-        self._setup, self._robot, self._done = setup, robot, done
+    def __init__(
+        self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None], *, beside: bool
+    ) -> None:
+        self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
         self._ready: Ready | None = None
         self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
         self._thread: threading.Thread | None = None
         self._waiting = 0
+        self._compilers = Compilers()
         self.can_drag = False
         self._lock = threading.Lock()
-        self._text = ""
+        self._text = "preparing …"
 
     @property
     def doing(self) -> str:
@@ -504,20 +517,23 @@ class _Preparer:
         return self._text if self._waiting else ""
 
     def begin(self) -> None:
-        """From now on beside the loop."""
-        self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
-        self._thread.start()
+        """What the session begins with, beside the loop; once."""
+        if self._beside and self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
+            self._thread.start()
+            self.ask(None)
 
     def ask(self, command: Command | None) -> None:
         """Prepares what the command asks for; None: what the session begins with."""
         self._count(1)
-        if self._thread is None:
-            self._do(command)
-        else:
+        if self._beside:
             self._jobs.put(command)
+        else:
+            self._do(command)
 
     def close(self) -> None:
         """No more; what is being compiled is not waited for."""
+        self._compilers.close()
         self._jobs.put(_Preparer)
 
     def _work(self) -> None:
@@ -536,7 +552,7 @@ class _Preparer:
                 robot = load_robot(wanted.robot)
             else:
                 robot = self._robot
-            ready = prepare(wanted, robot, self._ready, self._say)
+            ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
             self._done(_Prepared(command, error=str(error).splitlines()[0]))
         except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
@@ -549,10 +565,25 @@ class _Preparer:
         finally:
             self._count(-1)
 
+    def _compile(self, setup: Setup, robot: Robot, goals: RobotGoals, solvers: Sequence[Solver]) -> None:
+        """In other processes, what takes long: a compiler here would hold up the page."""
+        if not self._beside:
+            return
+        missing = []
+        for solver in solvers:
+            with contextlib.suppress(RobotIkError):  # it cannot serve these goals: ``prepare`` says why
+                if not is_compiled(robot, goals.all(first_ball(robot), solver), solver):
+                    missing.append(solver)
+        if missing:
+            self._say("starting to compile …")
+            self._compilers.setup(setup, missing, self._say)
+
     def _warm_drag(self, robot: Robot) -> None:
         """After the first answer: nobody has to wait for it who drags nothing."""
         if not self.can_drag:
             self._say("preparing to drag parts …")
+            if self._beside and not jit.compiled(lm_levels):
+                self._compilers.drag(self._setup.robot, self._say)
             with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
                 warm_drag(robot)
             self.can_drag = True

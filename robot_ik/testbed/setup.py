@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -332,7 +332,13 @@ def completed(setup: Setup, robot: Robot) -> Setup:
     )
 
 
-def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[str], None]) -> Ready:
+def prepare(
+    setup: Setup,
+    loaded: Robot,
+    before: Ready | None,
+    say: Callable[[str], None],
+    first: Callable[[Setup, Robot, RobotGoals, Sequence[Solver]], None] = lambda *given: None,
+) -> Ready:
     """Compiles and tries all that the setup needs.
 
     Args:
@@ -340,6 +346,7 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
         loaded: Its robot.
         before: What was made ready last: what did not change since is taken over.
         say: Called with what is going on, in words.
+        first: Called before anything is compiled: with the completed setup, its robot, goals and solvers.
 
     Raises:
         RobotIkError: No such method or option.
@@ -353,6 +360,7 @@ def prepare(setup: Setup, loaded: Robot, before: Ready | None, say: Callable[[st
     goals = RobotGoals(used, setup.kind, setup.extras)
     home, refused = first_ball(loaded), []
     solvers = tuple(choice.solver() for choice in setup.choices[: setup.count])
+    first(setup, used, goals, solvers)
     for solver in solvers:
         say(f"preparing {solver.name} …")
         refused.append(_tried(used, goals, solver, home))

@@ -239,6 +239,7 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     bed.session.send(SetRunning(False))
     assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
     window.page.get_by_text(seen.figure.reason).first.wait_for(timeout=1e3 * PATIENCE)
+    window.page.get_by_role("cell", name="itself").wait_for()  # and not a method's numbers of before
 
 
 def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:

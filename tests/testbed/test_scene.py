@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from robot_ik.robot import load_robot
 from robot_ik.testbed.staging import bodies_shown
 
 pytest.importorskip("viser", reason="needs the extra web")
+import trimesh
 from mjviser import conversions
 
 from robot_ik.testbed.frontends.scene import body_meshes
@@ -25,7 +28,11 @@ def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(na
     for body, mesh in drawn if name == "panda" else ():  # of the figure mjviser's own take seconds
         if bodies.count(body) == 1:
             fine = conversions.merge_geoms(model, bodies_shown(model, body))
-            assert np.abs(mesh.bounds - fine.bounds).max() < 0.004
-            colours = [set(map(tuple, one.visual.vertex_colors)) for one in (mesh, fine)]
+            seen = trimesh.load(io.BytesIO(mesh.glb), file_type="glb", force="mesh", process=False)
+            assert np.abs(seen.bounds - fine.bounds).max() < 0.004
+            colours = [set(map(tuple, one.visual.vertex_colors)) for one in (seen, fine)]
             assert colours[0] == colours[1]
-            assert mesh.volume > 0.0, "its faces look inwards"
+            assert seen.volume > 0.0, "its faces look inwards"
+            assert np.array_equal(seen.faces, mesh.faces) and np.array_equal(seen.vertices, mesh.vertices)
+            outwards = np.einsum("fi,fi->f", seen.vertex_normals[seen.faces[:, 0]], seen.face_normals)
+            assert outwards.min() > 0.0, "a normal looks inwards"

@@ -13,8 +13,9 @@ import pytest
 
 from robot_ik.errors import ViewerError
 from robot_ik.robot import load_robot
-from robot_ik.testbed.frontends.window import WindowSink
-from robot_ik.testbed.session import replayed
+from robot_ik.testbed.commands import Start
+from robot_ik.testbed.frontends.window import SessionWindow, WindowSink
+from robot_ik.testbed.session import Session, replayed
 from tests.testbed.conftest import Screen, Windows, changed
 from tests.testbed.test_frontends import SCRIPT
 
@@ -92,6 +93,18 @@ def test_without_a_display_it_says_what_to_run(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(ViewerError) as caught:
         WindowSink(load_robot("puma560"))
     assert "DISPLAY" in str(caught.value) and "--view" in caught.value.hint
+    with pytest.raises(ViewerError) as caught:
+        WindowSink(load_robot("puma560"), instead="run something else")
+    assert caught.value.hint.startswith("run something else\n")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11")
+def test_without_a_display_the_testbed_names_its_own_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with Session(Start(), beside=False) as session, pytest.raises(ViewerError) as caught:
+        SessionWindow(session)
+    assert "--viewer browser" in caught.value.hint and "--view:" not in caught.value.hint
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11")

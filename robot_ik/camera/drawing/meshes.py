@@ -110,7 +110,8 @@ def _arc(angles: Array, count: int) -> Array:
     return np.stack([out * np.cos(angles), out * np.sin(angles)], axis=1)
 
 
-def _sphere(size: Array, count: int) -> GeomMesh:
+def sphere(size: Array, count: int) -> GeomMesh:
+    """A ball of radius ``size[0]`` with ``count`` faces round it."""
     return _lathe(size[0] * _arc(np.linspace(-np.pi / 2, np.pi / 2, count // 2 + 1), count), count)
 
 
@@ -211,7 +212,7 @@ _FLAT: dict[int, Callable[[Array], GeomMesh]] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): _box,
 }
 _ROUND: dict[int, Callable[[Array, int], GeomMesh]] = {
-    int(mujoco.mjtGeom.mjGEOM_SPHERE): _sphere,
+    int(mujoco.mjtGeom.mjGEOM_SPHERE): sphere,
     int(mujoco.mjtGeom.mjGEOM_CAPSULE): _capsule,
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): _ellipsoid,
     int(mujoco.mjtGeom.mjGEOM_CYLINDER): _cylinder,

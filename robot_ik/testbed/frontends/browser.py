@@ -12,6 +12,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
-from robot_ik.testbed.frontends.gate import open_server, quiet
+from robot_ik.testbed.frontends.door import Door, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
     Control,
@@ -45,13 +46,9 @@ Image = NDArray[np.uint8]
 LOG = logging.getLogger(__name__)
 
 _LEFT, _RIGHT = 300, 350  # px
-_BRAND = (37, 99, 235)
 _PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
 _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
-# Cell, section and plane of the ground.
-_LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
-_DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
 
 
 class Page:
@@ -59,62 +56,48 @@ class Page:
 
     Args:
         session: What is shown and driven.
-        host: Address to listen at; one that others can reach gets a token.
-        port: The next free one is taken where it is busy.
-        dark: Dark to begin with.
-        token: Ask for a token on loopback, too.
-        names: Further names under which this machine is known.
-        shadows: Draw them; without a GPU the browser is quicker without.
+        door: What listens for browsers, where it is open already; the page closes it.
         camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
+        options: Without ``door``: as ``Door`` takes them.
 
     Attributes:
         url: Where a browser finds the page, with its token if it needs one.
 
     Raises:
-        ViewerError: Another viser than 1.1, or the address cannot be used.
+        ViewerError: As ``Door``.
     """
 
     def __init__(
         self,
         session: Session,
+        door: Door | None = None,
         *,
-        host: str = "127.0.0.1",
-        port: int = 8080,
-        dark: bool = False,
-        token: bool = False,
-        names: tuple[str, ...] = (),
-        shadows: bool = True,
         camera: Callable[[], tuple[Image, str] | None] | None = None,
+        **options: Any,
     ) -> None:
-        self.session, self._dark, self._view = session, dark, session.view()
-        self.server, self.gate = open_server(host, port, token=token, names=names)
-        query = f"?token={self.gate.token}" if self.gate.token else ""
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-        self.url = f"http://{shown}:{self.server.get_port()}/{query}"
+        self.session, self._view = session, session.view()
+        self._door = door = Door(**options) if door is None else door
+        self.server, self.gate, self.url = door.server, door.gate, door.url
         self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
-        self._panel_due = self._table_due = 0.0
-        gui = self.server.gui
-        self._theme(dark)
-        gui.set_panel_label("robot_ik testbed")
-        self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
-        self.server.scene.configure_default_lights(cast_shadow=shadows)
         self._camera = None if camera is None else _CameraThread(camera)
-        self._controls(gui)
-        self._readings(gui)
-        self._keys(gui)
-        self._add_gizmo()
+        gui = self.server.gui
+        with self.server.atomic(), open_icons():
+            self._controls(gui)
+            self._readings(gui)
+            self._keys(gui)
+            self._add_gizmo()
+            self._turns = self._all_turns()
+            self.draw(self._view)
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
-        self.draw(self._view)
 
     def close(self) -> None:
         """Stops the server."""
         if self._camera is not None:
             self._camera.close()
-        with quiet():
-            self.server.stop()
+        self._door.close()
 
     def __enter__(self) -> Self:
         return self
@@ -179,7 +162,9 @@ class Page:
         Control(self._axes, self._show_axes)
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
         Control(self._reach, self._show_reach)
-        Control(gui.add_checkbox("Dark", self._dark, hint="For all browsers that look"), self._theme)
+        Control(
+            gui.add_checkbox("Dark", self._door.dark, hint="For all browsers that look"), self._door.theme
+        )
         if self._camera is not None:
             pictures = gui.add_checkbox("Camera pictures", False, hint="Four a second: a quarter of a core")
             Control(pictures, self._camera.switch)
@@ -214,20 +199,6 @@ class Page:
 
         handle.on_trigger(pressed_key)
 
-    def _theme(self, dark: bool) -> None:
-        """Panels, ground and background."""
-        self._dark = dark
-        self.server.gui.configure_theme(
-            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=_BRAND
-        )
-        cell, section, plane = _DARK if dark else _LIGHT
-        self.server.scene.add_grid(
-            "/ground", infinite_grid=True, cell_size=0.1, section_size=0.5, cell_color=cell,
-            section_color=section, plane_color=plane, plane_opacity=1.0, shadow_opacity=0.35,
-            fade_distance=9.0, fade_strength=1.5,
-        )  # fmt: skip
-        self.server.scene.set_background_image(np.full((2, 2, 3), plane, np.uint8), format="png")
-
     # ---------------------------------------------------------------------------------------- scene
 
     def _show_overlay(self, shown: bool) -> None:
@@ -256,7 +227,7 @@ class Page:
                 place = np.array(self._gizmo.position) - self._scene.offsets[0]
                 self.session.send(MoveGoal(_floats(place), _four(self._gizmo.wxyz)))
 
-    def _rebuild(self, view: View) -> None:
+    def _rebuild(self, view: View) -> BrowserScene:
         """Robot or number of instances have changed."""
         if self._scene is not None:
             self._scene.remove()
@@ -269,9 +240,11 @@ class Page:
             self._show_reach(True)
         self._gizmo.scale = _GIZMO * scene.stage.extent
         for client in self.server.get_clients().values():
-            # On the server's thread: a browser's own messages have no lock.
+            # On the server's thread, as in ``_welcome``.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
-        self._panel_due = self._table_due = 0.0
+        for turn in self._turns:
+            turn.show(view, scene)
+        return scene
 
     async def _drag_ball(self, event: Any) -> None:
         if self._scene is not None:
@@ -301,9 +274,13 @@ class Page:
 
     # ------------------------------------------------------------------------------------- browsers
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """Fits the camera until the canvas keeps its shape: it gets that only when the panels have docked."""
-        shape = [0.0]
+    async def _welcome(self, client: viser.ClientHandle) -> None:
+        """Fits the camera until the canvas keeps its shape: it gets that only when the panels have docked.
+
+        ``async``: on the server's thread, because a browser's own messages have no lock.
+        """
+        shape = [client.camera.aspect]
+        self._fit_camera(client)
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -349,30 +326,56 @@ class Page:
     # -------------------------------------------------------------------------------------- drawing
 
     def draw(self, view: View) -> None:
-        """Shows a view; called by the loop, 30 times a second."""
+        """Shows a view; called by the loop, 30 times a second.
+
+        All of it is one piece for the browsers: viser's thread begins to send when the last message is there,
+        and does not take turns with this one.
+        """
         self._view = view
-        scene = self._scene
-        if scene is None or scene.robot.model is not self.session.robot.model or scene.count != view.count:
-            self._rebuild(view)
+        with self.server.atomic():
             scene = self._scene
-        assert scene is not None
-        scene.draw(view)
-        self._gizmo.position = view.ball.position + scene.stage.offsets[0]
-        if view.motion != "hand":
-            self._gizmo.wxyz = view.ball.wxyz
+            if scene is None or (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
+                scene = self._rebuild(view)
+            scene.draw(view)
+            self._gizmo.position = view.ball.position + scene.stage.offsets[0]
+            if view.motion != "hand":
+                self._gizmo.wxyz = view.ball.wxyz
+            self._show_panels(view, scene)
+
+    def _show_panels(self, view: View, scene: BrowserScene) -> None:
+        """The panels whose turn it is: one at most, so that no frame pays for all of them."""
         now = time.monotonic()
-        if now >= self._panel_due:
-            self._panel_due = now + _PANEL_PERIOD
+        turn = min(self._turns, key=lambda one: one.due)
+        if now >= turn.due:
+            turn.due = now + turn.period
+            turn.show(view, scene)
+
+    def _all_turns(self) -> tuple[_Turn, ...]:
+        def run(view: View, scene: BrowserScene) -> None:
             self._run.show(view)
-            self._methods.show(view)
-            self._goals.show(view)
             self._figure.show(view)
-            self._measured.draw(view, scene.robot)
-        if now >= self._table_due:
-            self._table_due = now + _TABLE_PERIOD
+
+        def tables(view: View, scene: BrowserScene) -> None:
             self._measured.show(view)
             self._arm.show(view)
             scene.name_instances(view)
+
+        return (
+            _Turn(_PANEL_PERIOD, run),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
+            _Turn(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
+            _Turn(_TABLE_PERIOD, tables),
+        )
+
+
+@dataclass
+class _Turn:
+    """Something on the page that is renewed every ``period`` seconds, next when the clock is at ``due``."""
+
+    period: float
+    show: Callable[[View, BrowserScene], None]
+    due: float = 0.0
 
 
 class _CameraThread:

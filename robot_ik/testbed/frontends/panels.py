@@ -158,6 +158,12 @@ class RunPanel:
             gui.add_dropdown("Robot", names, initial_value=view.robot, hint="Any robot that ships"),
             lambda value: send(SetRobot(value)),
         )
+        with gui.add_folder("A model of your own", expand_by_default=False):
+            path = gui.add_text(
+                "Path", "", hint="An MJCF or URDF file, on the machine where this program runs"
+            )
+            load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN, hint="In place of the robot")
+        pressed(load, lambda _: send(SetRobot(path.value.strip())))
         self._count = Control(
             gui.add_dropdown("Compare", tuple(_COUNT_WORDS), hint="Side by side (keys 1, 2, 4)"),
             lambda value: send(SetCount(_COUNT_WORDS[value])),
@@ -184,7 +190,9 @@ class RunPanel:
         if self._state.content != content:
             self._state.content = content
         self._motion.follow(word_of(_MOTION_WORDS, view.motion))
-        if view.robot in self._robot.handle.options and not view.busy:
+        if not view.busy:
+            if view.robot not in self._robot.handle.options:  # one of somebody's own
+                self._robot.handle.options = (*self._robot.handle.options, view.robot)
             self._robot.follow(view.robot)
         self._count.follow(word_of(_COUNT_WORDS, view.count))
         self._speed.follow(view.speed)
@@ -219,7 +227,7 @@ class _MethodFolder:
         self._gui, self._send, self._k = gui, send, k
         self._shown = ""
         self._widgets: dict[str, Control] = {}
-        self._place = gui.add_folder(f"Robot {k + 1}", visible=k == 0)
+        self._place = gui.add_folder(f"Robot {k + 1}", visible=False)
         with self._place:
             self._colour = gui.add_html("", visible=False)
             menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
@@ -227,8 +235,8 @@ class _MethodFolder:
         self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
-        """Follows the instance; None: there is none."""
-        visible = one is not None
+        """Follows the instance, once it has a method; None: there is none."""
+        visible = one is not None and one.method != ""
         if self._place.visible != visible:
             self._place.visible = visible
         if one is None:
@@ -547,18 +555,27 @@ class MeasuredPanel:
 
     def show(self, view: View) -> None:
         """The table, once a second."""
-        rows = "".join(self._row(k, one) for k, one in enumerate(view.instances))
+        acting = int(view.figure is not None)  # the first robot then, and it has no method
+        rows = "".join(self._row(k, one, k < acting) for k, one in enumerate(view.instances))
         head = "<tr><th>method</th><th>µs</th><th>p99</th><th>steps</th><th>solved</th><th>off mm</th></tr>"
-        count = min(one.statistics.count for one in view.instances)
-        note = f"in this page, the last {count} solves of each; for comparable times: robot-ik bench"
+        counts = [one.statistics.count for one in view.instances[acting:]]
+        note = "the figure decides by itself: no method is measured"
+        if counts:
+            note = (
+                f"in this page, the last {min(counts)} solves of each; for comparable times: robot-ik bench"
+            )
         self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
 
     @staticmethod
-    def _row(k: int, one: InstanceView) -> str:
+    def _row(k: int, one: InstanceView, acting: bool) -> str:
         colour, name = hexadecimal(INSTANCE_COLOURS[k]), html.escape(one.method or "…")
-        first = f'<td title="{html.escape(one.note)}"><i style="background:{colour}"></i>{name}</td>'
-        if not one.able:
+        name, note = ("itself", "") if acting else (name, one.note)
+        first = f'<td title="{html.escape(note)}"><i style="background:{colour}"></i>{name}</td>'
+        if not one.able and not acting:
             return f'<tr>{first}<td colspan="5" class="no">{html.escape(one.status)}</td></tr>'
+        if acting or not one.statistics.count:
+            off = f"{1e3 * one.miss:.2f}" if acting else "–"
+            return f"<tr>{first}{4 * '<td>–</td>'}<td>{off}</td></tr>"
         s = one.statistics
         times = "".join(f"<td>{1e6 * t:.{0 if t > 1e-4 else 1}f}</td>" for t in (s.mean, s.p99))
         return (
@@ -569,7 +586,7 @@ class MeasuredPanel:
     def draw(self, view: View, robot: Robot) -> None:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
-            visible = (n, name) == (view.count, self._menu.value)
+            visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
             if plot.visible != visible:
                 plot.visible = visible
             if visible:

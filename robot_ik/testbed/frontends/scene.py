@@ -6,17 +6,19 @@ run ahead of them in a slow browser.
 
 from __future__ import annotations
 
+import io
+import json
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-import trimesh
 import viser
-from mjviser import conversions
 from numpy.typing import NDArray
+from viser import _messages as vm
 
-from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.session import View
@@ -41,29 +43,58 @@ _ARM_COLOUR: Colour = (250, 204, 21)
 _GHOST_OPACITY = 0.28
 _CLOUD_POINTS = 4000
 _PLATE_RADIUS = 0.21  # of the extent
+_BALL_FACES = 36  # round it
 _NOWHERE = -1e3  # metres: where what is not shown lies
 _GIZMO = 0.22  # of the extent, times 1.5
 
 
-def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, trimesh.Trimesh]]:
+@dataclass(frozen=True, eq=False)
+class BodyMesh:
+    """What is drawn of a body, in its frame.
+
+    Attributes:
+        vertices: (v, 3) metres.
+        faces: (f, 3) indices into them, counter-clockwise from outside.
+        glb: The same with normals and colours, or textures, as a glTF file.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.uint32]
+    glb: bytes
+
+
+def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:
     """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
     whole = cached_mesh(model)
     for body in range(model.nbody):
         geoms = bodies_shown(model, body)
-        plain = [
-            g
-            for g in geoms
-            if conversions.get_geom_texture_id(model, g) < 0
-            and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_HFIELD
-        ]
-        others = [g for g in geoms if g not in plain]
-        for part in conversions.group_geoms_by_visual_compat(model, others) if others else ():
-            yield body, conversions.merge_geoms(model, part)
+        plain = [g for g in geoms if not _is_patterned(model, g)]
+        if others := [g for g in geoms if g not in plain]:
+            yield from ((body, mesh) for mesh in _patterned_meshes(model, others))
         if plain:
             yield body, _smooth_mesh(model, whole, plain)
 
 
-def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> trimesh.Trimesh:
+def _is_patterned(model: mujoco.MjModel, geom: int) -> bool:
+    """Whether a geom is a height field, or a mesh that may have a texture on it."""
+    kind, mesh = model.geom_type[geom], model.geom_dataid[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_HFIELD:
+        return True
+    textured = model.ntex > 0 and model.geom_matid[geom] >= 0
+    return bool(textured and kind == mujoco.mjtGeom.mjGEOM_MESH and model.mesh_texcoordnum[mesh] > 0)
+
+
+def _patterned_meshes(model: mujoco.MjModel, geoms: list[int]) -> Iterator[BodyMesh]:
+    """Geoms by mjviser, one mesh a texture."""
+    from mjviser import conversions  # imports trimesh and SciPy: a third of a page's start
+
+    for part in conversions.group_geoms_by_visual_compat(model, geoms):
+        mesh, file = conversions.merge_geoms(model, part), io.BytesIO()
+        mesh.export(file, file_type="glb")
+        yield BodyMesh(mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32), file.getvalue())
+
+
+def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> BodyMesh:
     """Geoms in their body's frame: round where they are round, with sharp edges where they have edges.
 
     Not by mjviser, whose capsules have 4000 faces: a browser asks each whether the mouse is over it.
@@ -79,16 +110,60 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> t
     colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
     rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
     _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
-    index = number.reshape(-1, 4)
-    faces = np.vstack([index[:, :3], index[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]])
-    kept = rows[first]
-    return trimesh.Trimesh(
-        kept[:, :3],
-        faces,
-        vertex_normals=kept[:, 3:6],
-        vertex_colors=kept[:, 6:].astype(np.uint8),
-        process=False,
+    faces, kept = _triangles(number.reshape(-1, 4)), rows[first]
+    vertices, normals = kept[:, :3].astype(np.float32), kept[:, 3:6].astype(np.float32)
+    return BodyMesh(vertices, faces, _glb(vertices, normals, kept[:, 6:].astype(np.uint8), faces))
+
+
+def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
+    """(f, 3) of quads (n, 4), of which those that repeat their last corner are triangles already."""
+    others = quads[quads[:, 2] != quads[:, 3]][:, [0, 2, 3]]
+    return np.vstack([quads[:, :3], others]).astype(np.uint32)
+
+
+_FLOAT, _BYTE, _INDEX = 5126, 5121, 5125  # component types of glTF
+
+
+def _glb(vertices: Floats, normals: Floats, colours: NDArray[np.uint8], faces: NDArray[np.uint32]) -> bytes:
+    """A mesh with a colour at each vertex as a binary glTF 2.0 file (its specification, 3.6 and 4).
+
+    Args:
+        vertices: (v, 3).
+        normals: (v, 3).
+        colours: (v, 4) RGBA.
+        faces: (f, 3).
+    """
+    bounds = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
+    columns: tuple[tuple[NDArray[Any], dict[str, Any]], ...] = (
+        (vertices, {"type": "VEC3", "componentType": _FLOAT, **bounds}),
+        (normals, {"type": "VEC3", "componentType": _FLOAT}),
+        (colours, {"type": "VEC4", "componentType": _BYTE, "normalized": True}),
+        (faces.reshape(-1), {"type": "SCALAR", "componentType": _INDEX}),
     )
+    ends = np.cumsum([array.nbytes for array, _ in columns]).tolist()
+    head = {
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [
+            {"primitives": [{"attributes": {"POSITION": 0, "NORMAL": 1, "COLOR_0": 2}, "indices": 3}]}
+        ],
+        "accessors": [
+            {"bufferView": k, "count": len(array), **about} for k, (array, about) in enumerate(columns)
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": end - array.nbytes, "byteLength": array.nbytes}
+            for end, (array, _) in zip(ends, columns, strict=True)
+        ],
+        "buffers": [{"byteLength": ends[-1]}],
+    }  # fmt: skip
+    text = json.dumps(head).encode()
+    text += b" " * (-len(text) % 4)
+    data = b"".join(array.tobytes() for array, _ in columns)
+
+    def number(value: int) -> bytes:
+        return value.to_bytes(4, "little")
+
+    body = number(len(text)) + b"JSON" + text + number(len(data)) + b"BIN\0" + data
+    return b"glTF" + number(2) + number(12 + len(body)) + body
 
 
 class Ghosts:
@@ -120,7 +195,14 @@ class Ghosts:
             for k, (xpos, xquat) in enumerate(poses[: self._count]):
                 places[k], quaternions[k] = xpos[body] + offset, xquat[body]
             places[len(poses) :] = _NOWHERE
-            handle.batched_positions, handle.batched_wxyzs = places.copy(), quaternions.copy()
+            assign(handle, batched_positions=places.copy(), batched_wxyzs=quaternions.copy())
+
+
+def assign(handle: Any, **arrays: Floats) -> None:
+    """Assigns several arrays of a node in one message, in which viser would send one message each."""
+    for name, array in arrays.items():
+        setattr(handle._impl.props, name, array)
+    handle._impl.api._queue_scene_message(vm.SceneNodeUpdateMessage(handle._impl.name, dict(arrays)))
 
 
 def _poses(count: int) -> tuple[Floats, Floats]:
@@ -140,34 +222,36 @@ class BrowserScene:
         self._cloud: Any = None
         self._axes: Any = None
         self._trails_shown = True
+        self._drawn = np.full((count, robot.model.nbody, 7), np.nan, np.float32)
         with server.atomic():
             self.root = server.scene.add_frame("/robot", show_axes=False)
             self._add_bodies()
             self._add_ball()
-            self._trails = [self._trail(k) for k in range(count)]
+            self._trails = self._add_trails()
             self._labels = [self._label(k) for k in range(count)]
 
     def _add_bodies(self) -> None:
         for n, (body, mesh) in enumerate(body_meshes(self.robot.model)):
-            handle = self._server.scene.add_batched_meshes_trimesh(
-                f"/robot/{body}_{n}", mesh, *_poses(self.count), lod="off", receive_shadow=True
+            handle = self._server.scene.add_batched_glb(
+                f"/robot/{body}_{n}", mesh.glb, *_poses(self.count), lod="off", receive_shadow=True
             )
             self.bodies.append((body, handle))
 
     def _add_ball(self) -> None:
-        ball = trimesh.creation.icosphere(subdivisions=3, radius=BALL_RADIUS * self.stage.extent)
+        ball = sphere(np.array([BALL_RADIUS * self.stage.extent]), _BALL_FACES)
         self.ball = self._server.scene.add_batched_meshes_simple(
-            "/robot/ball", ball.vertices, ball.faces, *_poses(self.count),
+            "/robot/ball", ball.vertices, _triangles(ball.faces), *_poses(self.count),
             batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
         )  # fmt: skip
 
-    def _trail(self, k: int) -> Any:
-        # Of a fixed size: colours are checked against the number of points.
-        empty = np.full((SEGMENTS, 2, 3), _NOWHERE, np.float32)
-        colour = INSTANCE_COLOURS[k]
+    def _add_trails(self) -> Any:
+        # One node for all, and of a fixed size: colours are checked against the number of points.
+        empty = np.full((self.count * SEGMENTS, 2, 3), _NOWHERE, np.float32)
+        colours = np.repeat([linear(colour) for colour in INSTANCE_COLOURS[: self.count]], SEGMENTS, axis=0)
         return self._server.scene.add_line_segments(
-            f"/robot/trail_{k}", empty, colour, thickness=3.0, thickness_units="screen"
-        )
+            "/robot/trails", empty, np.stack([colours, colours], axis=1), thickness=3.0,
+            thickness_units="screen",
+        )  # fmt: skip
 
     def _label(self, k: int) -> Any:
         scene, several = self._server.scene, self.count > 1
@@ -200,8 +284,7 @@ class BrowserScene:
     def show_overlay(self, on: bool) -> None:
         """Trails and labels, or none."""
         self._trails_shown = on
-        for line in self._trails:
-            line.visible = on
+        self._trails.visible = on
         for label in self._labels:
             label.visible = on and self.count > 1
 
@@ -232,22 +315,35 @@ class BrowserScene:
             label.text = f"{k + 1}  {one.method}"
 
     def draw(self, view: View) -> None:
-        """One frame, sent as one piece."""
-        xpos = np.stack([one.xpos for one in view.instances]).astype(np.float32) + self.offsets[:, None]
-        xquat = np.stack([one.xquat for one in view.instances]).astype(np.float32)
+        """One frame, sent as one piece; what has not moved is not sent."""
+        now = np.empty_like(self._drawn)
+        now[:, :, :3] = [one.xpos for one in view.instances]
+        now[:, :, :3] += self.offsets[:, None]
+        now[:, :, 3:] = [one.xquat for one in view.instances]
+        moved = (now != self._drawn).any(axis=(0, 2)).tolist()
+        self._drawn = now
+        xpos, xquat = now[:, :, :3], now[:, :, 3:]
         with self._server.atomic():
             for body, handle in self.bodies:
-                handle.batched_positions = xpos[:, body]
-                handle.batched_wxyzs = xquat[:, body]
+                if moved[body]:
+                    assign(
+                        handle, batched_positions=xpos[:, body].copy(), batched_wxyzs=xquat[:, body].copy()
+                    )
             self.ball.batched_positions = (self.offsets + view.ball.position).astype(np.float32)
             if self._axes is not None and self._axes.visible:
                 self._draw_axes(xpos, xquat)
-            for k, one in enumerate(view.instances if self._trails_shown else ()):
-                if len(one.trail) > 2:
-                    points = (one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]).astype(np.float32)
-                    points = np.pad(points, ((0, SEGMENTS + 1 - len(points)), (0, 0)), mode="edge")
-                    self._trails[k].points = np.stack([points[:-1], points[1:]], axis=1)
+            if self._trails_shown and any(moved):
+                self._draw_trails(view)
             self._draw_ghosts(view)
+
+    def _draw_trails(self, view: View) -> None:
+        """Every second place of the tools, newest first; what is missing has no length."""
+        points = np.full((self.count, SEGMENTS, 2, 3), _NOWHERE, np.float32)
+        for k, one in enumerate(view.instances):
+            places = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
+            if n := max(0, len(places) - 1):
+                points[k, :n, 0], points[k, :n, 1], points[k, n:] = places[:-1], places[1:], places[-1]
+        assign(self._trails, points=points.reshape(-1, 2, 3))
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)

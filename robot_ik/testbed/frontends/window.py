@@ -61,19 +61,22 @@ class Solid:
     rgba: tuple[float, ...]
 
 
-def _require_display(limit: float) -> None:
+_WITHOUT_WINDOW = "run it without --view: the pictures are written to the output folder without a display"
+_WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
+
+
+def _require_display(limit: float, instead: str) -> None:
     """Raises before MuJoCo waits for ever for a window that cannot come."""
     probe = probe_display(timeout=limit)
     if probe.ok:
         return
     raise ViewerError(
         f"no window can be opened: {probe.text}",
-        hint="run it without --view: the pictures are written to the output folder without a display\n"
-        "or on a machine with a desktop (ssh -X), or with: xvfb-run -a …",
+        hint=f"{instead}\nor on a machine with a desktop (ssh -X), or with: xvfb-run -a …",
     )
 
 
-def _call_with_limit(call: Callable[[], Any], limit: float) -> Any:
+def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any:
     """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``limit`` seconds."""
     box: list[Any] = []
     failure: list[BaseException] = []
@@ -92,7 +95,7 @@ def _call_with_limit(call: Callable[[], Any], limit: float) -> Any:
     if not box:
         raise ViewerError(
             f"the viewer window did not open within {limit:.0f} s",
-            hint="run it without --view, and look closer with: robot-ik doctor",
+            hint=f"{instead}\nlook closer with: robot-ik doctor",
         )
     return box[0]
 
@@ -104,8 +107,10 @@ def _light(model: Any) -> None:
         model.vis.headlight.diffuse[:] = _DIFFUSE
 
 
-def _launch(model: Any, data: Any, limit: float, **options: Any) -> Any:
+def _launch(model: Any, data: Any, limit: float, instead: str, **options: Any) -> Any:
     """MuJoCo's passive viewer; without its side panels unless ``options`` say otherwise.
+
+    ``instead`` says what to run where there can be no window.
 
     Raises:
         ViewerError: No display, no OpenGL on it, or macOS without ``mjpython``.
@@ -121,12 +126,12 @@ def _launch(model: Any, data: Any, limit: float, **options: Any) -> Any:
         if getattr(viewer, "_MJPYTHON", None) is None:
             raise ViewerError(
                 "on macOS the window needs MuJoCo's own Python",
-                hint="run: mjpython -m robot_ik …, or leave the window out",
+                hint=f"run: mjpython -m robot_ik …\nor {instead}",
             )
     else:
-        _require_display(limit)
+        _require_display(limit, instead)
     options = {"show_left_ui": False, "show_right_ui": False, **options}
-    return _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit)
+    return _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
 
 
 class WindowSink:
@@ -142,6 +147,7 @@ class WindowSink:
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
         eye: From where to look; None: from the side that MuJoCo takes.
+        instead: What to run where there can be no window, for the hint of the error.
 
     Attributes:
         data: The ``MjData`` that is shown; nobody else may write it.
@@ -161,6 +167,7 @@ class WindowSink:
         solids: Sequence[Solid] = (),
         see: Array | None = None,
         eye: Array | None = None,
+        instead: str = _WITHOUT_WINDOW,
     ) -> None:
         self._mujoco = import_mujoco()
         self._robot = robot
@@ -169,7 +176,9 @@ class WindowSink:
         self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
         before = set(threading.enumerate())
-        self._viewer = _launch(self._model, self.data, limit, show_left_ui=panels, show_right_ui=panels)
+        self._viewer = _launch(
+            self._model, self.data, limit, instead, show_left_ui=panels, show_right_ui=panels
+        )
         self._threads = [t for t in threading.enumerate() if t not in before]
         with self._lock():
             self._look(see, eye)
@@ -328,7 +337,9 @@ class SessionWindow:
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
         before = set(threading.enumerate())
-        self._viewer = _launch(self._model, self._data, self._limit, key_callback=self._on_key)
+        self._viewer = _launch(
+            self._model, self._data, self._limit, _WITHOUT_VIEWER, key_callback=self._on_key
+        )
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         body = int(self._model.body(_BALL).id)
         with self._viewer.lock():

@@ -1,0 +1,107 @@
+"""The page before there is a robot: a server behind its gate, an address, an empty stage.
+
+It imports neither models nor solvers, so a browser loads the page while the program does.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zipfile
+from collections.abc import Iterator
+from typing import Any, Self
+
+import numpy as np
+from viser import _icons
+
+from robot_ik.testbed.frontends.gate import open_server, quiet
+
+_BRAND = (37, 99, 235)
+# Cell, section and plane of the ground.
+_LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
+_DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
+
+
+class Door:
+    """What listens for browsers; a context manager.
+
+    Args:
+        host: Address to listen at; one that others can reach gets a token.
+        port: The next free one is taken where it is busy.
+        token: Ask for a token on loopback, too.
+        names: Further names under which this machine is known.
+        dark: Dark to begin with.
+        shadows: Draw them; without a GPU the browser is quicker without.
+
+    Attributes:
+        server, gate: See ``open_server``.
+        url: Where a browser finds the page, with its token if it needs one.
+        dark: Whether it is.
+
+    Raises:
+        ViewerError: Another viser than 1.1, or the address cannot be used.
+    """
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 8080,
+        *,
+        token: bool = False,
+        names: tuple[str, ...] = (),
+        dark: bool = False,
+        shadows: bool = True,
+    ) -> None:
+        self.server, self.gate = open_server(host, port, token=token, names=names)
+        query = f"?token={self.gate.token}" if self.gate.token else ""
+        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+        self.url = f"http://{shown}:{self.server.get_port()}/{query}"
+        with self.server.atomic():
+            self.server.gui.set_panel_label("robot_ik testbed")
+            self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
+            self.server.scene.configure_default_lights(cast_shadow=shadows)
+            self.theme(dark)
+
+    def theme(self, dark: bool) -> None:
+        """Panels, ground and background."""
+        self.dark = dark
+        self.server.gui.configure_theme(
+            dark_mode=dark, show_logo=False, show_share_button=False, brand_color=_BRAND
+        )
+        cell, section, plane = _DARK if dark else _LIGHT
+        self.server.scene.add_grid(
+            "/ground", infinite_grid=True, cell_size=0.1, section_size=0.5, cell_color=cell,
+            section_color=section, plane_color=plane, plane_opacity=1.0, shadow_opacity=0.35,
+            fade_distance=9.0, fade_strength=1.5,
+        )  # fmt: skip
+        self.server.scene.set_background_image(np.full((2, 2, 3), plane, np.uint8), format="png")
+
+    def close(self) -> None:
+        """Stops the server."""
+        with quiet():
+            self.server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+@contextlib.contextmanager
+def open_icons() -> Iterator[None]:
+    """Keeps viser's archive of 4000 icons open: it would read its directory anew for each, 0.05 s."""
+    real = zipfile.ZipFile
+    with real(_icons.ICONS_DIR / "tabler-icons.zip") as archive:
+
+        class Namespace:
+            """What viser's module calls ``zipfile``."""
+
+            @staticmethod
+            def ZipFile(path: object) -> Any:
+                return contextlib.nullcontext(archive)
+
+        setattr(_icons, "zipfile", Namespace)  # noqa: B010 (mypy: a module's module)
+        try:
+            yield
+        finally:
+            setattr(_icons, "zipfile", zipfile)  # noqa: B010

@@ -1,0 +1,62 @@
+"""Processes that compile for the session: what they compile is what its solvers ask for."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numba
+import pytest
+
+from robot_ik.goals import PoseGoal
+from robot_ik.problem import Problem
+from robot_ik.robot import load_robot
+from robot_ik.solvers import SOLVERS, make_solver
+from robot_ik.solvers.base import IterativeSolver, Run
+from robot_ik.testbed import compiling
+from robot_ik.testbed.commands import Start
+from robot_ik.testbed.session import Session
+
+
+def test_a_step_is_compiled_for_what_its_loop_hands_over() -> None:
+    """Else the other process compiles in vain, and nobody sees it but by the time that it takes."""
+    robot = load_robot("puma560")
+    problem = Problem(robot, PoseGoal.at(None, robot.measure(robot.home)))
+    steps = [name for name in SOLVERS if compiling.step_of(name) is not None]
+    assert {"dls", "pseudoinverse"} <= set(steps)
+    solver = make_solver("dls")
+    assert isinstance(solver, IterativeSolver)
+    run = Run(solver, problem)
+    assert tuple(numba.typeof(value) for value in run.arguments) == compiling.ARGUMENTS
+
+
+FAILING = """#!/bin/sh
+if [ "$3" = setup ]; then echo one; echo two; sleep 0.3; fi
+exit 1
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the stand-in for Python is a shell script")
+@pytest.mark.parametrize("there", [True, False])
+def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
+    there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "python"
+    if there:
+        program.write_text(FAILING)
+        program.chmod(0o755)
+    monkeypatch.setattr("robot_ik.testbed.session.is_compiled", lambda *given: False)
+    monkeypatch.setattr(sys, "executable", str(program))
+    said = set()
+    with Session(Start()) as session:
+        session.tick()
+        assert session.busy and not session.ready, "a compiler held the loop up"
+        deadline = time.monotonic() + 60.0
+        while not session.ready and time.monotonic() < deadline:
+            said.add(session.busy)
+            session.tick()
+            time.sleep(0.01)
+        assert session.view().instances[0].method == "dls"
+    progress = "compiling dls, once on this machine: 2 functions so far …"
+    assert (progress in said) is there

@@ -1,0 +1,121 @@
+"""Every control of the page, moved as a browser moves it, does something."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("viser", reason="needs the extra web")
+from robot_ik.bench.page import PageClient
+from robot_ik.testbed.commands import Command, SetRobot, Start
+from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.session import Session
+
+ELSEWHERE = {"Path", "Hand over"}
+"""A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
+
+
+class Sent(queue.SimpleQueue[Command]):
+    """The commands of a page that nobody executes."""
+
+
+@pytest.fixture(scope="module")
+def stage() -> Iterator[tuple[Page, PageClient, Sent]]:
+    """A page that shows everything, and what looks at it; no loop runs."""
+    sent = Sent()
+    with Session(Start(), beside=False) as session:
+        for _ in range(3):
+            session.tick()
+        session.send = sent.put  # type: ignore[method-assign]
+        with Page(session, port=8730) as page, PageClient(page.url) as client:
+            yield page, client, sent
+
+
+def another(handle: Any) -> Any:
+    """A value of a widget that it does not have."""
+    if options := getattr(handle, "options", None):
+        return options[-1]
+    value = handle.value
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        low, high = (getattr(handle, side, None) for side in ("min", "max"))
+        step = 1 if isinstance(value, int) else 0.01
+        return value + step if high is None or value + step <= high else low
+    return "text"
+
+
+def counts(page: Page, buffers: list[Any]) -> list[int]:
+    """How many messages were sent, once what came before has had all its effects."""
+    found: list[int] = []
+    while found != (found := [buffer.message_counter for buffer in buffers]):
+        for _ in range(6):  # every panel has had its turn
+            page.draw(page._view)
+        time.sleep(0.02)
+    return found
+
+
+def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) -> str:
+    """What a message led to: a command, or what the page sent but the value itself; empty: nothing."""
+    server = page.server._websock_server
+    buffers = [
+        server._broadcast_buffer,
+        *(one.message_buffer for one in server._client_state_from_id.values()),
+    ]
+    before = counts(page, buffers)
+    deadline = time.monotonic() + 2.0
+    client._send(message)
+    while time.monotonic() < deadline:
+        page.draw(page._view)
+        if not sent.empty():
+            return type(sent.get()).__name__
+        if buffers[1].message_counter > before[1]:
+            return "something for this browser"
+        for number in range(before[0], buffers[0].message_counter):
+            found = buffers[0].message_from_id.get(number)
+            # Not the value itself; nor menus that go back to what the session has.
+            if found is not None and "value" not in getattr(found, "updates", ()):
+                return type(found).__name__
+        time.sleep(0.005)
+    return ""
+
+
+def test_every_control_leads_to_a_command_or_changes_the_page(stage: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = stage
+    dead = []
+    for uuid, handle in list(page.server.gui._gui_input_handle_from_uuid.items()):
+        name = getattr(handle, "label", "?")
+        if name in ELSEWHERE or not handle.visible:
+            continue
+        message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": another(handle)}}
+        if not effect(page, client, sent, message):
+            dead.append(name)
+    assert dead == []
+
+
+def test_every_key_leads_to_a_command_or_changes_the_page(stage: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = stage
+    handles = page.server.gui._command_handle_from_uuid
+    dead = [
+        handle.label
+        for uuid, handle in handles.items()
+        if not effect(page, client, sent, {"type": "CommandTriggerMessage", "uuid": uuid})
+    ]
+    assert len(handles) > 10 and dead == []
+
+
+def test_a_model_is_loaded_by_its_path(stage: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = stage
+    inputs = page.server.gui._gui_input_handle_from_uuid
+    uuid_of = {getattr(handle, "label", ""): uuid for uuid, handle in inputs.items()}
+    for name, value in (("Path", " arms/mine.xml "), ("Load", True)):
+        client._send({"type": "GuiUpdateMessage", "uuid": uuid_of[name], "updates": {"value": value}})
+    assert sent.get(timeout=5.0) == SetRobot("arms/mine.xml")
+    with Session(Start(), beside=False) as session:
+        session.send(SetRobot("arms/mine.xml"))
+        session.tick()
+        assert session.view().message == "there is no file arms/mine.xml"
