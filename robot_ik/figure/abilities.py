@@ -96,11 +96,17 @@ class Map:
         away = ball - points
         return bool((SHARE * miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
 
-    def comfortable(self, z: float) -> Array:
-        """(n, 2) grid points at that height that are in reach, and their neighbours."""
+    @cached_property
+    def _inner(self) -> NDArray[np.bool_]:
+        """Grid points in reach whose neighbours at the same height are."""
         inside = self.miss == 0.0
         for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
+        return inside
+
+    def comfortable(self, z: float) -> Array:
+        """(n, 2) grid points at that height that are in reach, and their neighbours."""
+        inside = self._inner
         k = (z - self.origin[2]) / _GRID
         levels = [level for level in {int(np.floor(k)), int(np.ceil(k))} if 0 <= level < inside.shape[2]]
         return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, levels].any(axis=2)) * _GRID)
@@ -144,6 +150,14 @@ class Abilities:
         """The natural pose at a ball, or the one that comes nearest."""
         return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
+    def _summit(self, arm: str) -> float:
+        """How far above the centre of mass a palm comes at all, m."""
+        key = f"summit {arm}"
+        if key not in self.figure.workspace:
+            palm = palm_over_center(self.figure, arm, self.raised[arm][0][:2], 1.25, 0.05)
+            self.figure.workspace[key] = float(palm[2])
+        return float(self.figure.workspace[key])
+
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
 
@@ -155,6 +169,8 @@ class Abilities:
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
         aside = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - ASIDE, 0.0)
         if over[2] <= 0.0 or np.hypot(aside, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
+            return None
+        if least - 1e-3 > self._summit(arm):
             return None
         for palm in self._palms(arm, over, least, shoulder[:2]):
             if float(np.linalg.norm(palm[:2] - over[:2])) <= ASIDE and palm[2] >= least - 1e-3:
