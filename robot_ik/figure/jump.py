@@ -54,9 +54,9 @@ _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
 """Share of the absorption after which the heels are down."""
-_PULL, _YIELD, _ERECT = 9.0, 2.5, 1.25
-"""Powers of ten at the apex: by which the hand's weight has grown, by which the feet give way, and by which
-the trunk is stiffer: a ball at the rim is reached by legs that lean, not by a trunk that swings."""
+_PULL, _YIELD, _LEAN = 6.7, 3.0, 0.5
+"""Powers of ten at the apex: by which the hand's weight has grown, and by which the feet and the trunk give
+way: a ball at the rim needs a body that leans."""
 _AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
 """Parts of the flight in which the feet are held, s."""
 _MIDDLE = 0.01
@@ -353,7 +353,7 @@ def _frames(
     rows.turned(
         figure.trunk,
         rotation("y", np.radians(60.0) * deep),
-        np.where(air, 4.0 * 10.0 ** (_ERECT * near_apex), 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
+        np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
     )
     if figure.gaze is not None:
         eyes, look = figure.pose(start, figure.gaze)

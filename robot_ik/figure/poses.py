@@ -36,8 +36,8 @@ _HOPELESS = 0.3
 _MOST, _DAMPING = 60, 1.0
 # No progress: so many steps that each leave more than this share of what is short.
 _PATIENCE, _GAIN = 3, 0.97
-# From a pose nearby: most steps, and after how many a ball that is still so far, m, is out of reach.
-_BRIEF, _OUT = 20, ((3, 0.12), (4, 0.06), (8, 0.02))
+# From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
+_BRIEF, _BUDGET, _OUT = 45, 90, ((3, 0.12), (4, 0.06), (8, 0.02))
 _STAND, _PULL = 3e4, 300.0
 NEARLY = 0.02
 """A hand that stays nearer to a ball than this, m, is tried from other poses."""
@@ -140,10 +140,13 @@ def best_pose(
     nor is it told by how much.
     """
     best: FigurePose | None = None
+    polish, spent = _polish(figure, arm, kind), 0
     for k, start in enumerate(starts):
-        pose = _polish(figure, arm, kind)(start, ball, quick=quick)
+        pose = polish(start, ball, quick=quick)
         best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
-        if not pose.flaw or (quick and (pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3))):
+        spent += polish.tried
+        hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
+        if not pose.flaw or (quick and hopeless):
             break
     return best
 
@@ -201,7 +204,7 @@ class _Polish:
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
-        self.figure, self.arm = figure, arm
+        self.figure, self.arm, self.tried = figure, arm, 0
         rows = FrameRows(figure, 1)
         for side, (place, turn) in figure.feet_at_home.items():
             rows.position(figure.feet[side].frame, place, _STAND)
@@ -227,6 +230,7 @@ class _Polish:
         q[self.flat] = self.figure.home[self.flat]
         short, off, outside = self._short(q, ball)
         for tried in range(1, (_BRIEF if quick else _MOST) + 1):
+            self.tried = tried
             ready.weight[0, center_row] = 0.0 if outside is None else _PULL
             if outside is not None:
                 ready.target[0, center_row, :2] = outside
