@@ -49,7 +49,7 @@ _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 # local minima tell a miss too large, far misses more so.
 SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
-_STARTS, _FEW = 8, 3
+_STARTS, _FEW = 12, 3
 # Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
 # them is out of reach: half a diagonal of the grid, and as much for points that were not found.
 _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
@@ -96,11 +96,17 @@ class Map:
         away = ball - points
         return bool((SHARE * miss - np.sqrt(np.einsum("ij,ij->i", away, away))).max(initial=-1.0) > SLACK)
 
-    def comfortable(self, z: float) -> Array:
-        """(n, 2) grid points at that height that are in reach, and their neighbours."""
+    @cached_property
+    def _inner(self) -> NDArray[np.bool_]:
+        """Grid points in reach whose neighbours at the same height are."""
         inside = self.miss == 0.0
         for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
+        return inside
+
+    def comfortable(self, z: float) -> Array:
+        """(n, 2) grid points at that height that are in reach, and their neighbours."""
+        inside = self._inner
         k = (z - self.origin[2]) / _GRID
         levels = [level for level in {int(np.floor(k)), int(np.ceil(k))} if 0 <= level < inside.shape[2]]
         return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, levels].any(axis=2)) * _GRID)
@@ -132,17 +138,25 @@ class Abilities:
         """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
         return np.asarray(self.raised[arm][0][:2] + np.array([self.ahead, 0.0]))
 
-    def can(self, kind: str, ball: Array, arm: str) -> FigurePose | None:
-        """An admissible pose, confirmed by a solve; None where the map or the solve says no."""
+    def can(self, kind: str, ball: Array, arm: str, starts: int = _STARTS) -> FigurePose | None:
+        """An admissible pose, confirmed by a solve from so many poses; None where map or solve says no."""
         found = self.maps[kind, arm]
         if found.surely_out(ball):
             return None
-        pose = best_pose(self.figure, ball, arm, kind, found.nearby(ball), quick=True)
+        pose = best_pose(self.figure, ball, arm, kind, found.nearby(ball, starts), quick=True)
         return None if pose is None or pose.flaw else pose
 
     def pose(self, kind: str, ball: Array, arm: str) -> FigurePose:
         """The natural pose at a ball, or the one that comes nearest."""
         return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
+
+    def _summit(self, arm: str) -> float:
+        """How far above the centre of mass a palm comes at all, m."""
+        key = f"summit {arm}"
+        if key not in self.figure.workspace:
+            palm = palm_over_center(self.figure, arm, self.raised[arm][0][:2], 1.25, 0.05)
+            self.figure.workspace[key] = float(palm[2])
+        return float(self.figure.workspace[key])
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -155,6 +169,8 @@ class Abilities:
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
         aside = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - ASIDE, 0.0)
         if over[2] <= 0.0 or np.hypot(aside, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
+            return None
+        if least - 1e-3 > self._summit(arm):
             return None
         for palm in self._palms(arm, over, least, shoulder[:2]):
             if float(np.linalg.norm(palm[:2] - over[:2])) <= ASIDE and palm[2] >= least - 1e-3:
@@ -235,12 +251,12 @@ def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, aside: float =
     rows, center = FrameRows(figure, steps), figure.center(start)
     hand = figure.pose(start, figure.hands[arm])[0]
     goal = center + np.array([xy[0], xy[1], 1.6 if z is None else z])
-    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1e3 * aside, axes="xy")
-    rows.position(figure.hands[arm], hand + (goal - hand) * s, 1.0 if z is None else 1e3, axes="z")
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 3e4 * aside, axes="xy")
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 30.0 if z is None else 3e4, axes="z")
     rows.center(center)
     rows.turned(figure.trunk, np.eye(3))
     stiff = figure.stiffnesses(
-        {"*": 0.01, "*hip*": 1e3, "*knee*": 1e3, "*ankle*": 1e3, "torso*": 1e3, "pelvis*": 1e3}
+        {"*": 0.3, "*hip*": 3e4, "*knee*": 3e4, "*ankle*": 3e4, "torso*": 3e4, "pelvis*": 3e4}
     )
     return rows.solve(start, stiff, start, speeds=None, steps=6).q[-1]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import compensate, smooth, zero_moment_slices
+from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
 from robot_ik.figure.figure import (
     GRAVITY,
     RATE,
@@ -363,23 +363,6 @@ def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T:
     matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
     right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
     return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
-
-
-def decay(x0: Array, v0: Array, duration: float) -> Callable[[Array], Array]:
-    """An offset (k,) with its speed that comes to rest at zero: (n,) times to (n, k) offsets.
-
-    The quintic of inertialisation without acceleration at its start (Bollo, *Inertialization*, GDC 2018).
-    """
-    T = duration
-    a = -(6 * x0 + 3 * v0 * T) / T**5
-    b = (15 * x0 + 8 * v0 * T) / T**4
-    c = -(10 * x0 + 6 * v0 * T) / T**3
-
-    def at(t: Array) -> Array:
-        u = t[:, None]
-        return np.where(u >= T, 0.0, ((a * u + b) * u + c) * u**3 + v0 * u + x0)
-
-    return at
 
 
 def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:

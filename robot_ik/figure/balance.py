@@ -7,7 +7,7 @@ corrected by the zero-moment point that MuJoCo's inverse dynamics finds for the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -193,12 +193,13 @@ def hull_margin(points: Array, z: Array) -> float:
     return distance if inside else -distance
 
 
-def inset(corners: Array, point: Array, margin: float) -> Array:
-    """The point (2,), moved until it is ``margin`` inside all edges of a hull (h, 2), counter-clockwise."""
-    edge = np.concatenate([corners[1:], corners[:1]]) - corners
-    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+def inset(normal: Array, offset: Array, point: Array, margin: float) -> Array:
+    """The point (2,), moved until it is ``margin`` inside all edges of a hull.
+
+    Edges as (h, 2) inward normals and (h,) offsets: inside is ``normal @ point >= offset``.
+    """
     for _ in range(20):
-        short = margin - ((point - corners) * normal).sum(axis=1)
+        short = margin + offset - normal @ point
         worst = int(short.argmax())
         if short[worst] <= 1e-6:
             break
@@ -233,14 +234,34 @@ def monotone_curve(knots: Array, values: Array, t: Array) -> Array:
     return _hermite(knots, values, slope, t)
 
 
-def clamped_curve(knots: Array, values: Array, t: Array) -> Array:
-    """Cubic spline through the knots, smooth to the second derivative, at rest at both ends."""
+def clamped_curve(knots: Array, values: Array, t: Array, slope: float = 0.0) -> Array:
+    """Cubic spline through the knots, smooth to the second derivative, from rest to a slope at its end."""
     h, n = np.diff(knots), len(knots)
     matrix, right = np.eye(n), np.zeros(n)
+    right[-1] = slope
     for i in range(1, n - 1):
         matrix[i, i - 1 : i + 2] = 1 / h[i - 1], 2 / h[i - 1] + 2 / h[i], 1 / h[i]
         right[i] = 3 * ((values[i] - values[i - 1]) / h[i - 1] ** 2 + (values[i + 1] - values[i]) / h[i] ** 2)
     return _hermite(knots, values, np.asarray(np.linalg.solve(matrix, right), dtype=float), t)
+
+
+def decay(
+    x0: Array, v0: Array, duration: float, a0: Array | float = 0.0
+) -> Callable[[Array], Array]:
+    """An offset (k,) with its speed and acceleration that comes to rest at zero: (n,) times to (n, k).
+
+    The quintic of inertialisation (Bollo, *Inertialization*, GDC 2018).
+    """
+    T = duration
+    a = -(6 * x0 + 3 * v0 * T + a0 * T * T / 2) / T**5
+    b = (15 * x0 + 8 * v0 * T + 1.5 * a0 * T * T) / T**4
+    c = -(10 * x0 + 6 * v0 * T + 1.5 * a0 * T * T) / T**3
+
+    def at(t: Array) -> Array:
+        u = t[:, None]
+        return np.where(u >= T, 0.0, (((a * u + b) * u + c) * u + a0 / 2) * u * u + v0 * u + x0)
+
+    return at
 
 
 def _hermite(knots: Array, values: Array, slope: Array, t: Array) -> Array:

@@ -40,8 +40,9 @@ _SAME_ARM = 0.02
 _HEADINGS = np.radians(np.arange(-180.0, 180.0, 15.0))
 _RADIUS, _PER_RADIAN, _TALL = 0.35, 0.35, 1.9
 _CELL = 0.1
-# How many of the best stand points are tried by a solve.
-_TRIES = 6
+# How many of the best stand points are looked at, how many balls seen from there are tried by a solve, and
+# each from so many poses.
+_TRIES, _SOLVES, _FEW = 6, 3, 3
 
 
 @dataclass(frozen=True)
@@ -217,9 +218,9 @@ class Decider:
             able: dict[tuple[str, bytes], bool] = {}  # many stand points see the ball alike
             for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:
                 seen = arm, local.tobytes()
-                if seen not in able:
+                if seen not in able and len(able) < _SOLVES:
                     able[seen] = self._able(kind, local, arm)
-                if not able[seen]:
+                if not able.get(seen):
                     continue
                 way = self.path(stance, stand)
                 if way is not None:
@@ -235,7 +236,7 @@ class Decider:
     def _able(self, kind: str, local: Array, arm: str) -> bool:
         if kind == "jump":
             return self.abilities.take_off(local, arm) is not None
-        return self.abilities.can(kind, local, arm) is not None
+        return self.abilities.can(kind, local, arm, _FEW) is not None
 
     def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""

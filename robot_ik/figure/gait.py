@@ -20,6 +20,7 @@ from robot_ik.figure.balance import (
     CenterPlan,
     clamped_curve,
     compensate,
+    decay,
     monotone_curve,
     plan_center,
     smooth,
@@ -85,10 +86,12 @@ class Gait:
     off_deg: float = 45.8
     peak: float = 1.41
     flat: float = 0.0785
+    drop: float = 0.0
     rise: float = 0.456
     leveled: tuple[float, float] = (0.587, 0.18)
     lift: float = 0.0473
-    arch: float = 1.62
+    arch: tuple[float, float] = (1.62, 1.62)
+    level_time: float = 0.3
     gap: float = 0.11
     knee_deg: float = 7.94
     toe_out_deg: float = 5.0
@@ -108,7 +111,7 @@ WALK = Gait()
 SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
     knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
-    leveled=(0.6, 0.1), arch=3.0, dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
+    leveled=(0.6, 0.1), arch=(3.0, 3.0), dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 
@@ -284,8 +287,9 @@ class _Plan:
             pitch[here] = 0.0
             if not fall.first:
                 low = fall.strike + gait.flat * 2 * gait.time
-                share = minimum_jerk((t - fall.strike) / (low - fall.strike))
-                pitch[here] = (on * (0.3 if fall.last else 1.0) * (1 - share))[here]
+                u = np.clip((t - fall.strike) / (low - fall.strike), 0.0, 1.0)
+                left = 1 - minimum_jerk(u) - gait.drop * u * (1 - u) ** 3 * (1 + 3 * u)
+                pitch[here] = (on * (0.3 if fall.last else 1.0) * left)[here]
             if not np.isfinite(fall.off):
                 continue
             after = falls[i + 1]
@@ -297,13 +301,19 @@ class _Plan:
             )
             values = np.array([0.0, top, top * gait.peak, part * top, on * (0.3 if after.last else 1.0)])
             rolling = (t > rise) & (t < after.strike)
-            pitch[rolling] = clamped_curve(knots, values, t[rolling])
+            drop = -values[-1] * gait.drop / (gait.flat * 2 * gait.time)
+            pitch[rolling] = clamped_curve(knots, values, t[rolling], drop)
             away = (t >= fall.off) & (t < after.strike)
             xy[away], yaw[away] = self._swing(side, fall, after, (t[away] - fall.off) / swing)
             s = (t[away] - fall.off) / swing
-            clear[away], air[away] = gait.lift * (4 * s * (1 - s)) ** gait.arch, True
-            level = np.maximum(pitch, 0.0) * (1 - minimum_jerk((t - fall.off) / 0.3))
-            self.toes[side, rolling] = level[rolling]
+            clear[away], air[away] = gait.lift * _arc(s, *gait.arch), True
+            self.toes[side, rolling] = np.maximum(pitch, 0.0)[rolling]
+            h = 1e-3  # toes stay level while the sole rolls, then go on with its speed and straighten
+            around = clamped_curve(knots, values, fall.off + np.array([-h, 0.0, h]), drop)
+            ahead = (around[2] - around[0]) / (2 * h), float(np.diff(around, n=2)[0]) / h**2
+            loose = (t > fall.off) & (t < after.strike)
+            offset = decay(around[1:2], np.array([ahead[0]]), gait.level_time, np.array([ahead[1]]))
+            self.toes[side, loose] = np.maximum(offset(t[loose] - fall.off)[:, 0], 0.0)
         rolled, height = sole.stand(pitch)
         self.place[side] = np.column_stack(
             [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear]
@@ -393,6 +403,12 @@ class _Plan:
         padded = np.pad(over, reach, mode="edge")
         widest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=1)
         return np.asarray(z - smooth(widest, 0.06 * rate))
+
+
+def _arc(s: Array, rising: float, falling: float) -> Array:
+    """From 0 up to 1 and down to 0 over s of 0 to 1, by a power at each end."""
+    top = rising / (rising + falling)
+    return np.asarray((s / top) ** rising * ((1 - s) / (1 - top)) ** falling)
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,8 +54,9 @@ _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
 """Share of the absorption after which the heels are down."""
-_PULL = 7.0
-"""Powers of ten by which the hand's weight grows until the apex."""
+_PULL, _YIELD, _LEAN = 6.7, 3.0, 0.5
+"""Powers of ten at the apex: by which the hand's weight has grown, and by which the feet and the trunk give
+way: a ball at the rim needs a body that leans."""
 _AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
 """Parts of the flight in which the feet are held, s."""
 _MIDDLE = 0.01
@@ -331,8 +332,10 @@ def _frames(
     turn = rotation("y", pitch)
     # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
     # leave the floor and come back to it they are where the floor wants them.
-    loose = (t > T[2] + _AFTER_TAKE_OFF) & (t < T[3] - _BEFORE_LANDING)
-    standing = np.where(loose, 3e3, HARD)
+    up, down = T[2] + _AFTER_TAKE_OFF, T[3] - _BEFORE_LANDING
+    loose = (t > up) & (t < down)
+    near_apex = minimum_jerk((t - up) / (plan.apex - up)) * minimum_jerk((down - t) / (down - plan.apex))
+    standing = np.where(loose, 10.0 ** (3.5 - _YIELD * near_apex), HARD)
     for side, foot in figure.feet.items():
         rows.position(foot.frame, place[side], standing)
         rows.turned(foot.frame, turn, standing)
@@ -350,7 +353,7 @@ def _frames(
     rows.turned(
         figure.trunk,
         rotation("y", np.radians(60.0) * deep),
-        np.where(air, 4.0, 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
+        np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
     )
     if figure.gaze is not None:
         eyes, look = figure.pose(start, figure.gaze)

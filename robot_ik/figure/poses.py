@@ -34,9 +34,10 @@ _STEPS = 12
 _HOPELESS = 0.3
 # Most damped steps to a ball, and the damping of the first.
 _MOST, _DAMPING = 60, 1.0
-# No progress: so many steps that each leave more than this share of what is short.  A ball that is still far
-# after so many steps from a pose nearby is out of reach.
-_PATIENCE, _GAIN, _QUICK = 3, 0.97, 8
+# No progress: so many steps that each leave more than this share of what is short.
+_PATIENCE, _GAIN = 3, 0.97
+# From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
+_BRIEF, _BUDGET, _OUT = 45, 90, ((3, 0.12), (4, 0.06), (8, 0.02))
 _STAND, _PULL = 3e4, 300.0
 NEARLY = 0.02
 """A hand that stays nearer to a ball than this, m, is tried from other poses."""
@@ -139,10 +140,13 @@ def best_pose(
     nor is it told by how much.
     """
     best: FigurePose | None = None
+    polish, spent = _polish(figure, arm, kind), 0
     for k, start in enumerate(starts):
-        pose = _polish(figure, arm, kind)(start, ball, _QUICK if quick else _MOST)
+        pose = polish(start, ball, quick=quick)
         best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
-        if not pose.flaw or (quick and (pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3))):
+        spent += polish.tried
+        hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
+        if not pose.flaw or (quick and hopeless):
             break
     return best
 
@@ -200,7 +204,7 @@ class _Polish:
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
-        self.figure, self.arm = figure, arm
+        self.figure, self.arm, self.tried = figure, arm, 0
         rows = FrameRows(figure, 1)
         for side, (place, turn) in figure.feet_at_home.items():
             rows.position(figure.feet[side].frame, place, _STAND)
@@ -211,20 +215,22 @@ class _Polish:
         self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
-        self.feet = [
-            (figure.robot.frame(figure.feet[side].frame), place, turn)
-            for side, (place, turn) in figure.feet_at_home.items()
-        ]
-        self.hand = figure.robot.frame(figure.hands[arm])
+        frames = [figure.robot.frame(figure.feet[side].frame) for side in figure.feet_at_home]
+        frames.append(figure.robot.frame(figure.hands[arm]))
+        self.bodies = [frame.body for frame in frames]
+        self.local = np.array([frame.local.position for frame in frames])[:, :, None]
+        self.turned = np.array([frame.local.rotation for frame in frames[:-1]])
+        self.places, self.turns = (np.array(part) for part in zip(*figure.feet_at_home.values(), strict=True))
 
-    def __call__(self, start: Array, ball: Array, patience: int = _MOST) -> FigurePose:
-        """The pose that comes nearest to a ball (3,) from ``start`` (nq,)."""
-        ready, center_row = self.ready, 2 * len(self.feet) + 1
+    def __call__(self, start: Array, ball: Array, *, quick: bool = False) -> FigurePose:
+        """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it."""
+        ready, center_row = self.ready, len(self.bodies) + len(self.places)
         ready.target[0, center_row - 1, :3] = ball
-        q, damping, gains = np.array(start, dtype=float), _DAMPING, [0.0]
+        q, damping, gains, held = np.array(start, dtype=float), _DAMPING, [0.0], False
         q[self.flat] = self.figure.home[self.flat]
         short, off, outside = self._short(q, ball)
-        for tried in range(1, _MOST + 1):
+        for tried in range(1, (_BRIEF if quick else _MOST) + 1):
+            self.tried = tried
             ready.weight[0, center_row] = 0.0 if outside is None else _PULL
             if outside is not None:
                 ready.target[0, center_row, :2] = outside
@@ -235,39 +241,37 @@ class _Polish:
             found = self._short(new, ball)
             if found[0] < short:
                 gains.append(found[0] / short)
-                q, (short, off, outside), damping = new, found, max(0.2 * damping, 1e-4)
+                q, (short, off, outside), held = new, found, False
+                damping = max(0.2 * damping, 1e-4)
                 if short < 0.4 * AT_BALL and off < 3e-5 and outside is None:
                     break
+            elif found[2] is not None and not held:  # again, along the border that it went over
+                outside, held = found[2], True
             else:
                 damping *= 5.0
-            stalled = len(gains) >= _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
-            if damping > 1e3 or (short > AT_BALL and (stalled or (tried >= patience and short > NEARLY))):
+            stalled = len(gains) > _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
+            far = quick and any(tried >= after and short > most for after, most in _OUT)
+            if damping > 1e3 or (short > AT_BALL and (stalled or far)):
                 break
         return _judged(self.figure, q, ball, self.arm, off)
 
     def _short(self, q: Array, ball: Array) -> tuple[float, float, Array | None]:
         """What is short of the ball (with feet and balance), how far the feet are off, where balance is."""
-        corners, normal, offset = support(self.figure)
+        _, normal, offset = support(self.figure)
         palm, center, off = self._measure(q)
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
         away = palm - ball
         short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2))
-        return short, off, inset(corners, center, BALANCED + 0.001) if missing else None
+        return short, off, inset(normal, offset, center, BALANCED + 0.001) if missing else None
 
     def _measure(self, q: Array) -> tuple[Array, Array, float]:
         """Palm, centre of mass (2,), and how far the feet are from where they stand, m or (roughly) rad."""
-        data, off = self.figure.data, 0.0
-        center = self.figure.center(q)
-        for frame, place, turn in self.feet:
-            rotated = data.xmat[frame.body].reshape(3, 3)
-            there = data.xpos[frame.body] + rotated @ frame.local.position
-            off = max(
-                off,
-                float(np.abs(there - place).max()),
-                float(np.abs(rotated @ frame.local.rotation - turn).max()),
-            )
-        palm = data.xpos[self.hand.body] + data.xmat[self.hand.body].reshape(3, 3) @ self.hand.local.position
-        return palm, center[:2], off
+        center, data = self.figure.center(q), self.figure.data
+        turns = data.xmat[self.bodies].reshape(-1, 3, 3)
+        places = data.xpos[self.bodies] + (turns @ self.local)[:, :, 0]
+        shifted = np.abs(places[:-1] - self.places).max()
+        rotated = np.abs(turns[:-1] @ self.turned - self.turns).max()
+        return places[-1], center[:2], float(max(shifted, rotated))
 
 
 def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
@@ -276,11 +280,6 @@ def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
         figure.workspace[key] = _Polish(figure, arm, kind)
     made: _Polish = figure.workspace[key]
     return made
-
-
-def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float) -> FigurePose:
-    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
-    return FigurePose(q, miss, flaw_of(figure, q, ball, arm, hard))
 
 
 def _attempt(
@@ -335,22 +334,27 @@ def support(figure: Figure) -> tuple[Array, Array, Array]:
     return known
 
 
-def flaw_of(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> str:
-    """Why a pose is not admissible, by MuJoCo; empty where it is."""
-    model, data = figure.model, figure.data
+def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> FigurePose:
+    """A pose with its miss and why it is not admissible, by MuJoCo; contacts are looked at last."""
+    data = figure.data
     _, normal, offset = support(figure)
-    data.qpos[:] = q
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
+    center = figure.center(q)
     hand = figure.robot.frame(figure.hands[arm])
     palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
     miss = float(np.linalg.norm(palm - ball))
+    flaw = ""
     if miss > AT_BALL:
-        return f"the hand stays {100 * miss:.0f} cm away"
-    if hard > 1e-4:
-        return "the feet would move"
-    if (normal @ data.subtree_com[0][:2] - offset).min() < BALANCED:
-        return "balance would be lost"
+        flaw = f"the hand stays {100 * miss:.0f} cm away"
+    elif hard > 1e-4:
+        flaw = "the feet would move"
+    elif (normal @ center[:2] - offset).min() < BALANCED:
+        flaw = "balance would be lost"
+    return FigurePose(q, miss, flaw or _collision(figure))
+
+
+def _collision(figure: Figure) -> str:
+    """What runs into what, or goes under the floor, at the pose in ``data``; empty where nothing does."""
+    model, data = figure.model, figure.data
     mujoco.mj_collision(model, data)
     for c in range(data.ncon):
         if data.contact[c].dist < -TOUCHING:
@@ -377,9 +381,13 @@ def touches_itself(figure: Figure, q: Array) -> bool:
 def _lowest(figure: Figure, data: mujoco.MjData) -> str:
     """Name of a body that is under the floor; soles may touch it."""
     model = figure.model
-    soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
-    near = (data.geom_xpos[:, 2] < model.geom_rbound) & (model.geom_contype != 0)
-    for g in np.flatnonzero(near & ~np.isin(model.geom_bodyid, soles)).tolist():
+    may_not: NDArray[np.int64] | None = figure.robot.memory.get("figure.floor")
+    if may_not is None:
+        soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
+        may_not = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, soles))
+        figure.robot.memory["figure.floor"] = may_not
+    near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not]
+    for g in may_not[near].tolist():
         body = int(model.geom_bodyid[g])
         low, _ = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
         if low[0, 0] + data.xpos[body, 2] < 0.0:

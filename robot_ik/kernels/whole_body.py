@@ -39,6 +39,8 @@ _DAMPING, _SLACK = 1e-4, 1e-10
 # … and where they contradict each other, by what the bounds leave: much more, so that they are missed and
 # not fled.
 _YIELDING = 1e-2
+# What a step costs by itself where it would be longer than ``_LONGEST``.
+_CAUTIOUS = 10.0
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
 _MOMENTUM_SCALE = 0.1
 # How often joints are held at their bounds within one step.
@@ -450,9 +452,13 @@ def hold_and_solve(body, count, slack):
 def take_step(tree, body, q, count):
     """One step from q, inside the bounds; returns its longest part."""
     longest = hold_and_solve(body, count, _SLACK)
+    n = body.step.shape[0]
+    if longest > _LONGEST:  # soft rows that cannot be met pull far: hard ones hold nevertheless
+        for v in range(n):
+            body.matrix[v, v] += _CAUTIOUS
+        longest = hold_and_solve(body, count, _SLACK)
     if longest > _LONGEST:
         longest = hold_and_solve(body, count, _YIELDING)
-    n = body.step.shape[0]
     if longest > _LONGEST:
         for v in range(n):
             body.step[v] *= _LONGEST / longest
