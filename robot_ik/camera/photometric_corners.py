@@ -190,7 +190,7 @@ def normal_quantile(p):
     return math.copysign(top / ((0.12021132975 * r + 0.73700164250) * r + 1.0), q)
 
 
-@outlined
+@pure
 def toned_print(u, v, wide, high, r, k, black, least, space, seen):
     """Fills ``seen``: G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
 
@@ -622,7 +622,7 @@ class _PrintFit:
     def settle(self) -> bool:
         """Gauss and Newton's steps; whether they became small."""
         # The first steps need few pixels.
-        coarse = self.noise == _ANY_NOISE and self.count > _COARSE * _ASKED
+        coarse = self.noise == _ANY_NOISE and self.count > 2 * _ASKED
         self.numbers[EVERY] = _COARSE if coarse else 1
         self._first = -(-self.count // _COARSE) if coarse else self.count
         self._sum(_STEPS)
@@ -713,7 +713,7 @@ class _PrintFit:
         explained, x, (misread, uneven) = self.explained(), self.x, self.cells()
         if not x[CONTRAST] > max(_LEAST_CONTRAST, 1.5 * self.noise) or explained < _EXPLAINED:
             return None
-        back = np.linalg.inv(self.to_print.reshape(3, 3))
+        back = np.asarray(np.linalg.inv(self.to_print.reshape(3, 3)), dtype=float)
         normalized, depth = _places(back, _CORNERS)
         if not depth.min() > 0.0:
             return None
@@ -830,7 +830,7 @@ def _begin(
         return None
     box, every = found
     try:
-        to_print = np.linalg.inv(back)
+        to_print = np.asarray(np.linalg.inv(back), dtype=float)
     except np.linalg.LinAlgError:
         return None
     # At the middle (u, v) are 0, and the depth is back[2, 2].
