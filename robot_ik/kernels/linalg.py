@@ -39,7 +39,7 @@ def eliminate(matrix, x, n):
     return True
 
 
-@outlined
+@pure
 def solve_definite(matrix, x, n):
     """``eliminate`` for any size; for six the compiler writes the loops out: half the time."""
     if n == 6:
@@ -125,7 +125,7 @@ def keep_to_box(low, high, side, step):
     return pressed
 
 
-@outlined
+@pure
 def box_step(matrix, gradient, low, high, step, free, side, factor):
     """The step d that minimises ½ dᵀ M d − gᵀ d inside low <= d <= high, exactly.
 

@@ -74,7 +74,7 @@ _SLACK = 1e-5
 _RESTORE, _WELL_INSIDE = 6, 1e-3
 
 
-@outlined
+@pure
 def level_costs(goal, work, costs):
     """Half the squared residual of each level, into ``costs`` (levels,)."""
     m = work.residual.shape[0]
@@ -98,7 +98,7 @@ def level_met(goal, work, level, share=1.0):
     return True
 
 
-@outlined
+@pure
 def needed_levels(goal):
     """How many levels have goals that are needed: those of the soft ones come after them."""
     count = types.int64(0)
@@ -141,7 +141,7 @@ def take_away(own, row, basis, first, rank):
     return before, after
 
 
-@outlined
+@pure
 def serve_level(goal, work, level, damping, rank):
     """Adds to work.step what serves ``level`` beside the rows of work.basis; returns their new number.
 
@@ -176,7 +176,7 @@ def serve_level(goal, work, level, damping, rank):
     return widen(work, count, rank)
 
 
-@outlined
+@pure
 def widen(work, count, rank):
     """Makes the first ``count`` rows of work.own part of the orthonormal work.basis; returns its size."""
     own, basis = work.own, work.basis
@@ -194,7 +194,7 @@ def widen(work, count, rank):
     return rank
 
 
-@outlined
+@pure
 def factorise(matrix, first, n):
     """L D Lᵀ in place of the lower triangle: L below the diagonal, 1/D on it.
 
@@ -214,7 +214,7 @@ def factorise(matrix, first, n):
         matrix[i, i] = 1.0 / d if d > 0.0 else 0.0
 
 
-@outlined
+@pure
 def soft_system(goal, work, level, damping):
     """work.damped = JᵀJ + λ of the level's free joints, factorised, work.gradient = Jᵀ(r − J d).
 
@@ -250,7 +250,7 @@ def soft_system(goal, work, level, damping):
     factorise(matrix, first, n)
 
 
-@outlined
+@pure
 def serve_soft(goal, work, level, damping, rank):
     """Adds to work.step what serves ``level`` beside the rows of work.basis.
 
@@ -297,7 +297,7 @@ def serve_soft(goal, work, level, damping, rank):
         work.step[i] += way[i]
 
 
-@outlined
+@pure
 def stacked_step(tree, goal, work, top, damping):
     """work.step for levels 0 … ``top``, inside the limits; ``damping`` is that of the top level.
 
@@ -341,7 +341,7 @@ def stacked_step(tree, goal, work, top, damping):
     return pressed, largest
 
 
-@outlined
+@pure
 def unharmed(goal, work, top, share):
     """Whether the levels before ``top`` are as well off as when they were left; met: within that share."""
     for level in range(top):
@@ -354,7 +354,7 @@ def unharmed(goal, work, top, share):
     return True
 
 
-@outlined
+@pure
 def restore(tree, goal, work, top):
     """Brings the levels before ``top`` back to where they were; returns whether that worked.
 
@@ -429,7 +429,7 @@ _REST, _LAST = 3e-4, 0.05
 _TOGETHER = -1
 
 
-@outlined
+@pure
 def arrive(tree, goal, work):
     """Measures where work.step leads, in the costs of the levels."""
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
@@ -437,7 +437,7 @@ def arrive(tree, goal, work):
     level_costs(goal, work, work.level_cost)
 
 
-@outlined
+@pure
 def go_back(tree, goal, work):
     """To where work.accepted is."""
     copy(work.accepted, work.q)
@@ -445,7 +445,7 @@ def go_back(tree, goal, work):
     level_costs(goal, work, work.level_cost)
 
 
-@outlined
+@pure
 def count_step(goal, work):
     """One step more."""
     work.state[ITERATIONS] += 1
@@ -501,7 +501,7 @@ def level_step(tree, goal, work, options):
     count_step(goal, work)
 
 
-@outlined
+@pure
 def converge(work, cost):
     """The answer is work.q: all that is needed is met."""
     copy(work.q, work.best)
