@@ -85,8 +85,8 @@ _LEAST_SHARE = 1e-5
 _HALO_BLURS = (1.2, 2.0, 3.0)
 # White round the black square that is looked at, in cells.
 _ROUND = 0.45
-# So many pixels say whether the model needs more unknowns; the first steps use one in so many.
-_ASKED, _COARSE = 800, 3
+# So many pixels say whether the model needs more unknowns.
+_ASKED = 800
 # Steps at most; one so small, in standard deviations, is the last; a fit that does not come below that one
 # is none.
 _STEPS, _DONE, _RESTLESS = 14, 0.2, 0.5
@@ -498,10 +498,8 @@ def settle(
             return
         numbers[AT_REST] = 1.0 if size < _RESTLESS else 0.0
         if size < _DONE or (way < 1.0 and noise < _ANY_NOISE and numbers[NOISE] < _GROWN * noise):
-            if numbers[EVERY] == 1.0:
-                numbers[AT_REST] = 1.0
-                return
-            numbers[EVERY] = 1.0
+            numbers[AT_REST] = 1.0
+            return
 
 
 # ------------------------------------------------------------------------------------------
@@ -571,7 +569,7 @@ class _PrintFit:
         self.numbers, self.normal = np.zeros(FIT_NUMBERS), np.zeros((24, 24))
         self.space = np.zeros((SPACE_ROWS, _BLOCK))
         self.misses = np.empty((MISS_ROWS, pixels.shape[1]))
-        self.unknowns, self.halo, self._first = PLAIN, 0.0, 0
+        self.unknowns, self.halo = PLAIN, 0.0
 
     def believe(self, blur: float, shift: EdgeShift) -> None:
         """What is known beforehand."""
@@ -621,14 +619,9 @@ class _PrintFit:
 
     def settle(self) -> bool:
         """Gauss and Newton's steps; whether they became small."""
-        # The first steps need few pixels.
-        coarse = self.noise == _ANY_NOISE and self.count > 2 * _ASKED
-        self.numbers[EVERY] = _COARSE if coarse else 1
-        self._first = -(-self.count // _COARSE) if coarse else self.count
+        self.numbers[EVERY] = 1.0
         self._sum(_STEPS)
-        if self.numbers[EVERY] == 1.0:
-            self.count = self.used
-        self._first = min(self._first, self.count)
+        self.count = self.used
         return self.used >= _LEAST_PIXELS and bool(self.numbers[AT_REST])
 
     def _system(self) -> tuple[Array, Array]:
@@ -672,10 +665,8 @@ class _PrintFit:
 
     def explained(self, *, before: bool = False) -> float:
         """Part of the variance of the grey values that the model explains, or did ``before`` the steps."""
-        used = self._first if before else self.used
-        every = -(-self.count // used)
-        weight, value = self.pixels[7, : self.count : every], self.pixels[6, : self.count : every]
-        miss, total = self.misses[3 if before else 0, :used], float(weight.sum())
+        value, weight = self.pixels[6:, : self.count : 1 if before else int(self.numbers[EVERY])]
+        miss, total = self.misses[3 if before else 0, : len(value)], float(weight.sum())
         off = value - weight @ value / total
         spread = float((weight * off) @ off)
         # Where hardly anything is to be seen nothing is there.
