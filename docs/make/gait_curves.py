@@ -29,7 +29,7 @@ def main() -> None:
     from matplotlib import pyplot as plt
 
     share = np.linspace(0, 100, 11)
-    drawing, panels = plt.subplots(1, 3, figsize=(8.4, 2.7), layout="constrained")
+    drawing, panels = plt.subplots(1, 3, figsize=(8.4, 3.0), layout="constrained")
     for panel, (joint, norm) in zip(panels, NORM_DEG.items(), strict=True):
         panel.plot(share, norm, "o--", color=_NORM, markersize=3, label="Schwartz et al. 2008")
         panel.plot(share, found.curves_deg[joint], "o-", color=_FIGURE, markersize=3, label="the figure")
@@ -40,7 +40,8 @@ def main() -> None:
         panel.tick_params(labelsize=8)
         panel.grid(alpha=0.25)
     panels[0].set_ylabel("flexion, degrees", fontsize=8)
-    panels[1].legend(frameon=False, fontsize=8)
+    lines, names = panels[0].get_legend_handles_labels()
+    drawing.legend(lines, names, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
     drawing.savefig(FILE, dpi=110, metadata={"Software": None})
     print(FILE)
 

@@ -146,7 +146,7 @@ def _checked(options: FigureOptions) -> FigureOptions:
 
 
 def _lion(lion: Lion, options: FigureOptions) -> int:
-    from robot_ik.jobs.figure import read_balls, run_lion
+    from robot_ik.jobs.figure import json_numbers, read_balls, run_lion
 
     if options.path or options.tour is not None or options.mode != "active":
         raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
@@ -154,7 +154,7 @@ def _lion(lion: Lion, options: FigureOptions) -> int:
         import json
 
         for ball in read_balls(options.balls):
-            row = {"ball": ball, **asdict(lion.decide(ball))}
+            row = {"ball": json_numbers(ball), **asdict(lion.decide(ball))}
             console.out().file.write(json.dumps(row) + "\n")
         return console.DONE
     balls = (options.ball,) if options.ball is not None else _LION_BALLS

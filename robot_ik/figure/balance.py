@@ -245,9 +245,7 @@ def clamped_curve(knots: Array, values: Array, t: Array, slope: float = 0.0) -> 
     return _hermite(knots, values, np.asarray(np.linalg.solve(matrix, right), dtype=float), t)
 
 
-def decay(
-    x0: Array, v0: Array, duration: float, a0: Array | float = 0.0
-) -> Callable[[Array], Array]:
+def decay(x0: Array, v0: Array, duration: float, a0: Array | float = 0.0) -> Callable[[Array], Array]:
     """An offset (k,) with its speed and acceleration that comes to rest at zero: (n,) times to (n, k).
 
     The quintic of inertialisation (Bollo, *Inertialization*, GDC 2018).

@@ -60,9 +60,12 @@ class Gait:
         strike_deg, off_deg: Sole's pitch at heel strike (toes up) and at toe off.
         peak: Largest pitch as a multiple of that at toe off.
         flat, rise: When the sole is flat, and when the heel leaves the floor.
+        drop: How fast the sole falls at its strike, as a share of its mean speed until it is flat.
         leveled: When in the swing the sole is all but level, and its pitch then as a share of that at toe
             off.
-        lift, arch: Clearance of the lowest point in mid swing; the less the second, the longer it lasts.
+        lift, arch: Clearance of the lowest point in mid swing; powers by which it comes and goes: the less,
+            the longer it lasts.
+        level_time: In which the toes straighten after they left the floor.
         gap: Least distance of the swinging foot from the line of the standing one.
         knee_deg: Least bend of the knees.
         toe_out_deg: Toes outwards.
@@ -78,30 +81,30 @@ class Gait:
         swing_deg: Of the arms.
     """
 
-    length: float = 0.647
-    width: float = 0.073
-    time: float = 0.566
-    double: float = 0.095
-    strike_deg: float = 14.5
-    off_deg: float = 45.8
-    peak: float = 1.41
-    flat: float = 0.0785
-    drop: float = 0.0
-    rise: float = 0.456
-    leveled: tuple[float, float] = (0.587, 0.18)
-    lift: float = 0.0473
-    arch: tuple[float, float] = (1.62, 1.62)
-    level_time: float = 0.3
+    length: float = 0.63813
+    width: float = 0.08294
+    time: float = 0.57573
+    double: float = 0.0924
+    strike_deg: float = 8.6989
+    off_deg: float = 43.18702
+    peak: float = 1.44593
+    flat: float = 0.11117
+    drop: float = -0.19027
+    rise: float = 0.42017
+    leveled: tuple[float, float] = (0.60345, 0.17079)
+    lift: float = 0.03709
+    arch: tuple[float, float] = (1.81038, 2.31921)
+    level_time: float = 0.40524
     gap: float = 0.11
-    knee_deg: float = 7.94
+    knee_deg: float = 10.44676
     toe_out_deg: float = 5.0
-    pressure: tuple[float, float] = (0.026, 0.1537)
-    dip: float = 0.001
-    bob: float = 0.0352
-    broad: float = 0.092
-    late: float = -0.059
-    arrive: float = 0.073
-    turn_deg: float = 2.0
+    pressure: tuple[float, float] = (0.03042, 0.1683)
+    dip: float = -0.01004
+    bob: float = 0.03026
+    broad: float = 0.13557
+    late: float = -0.08768
+    arrive: float = 0.22283
+    turn_deg: float = 3.43162
     lean_deg: float = 3.0
     swing_deg: float = 15.0
 
@@ -111,7 +114,7 @@ WALK = Gait()
 SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
     knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
-    leveled=(0.6, 0.1), arch=(3.0, 3.0), dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
+    leveled=(0.6, 0.1), arch=(3.0, 3.0), level_time=0.3, dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 

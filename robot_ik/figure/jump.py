@@ -353,7 +353,11 @@ def _frames(
     rows.turned(
         figure.trunk,
         rotation("y", np.radians(60.0) * deep),
-        np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0),
+        np.where(
+            air,
+            4.0 * 10.0 ** (-_LEAN * near_apex),
+            40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0,
+        ),
     )
     if figure.gaze is not None:
         eyes, look = figure.pose(start, figure.gaze)

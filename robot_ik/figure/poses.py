@@ -36,6 +36,8 @@ _HOPELESS = 0.3
 _MOST, _DAMPING = 60, 1.0
 # No progress: so many steps that each leave more than this share of what is short.
 _PATIENCE, _GAIN = 3, 0.97
+# So many poses that go under the floor have the hand held flat.
+_LOW = 3
 # From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
 _BRIEF, _BUDGET, _OUT = 45, 90, ((3, 0.12), (4, 0.06), (8, 0.02))
 _STAND, _PULL = 3e4, 300.0
@@ -140,9 +142,12 @@ def best_pose(
     nor is it told by how much.
     """
     best: FigurePose | None = None
-    polish, spent = _polish(figure, arm, kind), 0
+    polish, spent, low = _polish(figure, arm, kind), 0, 0
     for k, start in enumerate(starts):
         pose = polish(start, ball, quick=quick)
+        low += pose.flaw.endswith("floor")
+        if quick and low == _LOW:  # a flat hand is higher, and none of the map's poses has one
+            low, pose = low + 1, _attempt(figure, ball, arm, kind, flat=True)
         best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
         spent += polish.tried
         hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET

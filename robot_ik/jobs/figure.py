@@ -532,9 +532,14 @@ def _hand_from_ball(figure: Figure, frame: FigureFrame) -> float:
     return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
 
+def json_numbers(values: Sequence[float]) -> list[float | None]:
+    """Numbers as JSON has them: those that are not finite are null."""
+    return [float(x) if np.isfinite(x) else None for x in values]
+
+
 def decision_row(ball: Sequence[float], decision: Decision) -> dict[str, object]:
     """A decision as a line of JSON says it."""
-    return {"ball": [float(x) for x in ball], **asdict(decision)}
+    return {"ball": json_numbers(ball), **asdict(decision)}
 
 
 def decide_balls(
@@ -549,6 +554,6 @@ def decide_balls(
 
 __all__ = [
     "FigureReport", "FigureRequest", "Painter", "decide_balls", "draw_on_camera", "frames_table",
-    "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion", "run_marker", "strip",
+    "json_numbers", "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion", "run_marker", "strip",
     "tour", "watch",
 ]  # fmt: skip

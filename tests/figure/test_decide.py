@@ -140,6 +140,17 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
             assert found.miss >= SHARE * flat[i] - SLACK
 
 
+@pytest.mark.parametrize("ball", [(0.241, -0.3098, 0.0777), (0.0944, -0.1579, 0.0902)])
+def test_a_ball_just_over_the_floor_is_taken_with_a_flat_hand(
+    figure: Figure, decider: Decider, ball: tuple[float, float, float]
+) -> None:
+    found = decider.decide(ball)
+    assert found.action == BEND and found.arm == "right", found.reason
+    pose = decider.abilities.can(BEND, np.array(ball), "right")
+    assert pose is not None
+    assert _judge.Judge(figure).admissible(pose.q, np.array(ball), "right", BEND)
+
+
 # Judged by 64 random starts a ball, some seconds each:
 # python tests/figure/judge.py COUNT 2 > tests/figure/judged_balls.csv
 JUDGED = Path(__file__).with_name("judged_balls.csv")

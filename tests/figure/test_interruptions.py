@@ -24,7 +24,7 @@ PAIRS = list(itertools.product(KINDS, KINDS))
 _WINDOW = 26
 _MOST = 2.0  # rad/s in a frame
 # A walk that nobody interrupts changes the speed of a knee by so much at its heel strikes.
-_STRIKE = 5.2
+_STRIKE = 2.7
 _LONGEST = 20.0  # s
 
 

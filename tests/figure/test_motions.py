@@ -35,7 +35,7 @@ def test_a_walk_neither_slips_nor_falls(figure: Figure, straight: Walk) -> None:
     require_feet(measure)
     assert measure.self_contact == 0 and straight.frames.miss.max() < 1e-5
     assert measure.inside >= 0.95 and measure.close >= 0.98 and measure.worst >= -60
-    assert measure.force[0] >= 0.7 and measure.force[1] <= 1.45  # wanted: 1.3
+    assert measure.force[0] >= 0.7 and measure.force[1] <= 1.3
 
 
 def test_a_walk_is_a_mans(figure: Figure, straight: Walk) -> None:
@@ -113,7 +113,7 @@ def test_a_bend_found_from_a_random_pose_keeps_its_toes_on_the_floor(figure: Fig
     assert measure.inside == 1.0
 
 
-@pytest.mark.parametrize("ball", [(0.2, -0.2, 2.3), (0.423, -0.151, 2.525)])
+@pytest.mark.parametrize("ball", [(0.2, -0.2, 2.3), (0.42, -0.15, 2.5)])
 def test_a_jump_flies_by_its_own_momentum(
     figure: Figure, abilities: Abilities, ball: tuple[float, ...]
 ) -> None:

@@ -133,6 +133,7 @@ def test_the_command_prints_decisions_and_writes_frames(
     assert main(["figure", "--balls", str(balls)]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
+    assert rows[2]["ball"] == [None, 0.0, 1.0]  # JSON knows no NaN
     out = tmp_path / "frames.csv"
     assert main(["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]) == 0
     reported = json.loads(capsys.readouterr().out)
