@@ -102,7 +102,7 @@ class Map:
         inside = self.miss == 0.0
         for axis in (0, 1):
             inside = inside & np.roll(inside, 1, axis) & np.roll(inside, -1, axis)
-        return inside
+        return np.asarray(inside)
 
     def comfortable(self, z: float) -> Array:
         """(n, 2) grid points at that height that are in reach, and their neighbours."""

@@ -121,7 +121,7 @@ def _look(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, with
     far = max(float(np.linalg.norm(ball - eyes)), 0.1)
     ahead, to = turn[:, 0], (ball - eyes) / far
     angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
-    s = minimum_jerk(t / max(within, _glance_time(figure, q, ball)))[:, None]
+    s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
     arc = (
         np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
@@ -130,7 +130,7 @@ def _look(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, with
     rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
 
 
-def _glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
+def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
     """How long the eyes take to a ball, s: a motion that ends before would stop the neck."""
     if figure.gaze is None or ball is None:
         return 0.0
@@ -162,7 +162,7 @@ def rest_slices(
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
     least = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
     seen = None if look is None else seen_from(stance, look)
-    least = max(least, _glance_time(figure, start, seen))
+    least = max(least, glance_time(figure, start, seen))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     turn = figure.pose(start, figure.trunk)[1]
 
@@ -347,7 +347,7 @@ def take_slices(
         return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
 
     least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
-    least = max(least, _glance_time(figure, start, ball))
+    least = max(least, glance_time(figure, start, ball))
     frames = yield from _best(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
 

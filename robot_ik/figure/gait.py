@@ -114,7 +114,8 @@ WALK = Gait()
 SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
     knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
-    leveled=(0.6, 0.1), arch=(3.0, 3.0), level_time=0.3, dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
+    leveled=(0.6, 0.1), arch=(3.0, 3.0), level_time=0.3,
+    dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import Motion, placed_motion, quintic, seen_from, to_stance
+from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, seen_from, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
 from robot_ik.figure.figure import (
     GRAVITY,
@@ -362,9 +362,9 @@ def _frames(
     if figure.gaze is not None:
         eyes, look = figure.pose(start, figure.gaze)
         seen = eyes + look[:, 0] * np.linalg.norm(plan.ball - eyes)
-        rows.aim(
-            figure.gaze, seen + (plan.ball - seen) * minimum_jerk(t / 0.6)[:, None], 6.0, figure.neck or None
-        )
+        within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)  # before the push at the latest
+        to = seen + (plan.ball - seen) * minimum_jerk(t / within)[:, None]
+        rows.aim(figure.gaze, to, 6.0, figure.neck or None)
     palm = _palm(plan, forward)
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))

@@ -554,6 +554,6 @@ def decide_balls(
 
 __all__ = [
     "FigureReport", "FigureRequest", "Painter", "decide_balls", "draw_on_camera", "frames_table",
-    "json_numbers", "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion", "run_marker", "strip",
-    "tour", "watch",
+    "json_numbers", "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion",
+    "run_marker", "strip", "tour", "watch",
 ]  # fmt: skip
