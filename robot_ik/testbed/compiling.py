@@ -4,7 +4,7 @@ Python compiles one thing at a time, and holds up all other threads of its proce
 stutter for half a minute.  What these processes have compiled the session takes from the cache; should one
 fail, the session compiles it.
 
-    python -m robot_ik.testbed.compiling setup < pickle     all of a setup
+    python -m robot_ik.testbed.compiling setup < JSON       all of a setup
     python -m robot_ik.testbed.compiling steps dls lm       the steps of methods, without their loops
     python -m robot_ik.testbed.compiling drag puma560       what dragging a part needs
 
@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import inspect
 import os
-import pickle
 import subprocess
 import sys
 import threading
@@ -26,6 +25,7 @@ from typing import IO, Any
 
 from numba import types
 from numba.core import event
+from pydantic import TypeAdapter
 
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit
@@ -42,6 +42,7 @@ _NICE = 10  # of the processes: the page, and the browser that loads it, come fi
 ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
 """What the loop of a method takes, in numba's words: addresses of tree, goals and work; options."""
 _STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more
+_SETUP = TypeAdapter(Setup)  # how the setup reaches the process
 
 
 def is_compiled(robot: Robot, goals: Sequence[Goal], solver: Solver) -> bool:
@@ -71,7 +72,7 @@ class Compilers:
         if steps and (os.cpu_count() or 1) > 1:  # from the other end: they meet in the middle
             self._start("steps", *steps)
         # What a figure can do is found once, and by the session, which says how far that has come.
-        whole = self._start("setup", given=pickle.dumps(replace(setup, figure="off")))
+        whole = self._start("setup", given=_SETUP.dump_json(replace(setup, figure="off")))
         self._follow(whole, " and ".join(names), say)
 
     def drag(self, robot: str, say: Callable[[str], None]) -> None:
@@ -164,7 +165,7 @@ def main(arguments: Sequence[str]) -> None:
     event.register("numba:compile", _Reporter(sys.stdout))
     job, *names = arguments
     if job == "setup":
-        setup: Setup = pickle.load(sys.stdin.buffer)
+        setup = _SETUP.validate_json(sys.stdin.buffer.read())
         prepare(setup, load_robot(setup.robot), None, lambda text: None)
     elif job == "drag":
         warm_drag(load_robot(names[0]))

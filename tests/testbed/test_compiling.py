@@ -17,6 +17,7 @@ from robot_ik.solvers.base import IterativeSolver, Run
 from robot_ik.testbed import compiling
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session
+from robot_ik.testbed.setup import ExtraGoal, MethodChoice, Setup
 
 
 def test_a_step_is_compiled_for_what_its_loop_hands_over() -> None:
@@ -60,3 +61,10 @@ def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
         assert session.view().instances[0].method == "dls"
     progress = "compiling dls, once on this machine: 2 functions so far …"
     assert (progress in said) is there
+
+
+def test_a_setup_reaches_its_process_as_it_is() -> None:
+    options = (("damping", 0.1), ("restarts", 0))
+    extras = (ExtraGoal("balance", True, 1, "the centre of mass stays"),)
+    setup = Setup("humanoid", 2, (MethodChoice("dls", options), MethodChoice("lm")), extras=extras, limits=False)
+    assert compiling._SETUP.validate_json(compiling._SETUP.dump_json(setup)) == setup
