@@ -66,5 +66,7 @@ def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
 def test_a_setup_reaches_its_process_as_it_is() -> None:
     options = (("damping", 0.1), ("restarts", 0))
     extras = (ExtraGoal("balance", True, 1, "the centre of mass stays"),)
-    setup = Setup("humanoid", 2, (MethodChoice("dls", options), MethodChoice("lm")), extras=extras, limits=False)
+    setup = Setup(
+        "humanoid", 2, (MethodChoice("dls", options), MethodChoice("lm")), extras=extras, limits=False
+    )
     assert compiling._SETUP.validate_json(compiling._SETUP.dump_json(setup)) == setup
