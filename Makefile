@@ -50,9 +50,9 @@ help:
 reach: $(STAMP)
 	@$(PY) -m robot_ik reach $(ARGS)
 
-# Three on two cores: some tests wait for real time.  .ci/run has two, as kernels compile beside them there.
+# Real-time tests of servos fail where three workers share two cores.
 # A file is one worker's, so that what it compiles and opens is its own.
-WORKERS := 3
+WORKERS := 2
 test: $(STAMP)
 	@$(PY) -m pytest -n $(WORKERS) --dist loadfile $(ARGS)
 
