@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -51,6 +52,8 @@ AT = """async place => {
     for (let k = 0; k < 3; k++) await new Promise(requestAnimationFrame);
     return true;
 }"""
+# What the mouse is over, as the browser shows it: "pointer" over what can be dragged, else "auto".
+CURSOR = """shown => document.querySelector("canvas[data-engine]").style.cursor === shown"""
 # Where a point of the world is on the screen.
 PIXEL = """([x, y, z]) => {
     const { camera, nodeRefFromName } = window.__viserMutable;
@@ -78,11 +81,23 @@ class Window:
         self.page.evaluate("document.activeElement && document.activeElement.blur()")
         self.page.locator("canvas[data-engine]").hover()
 
-    def drag(self, begin: tuple[float, float], way: tuple[float, float]) -> None:
-        mouse = self.page.mouse
-        mouse.move(begin[0] - 60, begin[1] - 60)
-        mouse.move(*begin)
-        self.page.wait_for_timeout(300)  # a press needs a hover ray first
+    def drag(self, place: Callable[[], Any], way: tuple[float, float]) -> None:
+        """Drags what the browser draws at ``place``, a point of the world, by ``way`` pixels.
+
+        A press needs a hover ray first, and what is drawn may be behind the session: the mouse goes there
+        until the browser shows that it is over something that can be dragged.
+        """
+        mouse, deadline = self.page.mouse, time.monotonic() + PATIENCE
+        mouse.move(10, self.page.viewport_size["height"] - 10)
+        self.page.wait_for_function(CURSOR, arg="auto")
+        while True:
+            begin = self.pixel(place())
+            mouse.move(*begin)
+            self.page.wait_for_timeout(300)
+            if self.page.evaluate(CURSOR, "pointer"):
+                break
+            assert time.monotonic() < deadline, f"nothing to drag is drawn at {begin}"
+            mouse.move(begin[0] + 1, begin[1])
         mouse.down()
         for k in range(1, 5):
             mouse.move(begin[0] + way[0] * k / 4, begin[1] + way[1] * k / 4)
@@ -195,7 +210,7 @@ def test_a_nudge_lifts_the_ball(window: Window, bed: Bed) -> None:
 def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
     window.page.wait_for_function(AT, arg=list(BALL))
     before = bed.view
-    window.drag(window.pixel(before.ball.position + np.array((0.0, -0.03, -0.02))), (50.0, -40.0))
+    window.drag(lambda: bed.view.ball.position + np.array((0.0, -0.03, -0.02)), (50.0, -40.0))
     bed.until(lambda view: bed.count(MoveGoal) > 0, "no drag of the ball came")
     moved = bed.until(lambda view: np.linalg.norm(view.ball.position - before.ball.position) > 0.03)
     assert moved.motion == "hand"
@@ -205,7 +220,7 @@ def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
 def test_dragging_a_link_takes_the_arm_along(window: Window, bed: Bed) -> None:
     window.page.wait_for_function(AT, arg=list(BALL))
     before, body = bed.view, bed.session.robot.model.body("link4").id
-    window.drag(window.pixel(before.instances[0].xpos[body]), (-60.0, 30.0))
+    window.drag(lambda: bed.view.instances[0].xpos[body], (-60.0, 30.0))
     bed.until(lambda view: bed.count(DragLink) > 0 and bed.count(Release) > 0, "no drag of a part came")
     bed.until(lambda view: np.abs(view.instances[0].q - before.instances[0].q).max() > 0.02)
 
