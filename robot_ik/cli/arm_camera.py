@@ -125,12 +125,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
 
     try:
         with console.progress() as bar:
-            task = bar.add_task("opening", total=1.0, note="")
-
-            def progress(phase: str, share: float) -> None:
-                bar.update(task, description=phase, completed=share)
-
-            return job(keep=keep, progress=progress)
+            return job(keep=keep, progress=console.phases_on(bar))
     except KeyboardInterrupt:
         console.say(f"interrupted after {views} views", "yellow")
         if views >= LEAST_VIEWS:

@@ -236,7 +236,7 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
     screen = console.out()
     screen.print(_poses(report))
     screen.print(_regions("the arm as it is", report.judged(corrected=False)))
-    if report.by_arm:
+    if report.known.by_arm:
         screen.print(
             "The camera's place was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
@@ -292,7 +292,7 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
 def _offset_table(report: VerifyReport) -> Any:
     fit = report.fit
     assert fit is not None
-    truth = report.true_offsets
+    truth = report.known.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
     rows = console.table(*columns, title="joint zeros")
     for k, name in enumerate(fit.joints):
@@ -308,17 +308,19 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     found: dict[str, Any] = {
         "schema": 1,
         "job": "verify",
-        "robot": report.samples.robot,
+        "robot": report.known.samples.robot,
         "joints": report.robot.joints,
-        "frame": report.frame,
+        "frame": report.known.samples.frame,
         "stations": [q.tolist() for q in report.stations],
         "unseen": list(report.unseen),
     }
     if verdict is None:
         return found
     found |= verdict
-    found["extrinsics_by_arm"] = report.by_arm
-    found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
+    found["extrinsics_by_arm"] = report.known.by_arm
+    found["poses"] = [
+        _error(one) | {"q": q} for one, q in zip(report.errors, report.known.samples.q, strict=True)
+    ]
     found["unsure"] = list(report.unsure)
     found["regions"] = _sums(report.judged(corrected=False))
     fit = report.fit
@@ -326,7 +328,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         found["fit"] = {
             "offsets_rad": fit.offsets,
             "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
-            "true_rad": report.true_offsets,
+            "true_rad": report.known.true_offsets,
             "held": [{"joint": one.joint, "why": one.words} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,

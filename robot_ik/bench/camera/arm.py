@@ -374,8 +374,8 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
             frame=scene.cube_frame, pose_frame_board=board, board_sigma=_VERIFY_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
-        assert report.fit is not None and report.true_offsets is not None
-        worst.append(float(np.abs(report.fit.offsets - report.true_offsets).max()))
+        assert report.fit is not None and report.known.true_offsets is not None
+        worst.append(float(np.abs(report.fit.offsets - report.known.true_offsets).max()))
         largest.append(summary(report.judged(corrected=True)).largest)
         for _ in range(_SPOILT):
             off, sigma = _spoilt(report, rng)
@@ -392,13 +392,13 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
 
 def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
     """Errors and standard deviations (nv,) with noise in corners and joints."""
-    views = _noisy(report.samples.q, report.samples.views, rng)
+    known, samples = report.known, report.known.samples
+    views = _noisy(samples.q, samples.views, rng)
     fit = fit_zero_offsets(
-        views, report.robot, report.frame, report.samples.intrinsics,
-        camera=report.camera, board=report.board,
-    )  # fmt: skip
-    assert report.true_offsets is not None and fit.found == report.robot.joints
-    return fit.offsets - report.true_offsets, fit.sigma
+        views, report.robot, samples.frame, samples.intrinsics, camera=known.camera, board=known.board
+    )
+    assert known.true_offsets is not None and fit.found == report.robot.joints
+    return fit.offsets - known.true_offsets, fit.sigma
 
 
 def _noisy(
