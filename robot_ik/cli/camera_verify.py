@@ -14,8 +14,13 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import joint_degrees, pose_option, wrong
-from robot_ik.cli.arm_camera import arm_camera_values, measured, numbers_of_seen
-from robot_ik.cli.connection import bus_argument
+from robot_ik.cli.arm_camera import (
+    NEEDED,
+    ArmCameraOptions,
+    arm_camera_values,
+    measured,
+    numbers_of_seen,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
@@ -25,11 +30,10 @@ if TYPE_CHECKING:
 
 
 _NOT_WRITTEN = "nothing is written: to keep these zeros, give your arm file with --arm"
-_NEEDED = "(needed for a real camera)"
 
 
-@dataclass(frozen=True)
-class CameraVerifyOptions:
+@dataclass(frozen=True, kw_only=True)
+class CameraVerifyOptions(ArmCameraOptions):
     """Moves a board carried by the tool through poses, and says how far it is from where the joints say.
 
     The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
@@ -40,24 +44,8 @@ class CameraVerifyOptions:
     Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
-    bus: Annotated[str, bus_argument()] = "sim"
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
-    """Servo ids, signs, zeros and limits; what --fit writes to."""
-    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
-    """Robot frame that carries the board."""
-    camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
-    """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=_NEEDED)] = ""
-    """Its calibration."""
-    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=_NEEDED)] = ""
+    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = ""
     """Where it stands, from camera locate."""
-    board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=_NEEDED)] = ""
-    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
-    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
-    """Of the board's markers."""
     board_pose: Annotated[
         tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: in the frame)")
     ] = ()
@@ -82,16 +70,8 @@ class CameraVerifyOptions:
     """Judge what was measured before; nothing moves."""
     picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
     """Draw the errors, from above and from the side (needs the extra plots)."""
-    speed: float = 1.0
-    """Share of the joints' speed limits, above 0 and up to 1."""
-    dry_run: bool = False
-    """Plan the poses and print them; nothing moves."""
-    seed: int = 0
-    """Of the planning and of the synthetic camera's noise."""
     rehearse_zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
     """Simulated servos whose shaft is some degrees ahead of what their registers say."""
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
 
 
 def run(options: CameraVerifyOptions) -> int:
