@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all
@@ -226,7 +227,8 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
         made = replace(joint, direction=row.direction, zero_ticks=row.zero_ticks)
         if joint.twin is not None and not joint.twin.shadow:
             other = second[joint.name]
-            twin = replace(joint.twin, direction=other.direction, zero_ticks=other.zero_ticks)
+            turned: Literal[1, -1] = 1 if other.direction > 0 else -1
+            twin = replace(joint.twin, direction=turned, zero_ticks=other.zero_ticks)
             made = replace(made, twin=twin)
         low, high = sorted(made.to_radians(t) for t in (row.range_min, row.range_max))
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
