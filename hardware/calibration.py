@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap
+from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, Sign
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
 
@@ -115,7 +114,7 @@ def _require_together(joint: JointMap, other: JointMap, way: float, other_way: f
 
 def wiggled(
     config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]
-) -> dict[int, int]:
+) -> dict[int, Sign]:
     """Which way the servos of a joint count when it is turned in the positive direction.
 
     Args:
@@ -211,7 +210,7 @@ class Measured:
     sweep: Sweep
     zero: Mapping[int, int]
     pose: Mapping[str, float]
-    directions: Mapping[int, int]
+    directions: Mapping[int, Sign]
     limits: Mapping[str, tuple[float, float]]
 
 
@@ -227,8 +226,7 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
         made = replace(joint, direction=row.direction, zero_ticks=row.zero_ticks)
         if joint.twin is not None and not joint.twin.shadow:
             other = second[joint.name]
-            turned: Literal[1, -1] = 1 if other.direction > 0 else -1
-            twin = replace(joint.twin, direction=turned, zero_ticks=other.zero_ticks)
+            twin = replace(joint.twin, direction=other.direction, zero_ticks=other.zero_ticks)
             made = replace(made, twin=twin)
         low, high = sorted(made.to_radians(t) for t in (row.range_min, row.range_max))
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]

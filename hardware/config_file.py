@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robot_ik.files import parse_toml
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
-from robot_ik.hardware.joint_map import ARM, Gains, JointMap, StopAt, Twin
+from robot_ik.hardware.joint_map import ARM, Gains, JointMap, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
 
@@ -52,7 +52,7 @@ class JointFile(Table):
     id: Annotated[int, Field(ge=0, le=252)]
     model: _Word
     mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
-    direction: Literal[1, -1] = 1
+    direction: Sign = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     ratio: _Positive = 1.0
     reverse: bool = False

@@ -52,6 +52,7 @@ ARM = "arm"
 """Group of the joints that make up q."""
 
 
+Sign = Literal[1, -1]
 _Positive = Annotated[float, Field(gt=0.0)]
 _Gain = Annotated[int, Field(ge=0, le=16383)]
 
@@ -180,7 +181,7 @@ class Twin:
     """
 
     id: Annotated[int, Field(ge=0, le=252)]
-    direction: Literal[1, -1] = 1
+    direction: Sign = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_TURN // 2
     shadow: bool = False
     reverse: bool | None = None
@@ -212,7 +213,7 @@ class JointMap:
     id: int
     model: str
     mode: OperatingMode
-    direction: int
+    direction: Sign
     zero_ticks: int
     ratio: float
     lower: float
