@@ -26,11 +26,11 @@ import numpy as np
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
+from robot_ik.kernels.priorities import lm_levels
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
-from robot_ik.solvers.levenberg_marquardt import lm_levels
 from robot_ik.testbed.commands import (
     Act,
     Command,
