@@ -108,8 +108,7 @@ class ArReport(JobReport):
         backend: That drew.
         scale: At which the robot was drawn.
         notice: What did not go as asked, in one line.
-        pictures: Written; ``drawn`` of them with the robot.
-        drawn: See ``pictures``.
+        pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
         seconds: Of tracking and drawing alone, without taking and writing pictures.
         interrupted: The run was ended by hand.
@@ -121,6 +120,7 @@ class ArReport(JobReport):
     notice: str
     pictures: int = 0
     drawn: int = 0
+    in_view: int = 0
     reprojection_px: float = float("nan")
     seconds: float = 0.0
     interrupted: bool = False
@@ -167,15 +167,15 @@ def run_ar(
         artist, notice = make_artist(request.backend)
         stack.callback(getattr(artist, "close", lambda: None))
         report = ArReport(artist.name, placed.figure.scale, _joined(notice, placed.notice))
-        drawn = report.keep(phases.draw(placed, opened, artist))
+        report.keep(phases.draw(placed, opened, artist))
         report.file = sink.close()
-    if drawn.pictures and not drawn.drawn:
+    if report.pictures and not report.drawn:
         raise MarkerNotFoundError(
-            f"the board {request.board} was seen in none of {drawn.pictures} pictures; "
+            f"the board {request.board} was seen in none of {report.pictures} pictures; "
             f"they are in {report.file}",
             hint="check --board and --dictionary against the print: robot-ik camera detect",
         )
-    if drawn.drawn and not drawn.in_view:
+    if report.drawn and not report.in_view:
         report.notice = _joined(report.notice, _OUT_OF_VIEW)
     return report
 
@@ -209,7 +209,7 @@ class Opened:
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """What was drawn, as in ``ArReport``; ``in_view``: pictures in which some of the robot is seen."""
+    """What was drawn, as in ``ArReport``."""
 
     pictures: int
     drawn: int
