@@ -319,11 +319,9 @@ class ZeroOffsets:
         covariance: (nv, nv); zeros for those held, given which the others are known so well.
         unobservable: What could not be told apart, and which joint is held for it.
         pose_parent_camera, pose_other_board: The poses, refined.
-        pose_covariance: (12, 12) of their twists.
         errors: Of each view, as the fit to all *other* views has it.
         residual_px: RMS distance of the corners, px, of views that are no outliers.
         joint_noise: Standard deviation of a joint from view to view, rad.
-        pixel_scale: Standard deviation of the pixels in units of the stated one.
         singular_values: Of the information on the free offsets, 1/rad.
     """
 
@@ -333,11 +331,9 @@ class ZeroOffsets:
     unobservable: tuple[Unobservable, ...]
     pose_parent_camera: Pose
     pose_other_board: Pose
-    pose_covariance: Array
     errors: tuple[PoseError, ...]
     residual_px: float
     joint_noise: float
-    pixel_scale: float
     singular_values: Array
 
     @property
@@ -422,11 +418,10 @@ def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hol
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """The end of an iteration: where, the views linear there, and how far off their corners are."""
+    """The end of an iteration: where, and the views linear there."""
 
     state: ArmEstimate
     normal: Normal
-    scale: float
 
 
 def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
@@ -442,7 +437,7 @@ def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitte
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
         if np.abs(step).max() < _DONE:
             break
-    return _Fitted(state, normal, scale)
+    return _Fitted(state, normal)
 
 
 def _downhill(
@@ -465,7 +460,6 @@ def _result(
     model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
 ) -> ZeroOffsets:
     n = model.robot.nv
-    covariance = fitted.normal.covariance
     errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
     mount = fitted.state.mount
     every = [
@@ -479,15 +473,13 @@ def _result(
     return ZeroOffsets(
         joints=model.robot.joints,
         offsets=fitted.state.offsets,
-        covariance=covariance[:n, :n],
+        covariance=fitted.normal.covariance[:n, :n],
         unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
-        pose_covariance=covariance[n:, n:],
         errors=errors,
         residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
         joint_noise=float(fitted.normal.noise.sizes[0]),
-        pixel_scale=fitted.scale,
         singular_values=np.sqrt(joint_information(fitted.normal, n)[0]),
     )
 
