@@ -176,7 +176,7 @@ class Caster:
         n = len(directions)
         geom = np.full(n, -1, dtype=np.int32)
         depth = np.full(n, -1.0)
-        normal = np.zeros((n, 3))
+        normal = np.zeros((n, 3)) if normals else np.broadcast_to(0.0, (n, 3))
         if n and self.model.ngeom:
             mujoco.mj_multiRay(
                 self.model,
