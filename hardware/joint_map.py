@@ -53,6 +53,7 @@ ARM = "arm"
 
 
 Sign = Literal[1, -1]
+"""Which way a servo counts."""
 _Positive = Annotated[float, Field(gt=0.0)]
 _Gain = Annotated[int, Field(ge=0, le=16383)]
 
