@@ -24,8 +24,8 @@ PHASES: list[tuple[type[JobReport], tuple[type[Any], ...]]] = [
             reach.SeenArrived,
         ),
     ),
-    (handeye.HandEyeReport, (handeye.Planned, handeye.Measured, handeye.Solved)),
-    (verify.VerifyReport, (handeye.Planned, handeye.Measured, verify.Compared)),
+    (handeye.HandEyeReport, (handeye.PlannedViews, handeye.MeasuredViews, handeye.SolvedMount)),
+    (verify.VerifyReport, (handeye.PlannedViews, handeye.MeasuredViews, verify.Compared)),
     (ar.ArReport, (ar.Drawn,)),
 ]
 

@@ -298,33 +298,33 @@ def samples_path(out: Path) -> Path:
 
 
 @dataclass(frozen=True, eq=False)
-class Planned:
+class PlannedViews:
     """Stations to visit, (nq,) each, in order."""
 
     stations: tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredViews:
     """Numbers, from 0, of the stations where the board was not found or the arm did not come to rest."""
 
     unseen: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SolvedMount:
     """Where the camera is."""
 
     result: HandEye
 
 
-def solve(samples: SampleSet, robot: Robot) -> Solved:
+def solve(samples: SampleSet, robot: Robot) -> SolvedMount:
     """From samples of ``robot``; nothing moves.
 
     Raises:
         CalibrationError: The views cannot tell where the camera is.
     """
-    return Solved(solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting))
+    return SolvedMount(solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,13 +336,15 @@ class ViewPhases:
     scene: HandEyeScene
     progress: Progress
 
-    def plan(self, task: ViewTask) -> Planned:
+    def plan(self, task: ViewTask) -> PlannedViews:
         """Views for a task.  Nothing moves."""
         self.progress("planning", 0.0)
         request, setup = self.request, self.setup
-        return Planned(tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)))
+        return PlannedViews(
+            tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
+        )
 
-    def measure(self, planned: Planned, samples: SampleSet, keep: Callable[[], None]) -> Measured:
+    def measure(self, planned: PlannedViews, samples: SampleSet, keep: Callable[[], None]) -> MeasuredViews:
         """Goes to all stations and looks at the board; the servos have torque.
 
         Args:
@@ -368,4 +370,4 @@ class ViewPhases:
                 continue
             samples.add(station.q, view)
             keep()
-        return Measured(tuple(unseen))
+        return MeasuredViews(tuple(unseen))
