@@ -32,7 +32,7 @@ def stage() -> Iterator[tuple[Page, PageClient, Sent]]:
         for _ in range(3):
             session.tick()
         session.send = sent.put  # type: ignore[method-assign]
-        with Page(session, port=8730) as page, PageClient(page.url) as client:
+        with Page(session, port=8730, shadows=False) as page, PageClient(page.url) as client:
             yield page, client, sent
 
 
