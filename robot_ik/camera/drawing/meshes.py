@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -30,7 +31,7 @@ MAX_EDGE = 0.13
 MAX_MESH_FACES = 1500
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GeomMesh:
     """Faces of one geom, in the geom's own frame, metres.
 
@@ -240,14 +241,19 @@ def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh
     ``segments``: faces round a round primitive, one of ``SEGMENTS``; 0 takes the usual number for its radius.
     """
     kind = int(model.geom_type[geom])
-    size = np.array(model.geom_size[geom], dtype=float)
     if kind == int(mujoco.mjtGeom.mjGEOM_MESH):
         return _mesh(model, int(model.geom_dataid[geom]))
-    if kind in _FLAT:
-        return _FLAT[kind](size)
     if kind in _ROUND:
-        return _ROUND[kind](size, segments or usual_segments(round_radius(model, geom)))
-    return None
+        segments = segments or usual_segments(round_radius(model, geom))
+    return _primitive(kind, tuple(model.geom_size[geom].tolist()), segments)
+
+
+# The same robot comes as many models: loaded anew, with markers, on a table.
+@lru_cache(maxsize=512)
+def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | None:
+    if kind in _FLAT:
+        return _FLAT[kind](np.array(size))
+    return _ROUND[kind](np.array(size), segments) if kind in _ROUND else None
 
 
 Segments = tuple[int, ...]
@@ -358,6 +364,7 @@ def _corner_normals(faces: Index, normals: Array) -> Array:
     return np.asarray(total / length).reshape(-1, 4, 3)
 
 
+@lru_cache(maxsize=512)
 def _part(mesh: GeomMesh) -> Part:
     corners = mesh.vertices[mesh.faces]
     normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
