@@ -10,6 +10,7 @@ let it.  Human numbers: ``docs/theory/figure.md``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,8 +47,12 @@ CONTACTS = ("air", "heel", "flat", "toe")
 
 # Share of the cycle that a foot stands (Schwartz et al. 2008: 60 to 61 %).
 _STANCE = 0.61
+# A foot turns so far in a step at most, rad: legs do not cross, and the outer knee does not stretch.
+_STEP_TURN = np.radians(30.0)
 # Before the first step, and after the last strike, s: the body needs some e^{-ωt} to come to rest.
 _LEAN, _SETTLE = 0.75, 1.4
+# Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
+_EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,7 @@ class Gait:
             longer it is up than down.
         late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
             hips down.
+        depart: How softly the foot leaves: 2.47 with no acceleration, 0 as a cosine.
         arrive: Speed of the foot at its strike as a share of its mean speed in the air: heels strike while
             they still move.
         turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
@@ -103,6 +109,7 @@ class Gait:
     bob: float = 0.03026
     broad: float = 0.13557
     late: float = -0.08768
+    depart: float = 0.0
     arrive: float = 0.22283
     turn_deg: float = 3.43162
     lean_deg: float = 3.0
@@ -182,20 +189,23 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     yaw += a[2] - yaw[0] + round((yaw[0] - a[2]) / (2 * np.pi)) * 0.0
-    # Whole steps but for the first and the last, which make up the rest: 0.8 to 1.8 steps together.
-    n = max(2, int(np.ceil(s[-1] / gait.length + 0.2)))
+    # Whole steps, as long as they may be or as far turned, but for the first and the last, which make up the
+    # rest: 0.8 to 1.8 steps together.
+    paces = np.maximum(np.diff(s) / gait.length, np.abs(np.diff(yaw)) / _STEP_TURN)
+    pace = np.concatenate([[0.0], np.cumsum(paces)])
+    n = max(2, int(np.ceil(pace[-1] + 0.2)))
     share = np.ones(n)
-    rest = s[-1] / gait.length - (n - 2)
+    rest = pace[-1] - (n - 2)
     share[0], share[-1] = 0.55 * rest, 0.45 * rest
-    share = np.cumsum(share) / share.sum()
-    foot = 0 if np.interp(share[0] * s[-1], s, yaw) > yaw[0] else 1
+    share = np.cumsum(share) / share.sum() * pace[-1]
+    foot = 0 if np.interp(share[0], pace, yaw) > yaw[0] else 1
     out = list(start)
     for k in range(n):
         last = k == n - 1
         middle = (
             b
             if last
-            else np.array([np.interp(share[k] * s[-1], s, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+            else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
         )
         width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))
@@ -319,18 +329,32 @@ class _Plan:
             offset = decay(around[1:2], np.array([ahead[0]]), gait.level_time, np.array([ahead[1]]))
             self.toes[side, loose] = np.maximum(offset(t[loose] - fall.off)[:, 0], 0.0)
         rolled, height = sole.stand(pitch)
+        up = self._eased(falls, height + clear)
         self.place[side] = np.column_stack(
-            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear]
+            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), up]
         )
         self.yaw[side], self.pitch[side] = yaw, pitch
         self.contact[side] = np.where(
             air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT))
         )
 
+    def _eased(self, falls: Sequence[_Footfall], up: Array) -> Array:
+        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt.
+
+        A level sole that turns on stands on its other end at once: on the floor it must, in the air the knee
+        need not follow.
+        """
+        soft, share = smooth(up, _EASE / (self.times[1] - self.times[0])), np.zeros(len(up))
+        for fall, after in itertools.pairwise(falls):
+            if np.isfinite(fall.off):
+                u = (self.times - fall.off) / (after.strike - fall.off)
+                share += minimum_jerk(u / _EASE_IN) * minimum_jerk((1 - u) / _EASE_OUT)
+        return up + share * (soft - up)
+
     def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
         """From print to print by a cosine, round the standing foot where the chord comes too near it."""
         share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
-        share = share - self.gait.arrive * s**5 * (1 - s)
+        share = share - self.gait.arrive * s**5 * (1 - s) - self.gait.depart * s**2 * (1 - s) ** 4
         start = np.array([fall.print.x, fall.print.y])
         way = np.array([after.print.x, after.print.y]) - start
         other = max(
@@ -437,7 +461,7 @@ class Walk:
     falls: tuple[tuple[tuple[Print, float, float], ...], ...]
 
 
-_STIFF = {"*": 0.02, "torso*": 0.05, "pelvis*": 0.05, "head*": 3.0}
+_STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "head*": 3.0}
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 
