@@ -203,9 +203,7 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     for k in range(n):
         last = k == n - 1
         middle = (
-            b
-            if last
-            else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+            b if last else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
         )
         width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))

@@ -59,6 +59,10 @@ _PULL, _YIELD, _LEAN = 6.7, 3.0, 0.5
 way: a ball at the rim needs a body that leans."""
 _AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
 """Parts of the flight in which the feet are held, s."""
+_SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
+"""What is free in a frame is tied to its neighbours, else legs and spine whip about the apex: rounds after
+the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
+more and more in so long before take-off, s, and less and less in so long before landing, s."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -316,7 +320,13 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float
+    plan: JumpPlan,
+    forward: _Forward,
+    top: Array,
+    t: Array,
+    start: Array,
+    dt: float,
+    before: Array | None = None,
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
@@ -373,6 +383,15 @@ def _frames(
     posture = _posture(plan, t, deep, top, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
+    if before is not None:
+        share = minimum_jerk((t - T[2]) / _TYING + 1.0) * minimum_jerk((T[3] - t) / _LOOSING)
+        tied = figure.stiffnesses({"*": _TIED, "*toe*": 0.0})
+        # Two springs at a joint are one, between where they pull to and as strong as both: the posture's
+        # gives way to that of the round before.
+        tie, stiff = share[:, None] * tied, stiff * np.where(tied > 0.0, 1.0 - share[:, None], 1.0)
+        part = tie[:, 6:] / np.maximum(stiff + tie, 1e-9)[:, 6:]
+        posture[:, 7:] += part * (smooth(before, _SOFT / dt) - posture)[:, 7:]
+        stiff = stiff + tie
     frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
     return frames, contact
 
@@ -435,7 +454,7 @@ def jump_slices(
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
             top = yield from _arm_at_apex(plan, _palm(plan, forward))
-        frames, contact = yield from _frames(plan, forward, top, t, start, dt)
+        frames, contact = yield from _frames(plan, forward, top, t, start, dt, None if k == 0 else frames.q)
         if k == corrections:
             break
         points, force = yield from zero_moment_slices(figure, frames.q, dt)
