@@ -48,9 +48,12 @@ CONTACTS = ("air", "heel", "flat", "toe")
 # Share of the cycle that a foot stands (Schwartz et al. 2008: 60 to 61 %).
 _STANCE = 0.61
 # A foot turns so far in a step at most, rad: legs do not cross, and the outer knee does not stretch.
-_STEP_TURN = np.radians(30.0)
+_STEP_TURN = np.radians(22.0)
 # Before the first step, and after the last strike, s: the body needs some e^{-ωt} to come to rest.
 _LEAN, _SETTLE = 0.75, 1.4
+# A knee bends so far at least, degrees, as its foot leaves the floor, within so long before and after, s: a
+# straight one would have to bend at once.
+_LEAVING_DEG, _LEAVING = 27.0, 0.08
 # Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
 _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
@@ -198,6 +201,7 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     rest = pace[-1] - (n - 2)
     share[0], share[-1] = 0.55 * rest, 0.45 * rest
     share = np.cumsum(share) / share.sum() * pace[-1]
+    ways = np.diff(np.interp(share, pace, s), prepend=0.0)
     foot = 0 if np.interp(share[0], pace, yaw) > yaw[0] else 1
     out = list(start)
     for k in range(n):
@@ -205,7 +209,9 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
         middle = (
             b if last else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
         )
-        width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
+        # Feet that hardly pass each other keep farther apart.
+        aside = half + (gait.width / 2 - half) * min(1.0, (ways[k] / gait.length) ** 2)
+        width, toes = (half, 0.0) if last else (aside, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))
         foot = 1 - foot
     out.append(print_of(b, foot, half))
@@ -393,6 +399,12 @@ class _Plan:
         )
         return pelvis, chest, heading
 
+    def _leaving(self, side: int) -> Array:
+        """(n,) how near in time a foot is to leaving the floor, 0 to 1."""
+        offs = [fall.off for fall in self.falls[side] if np.isfinite(fall.off)]
+        away = np.abs(self.times[:, None] - np.array([*offs, np.inf])).min(axis=1)
+        return minimum_jerk(1.0 - away / _LEAVING)
+
     def pelvis_height(self, pelvis: Array, place: Array, knee_deg: float) -> Array:
         """The highest pelvis that leaves the knees bent by that, as one wave a step.
 
@@ -402,7 +414,8 @@ class _Plan:
         top = np.full(len(t), np.inf)
         for side, name in enumerate(SIDES):
             foot = self.figure.feet[name]
-            leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(np.radians(knee_deg))
+            bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
+            leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
             turn = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
             ankle, hip = self.place[side] + turn @ foot.ankle, pelvis @ foot.hip
             flat = ((ankle[:, :2] - place - hip[:, :2]) ** 2).sum(axis=1)
