@@ -54,6 +54,8 @@ _LEAN, _SETTLE = 0.75, 1.4
 # A knee bends so far at least, degrees, as its foot leaves the floor, within so long before and after, s: a
 # straight one would have to bend at once.
 _LEAVING_DEG, _LEAVING = 27.0, 0.08
+# Pitch of the sole as a foot leaves the floor for a step of no length, as a share of that for a whole one.
+_LEAST_OFF = 0.7
 # Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
 _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
@@ -312,7 +314,11 @@ class _Plan:
                 continue
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
-            top = off_ * (0.75 if fall.first else 1.0)
+            way = float(np.hypot(after.print.x - fall.print.x, after.print.y - fall.print.y))
+            # A short step rolls off less far.
+            top = off_ * (
+                0.75 if fall.first else min(1.0, _LEAST_OFF + (1 - _LEAST_OFF) * way / gait.length / 2)
+            )
             settled, part = gait.leveled
             knots = np.array(
                 [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
