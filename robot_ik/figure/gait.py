@@ -55,7 +55,7 @@ _LEAN, _SETTLE = 0.75, 1.4
 # straight one would have to bend at once.
 _LEAVING_DEG, _LEAVING = 27.0, 0.08
 # Pitch of the sole as a foot leaves the floor for a step of no length, as a share of that for a whole one.
-_LEAST_OFF = 0.7
+_LEAST_OFF = 0.45
 # Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
 _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
@@ -92,31 +92,31 @@ class Gait:
         swing_deg: Of the arms.
     """
 
-    length: float = 0.63813
-    width: float = 0.08294
-    time: float = 0.57573
-    double: float = 0.0924
-    strike_deg: float = 8.6989
-    off_deg: float = 43.18702
-    peak: float = 1.44593
-    flat: float = 0.11117
-    drop: float = -0.19027
-    rise: float = 0.42017
-    leveled: tuple[float, float] = (0.60345, 0.17079)
-    lift: float = 0.03709
-    arch: tuple[float, float] = (1.81038, 2.31921)
-    level_time: float = 0.40524
+    length: float = 0.62531
+    width: float = 0.08042
+    time: float = 0.56303
+    double: float = 0.09387
+    strike_deg: float = 11.63986
+    off_deg: float = 45.89719
+    peak: float = 1.41342
+    flat: float = 0.11029
+    drop: float = 0.27861
+    rise: float = 0.43639
+    leveled: tuple[float, float] = (0.5568, 0.15208)
+    lift: float = 0.02781
+    arch: tuple[float, float] = (2.35311, 2.22706)
+    level_time: float = 0.36806
     gap: float = 0.11
-    knee_deg: float = 10.44676
+    knee_deg: float = 12.15722
     toe_out_deg: float = 5.0
-    pressure: tuple[float, float] = (0.03042, 0.1683)
-    dip: float = -0.01004
-    bob: float = 0.03026
-    broad: float = 0.13557
-    late: float = -0.08768
-    depart: float = 0.0
-    arrive: float = 0.22283
-    turn_deg: float = 3.43162
+    pressure: tuple[float, float] = (0.04256, 0.1669)
+    dip: float = -0.02876
+    bob: float = 0.02804
+    broad: float = 0.23502
+    late: float = -0.29299
+    depart: float = 2.08331
+    arrive: float = 0.16313
+    turn_deg: float = 4.55665
     lean_deg: float = 3.0
     swing_deg: float = 15.0
 
@@ -127,7 +127,7 @@ SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
     knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
     leveled=(0.6, 0.1), arch=(3.0, 3.0), level_time=0.3,
-    dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
+    dip=0.006, broad=0.0, late=0.014, depart=0.0, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 
@@ -245,6 +245,16 @@ class _Footfall:
     off: float
     first: bool
     last: bool
+    share: float  # of a whole step, of the one that led here
+
+    @property
+    def heel(self) -> float:
+        """Pitch of the sole as it strikes, as a share of that of a whole step: a short one lands flatter."""
+        return min(0.3 if self.last else 1.0, self.share)
+
+    def roll(self, after: _Footfall) -> float:
+        """Pitch of the sole as it leaves the floor for ``after``, as a share of that for a whole step."""
+        return min(0.75 if self.first else 1.0, _LEAST_OFF + (1.0 - _LEAST_OFF) * after.share)
 
 
 class _Plan:
@@ -264,7 +274,9 @@ class _Plan:
             if mine:
                 mine[-1].off = self.lifts[k - 2]
             strike = self.strikes[k - 2] if k > 1 else -9.0
-            mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2))
+            was = mine[-1].print if mine else at
+            share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
+            mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
         self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
         self.com, self.zmp = self.center.at(self.times)
         self.place = np.empty((2, len(self.times), 3))
@@ -309,21 +321,17 @@ class _Plan:
                 low = fall.strike + gait.flat * 2 * gait.time
                 u = np.clip((t - fall.strike) / (low - fall.strike), 0.0, 1.0)
                 left = 1 - minimum_jerk(u) - gait.drop * u * (1 - u) ** 3 * (1 + 3 * u)
-                pitch[here] = (on * (0.3 if fall.last else 1.0) * left)[here]
+                pitch[here] = (on * fall.heel * left)[here]
             if not np.isfinite(fall.off):
                 continue
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
-            way = float(np.hypot(after.print.x - fall.print.x, after.print.y - fall.print.y))
-            # A short step rolls off less far.
-            top = off_ * (
-                0.75 if fall.first else min(1.0, _LEAST_OFF + (1 - _LEAST_OFF) * way / gait.length / 2)
-            )
+            top = off_ * fall.roll(after)
             settled, part = gait.leveled
             knots = np.array(
                 [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
             )
-            values = np.array([0.0, top, top * gait.peak, part * top, on * (0.3 if after.last else 1.0)])
+            values = np.array([0.0, top, top * gait.peak, part * top, on * after.heel])
             rolling = (t > rise) & (t < after.strike)
             drop = -values[-1] * gait.drop / (gait.flat * 2 * gait.time)
             pitch[rolling] = clamped_curve(knots, values, t[rolling], drop)
@@ -478,7 +486,7 @@ class Walk:
     falls: tuple[tuple[tuple[Print, float, float], ...], ...]
 
 
-_STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "head*": 3.0}
+_STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis_pitch": 10.0, "head*": 3.0}
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 
