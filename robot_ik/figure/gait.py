@@ -229,7 +229,8 @@ def shuffle_prints(figure: Figure, start: tuple[Print, Print], goal: Array) -> l
     turn, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
     c, s = np.cos(a[2]), np.sin(a[2])
     ahead, aside = c * way[0] + s * way[1], -s * way[0] + c * way[1]
-    n = max(1, int(np.ceil(max(abs(turn) / np.radians(30.0), abs(ahead) / 0.3, abs(aside) / 0.2) - 1e-6)))
+    paces = max(abs(turn) / np.radians(30.0), float(np.hypot(ahead / 0.3, aside / 0.2)))
+    n = max(1, int(np.ceil(paces - 1e-6)))
     foot = 0 if (aside if abs(aside) > 0.03 else turn) > 0 else 1
     out = list(start)
     for k in range(1, n + 1):
