@@ -15,7 +15,7 @@ from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap
+from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, Sign
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
 
@@ -114,7 +114,7 @@ def _require_together(joint: JointMap, other: JointMap, way: float, other_way: f
 
 def wiggled(
     config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]
-) -> dict[int, int]:
+) -> dict[int, Sign]:
     """Which way the servos of a joint count when it is turned in the positive direction.
 
     Args:
@@ -210,7 +210,7 @@ class Measured:
     sweep: Sweep
     zero: Mapping[int, int]
     pose: Mapping[str, float]
-    directions: Mapping[int, int]
+    directions: Mapping[int, Sign]
     limits: Mapping[str, tuple[float, float]]
 
 

@@ -15,15 +15,19 @@ from robot_ik.errors import ConfigError
 from robot_ik.files import read_json, shown, write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
+from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
-from robot_ik.tables import Several, Table, WrongKey, read_table
+from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
 
 SCHEMA = 1
 """Raised when a key changes its meaning."""
 
 SUFFIX = ".calibration.toml"
 """``my_arm.toml`` has its calibration beside it in ``my_arm.calibration.toml``."""
+
+
+_Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
+_Byte = Annotated[int, Field(ge=0, le=255)]
 
 
 @dataclass(frozen=True)
@@ -39,18 +43,18 @@ class JointCalibration:
     """
 
     name: str
-    id: int
+    id: Annotated[int, Field(ge=0, le=252)]
     model: str
-    firmware: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-    direction: int
-    zero_ticks: int
+    firmware: _Byte
+    drive_mode: _Byte
+    homing_offset: _Ticks
+    range_min: _Ticks
+    range_max: _Ticks
+    direction: Sign
+    zero_ticks: _Ticks
     urdf_lower: float
     urdf_upper: float
-    present_at_save: int
+    present_at_save: _Ticks
 
 
 @dataclass(frozen=True)
@@ -99,11 +103,7 @@ class Calibration:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
         found = read_table(_CalibrationFile, path, "the calibration")
-        joints, twins = (
-            tuple(JointCalibration(**row.model_dump()) for row in rows)
-            for rows in (found.joints, found.twins)
-        )
-        return cls(found.arm, found.robot, found.created, found.bus.baud, joints, twins, path)
+        return cls(found.arm, found.robot, found.created, found.bus.baud, found.joints, found.twins, path)
 
 
 def calibration_beside(arm_file: Path) -> Path:
@@ -111,29 +111,7 @@ def calibration_beside(arm_file: Path) -> Path:
     return arm_file.with_name(arm_file.stem + SUFFIX)
 
 
-_Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
-
-
-class _CalibratedJoint(Table):
-    name: str
-    id: Annotated[int, Field(ge=0, le=252)]
-    model: str
-    firmware: Annotated[int, Field(ge=0, le=255)]
-    drive_mode: Annotated[int, Field(ge=0, le=255)]
-    homing_offset: _Ticks
-    range_min: _Ticks
-    range_max: _Ticks
-    direction: Literal[1, -1]
-    zero_ticks: _Ticks
-    urdf_lower: float
-    urdf_upper: float
-    present_at_save: _Ticks
-
-    @model_validator(mode="after")
-    def _some_range(self) -> _CalibratedJoint:
-        if self.range_min >= self.range_max:
-            raise WrongKey(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
-        return self
+_Row = Annotated[JointCalibration, keys_of(JointCalibration)]
 
 
 class _Bus(Table):
@@ -146,8 +124,17 @@ class _CalibrationFile(Table):
     robot: str
     created: str
     bus: _Bus
-    joints: Annotated[Several[_CalibratedJoint], Field(min_length=1)]
-    twins: Several[_CalibratedJoint] = ()
+    joints: Annotated[Several[_Row], Field(min_length=1)]
+    twins: Several[_Row] = ()
+
+    @model_validator(mode="after")
+    def _some_range(self) -> _CalibrationFile:
+        for table, rows in (("joints", self.joints), ("twins", self.twins)):
+            for k, row in enumerate(rows):
+                if row.range_min >= row.range_max:
+                    key, allowed = f"{table}[{k}].range_min", f"< {row.range_max}"
+                    raise WrongKey(f"the range of {row.name!r} is empty", key, allowed)
+        return self
 
 
 def as_plain(calibration: Calibration) -> dict[str, Any]:

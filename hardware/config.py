@@ -24,7 +24,7 @@ from robot_ik.hardware.config_file import (
     parse_arm_file,
 )
 from robot_ik.hardware.control_table import TICKS_PER_TURN, ControlTable, OperatingMode, control_table
-from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, StopAt, SwingArm, Twin
+from robot_ik.hardware.joint_map import ARM, MODES, JointMap, SwingArm
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 
 Array = NDArray[np.float64]
@@ -256,16 +256,16 @@ def _joint_map(j: JointFile) -> JointMap:
         velocity=velocity,
         acceleration=acceleration,
         current=j.current_ma,
-        twin=None if j.twin is None else Twin(**j.twin.model_dump()),
+        twin=j.twin,
         pinion=1e-3 * j.pinion_mm if isinstance(j, SlideFile) and j.pinion_mm else None,
         group=j.group,
         reverse=j.reverse,
         swing=_swing(j) if isinstance(j, SlideFile) else None,
-        gains=Gains(**j.gains.model_dump()),
+        gains=j.gains,
         current_limit=j.current_limit_ma,
         profile_velocity=None if profile[0] is None else one * profile[0],
         profile_acceleration=None if profile[1] is None else one * profile[1],
-        stop_at=StopAt(**j.stop_at.model_dump()),
+        stop_at=j.stop_at,
     )
 
 

@@ -13,9 +13,9 @@ from pydantic import AfterValidator, Field, model_validator
 
 from robot_ik.files import parse_toml
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
-from robot_ik.hardware.joint_map import ARM, JointMap
+from robot_ik.hardware.joint_map import ARM, Gains, JointMap, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.tables import Table, WrongKey, check_table, chosen
+from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -26,7 +26,6 @@ WATCHDOG_MAX_MS = 127 * WATCHDOG_UNIT_MS
 
 _Positive = Annotated[float, Field(gt=0.0)]
 _Word = Annotated[str, Field(min_length=1)]
-_Gain = Annotated[int, Field(ge=0, le=16383)]
 
 
 def _known_rate(baud: int) -> int:
@@ -46,36 +45,6 @@ class BusFile(Table):
     on_stale: Literal["hold", "park", "torque_off"] = "hold"
 
 
-class TwinFile(Table):
-    """Table ``[joints.twin]``: the other servo of the joint above."""
-
-    id: Annotated[int, Field(ge=0, le=252)]
-    direction: Literal[1, -1] = 1
-    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
-    shadow: bool = False
-    reverse: bool | None = None
-
-
-class GainsFile(Table):
-    """Table ``[joints.gains]``: register values of the servo's position controller."""
-
-    position_p: _Gain | None = None
-    position_i: _Gain | None = None
-    position_d: _Gain | None = None
-    velocity_p: _Gain | None = None
-    velocity_i: _Gain | None = None
-    feedforward_1: _Gain | None = None
-    feedforward_2: _Gain | None = None
-
-
-class StopAtFile(Table):
-    """Table ``[joints.stop_at]``: where the arm stops before the servo shuts down."""
-
-    load_percent: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
-    current_ma: _Positive | None = None
-    temperature_c: _Positive | None = None
-
-
 class JointFile(Table):
     """What both kinds of table of ``[[joints]]`` have."""
 
@@ -83,16 +52,16 @@ class JointFile(Table):
     id: Annotated[int, Field(ge=0, le=252)]
     model: _Word
     mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
-    direction: Literal[1, -1] = 1
+    direction: Sign = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
     ratio: _Positive = 1.0
     reverse: bool = False
     current_ma: _Positive | None = None
     current_limit_ma: _Positive | None = None
     group: _Word = ARM
-    twin: TwinFile | None = None
-    gains: GainsFile = GainsFile()
-    stop_at: StopAtFile = StopAtFile()
+    twin: Annotated[Twin | None, keys_of(Twin)] = None
+    gains: Annotated[Gains, keys_of(Gains)] = Gains()
+    stop_at: Annotated[StopAt, keys_of(StopAt)] = StopAt()
 
 
 class HingeFile(JointFile):

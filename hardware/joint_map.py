@@ -11,6 +11,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from robot_ik.hardware.control_table import (
     MULTI_TURN_TICKS,
@@ -48,6 +51,11 @@ BESIDE_TICKS = 60
 ARM = "arm"
 """Group of the joints that make up q."""
 
+
+Sign = Literal[1, -1]
+"""Which way a servo counts."""
+_Positive = Annotated[float, Field(gt=0.0)]
+_Gain = Annotated[int, Field(ge=0, le=16383)]
 
 LEAST_LEAD = 0.1
 """m of a finger for a radian of its horn, over the length of the horn: nearer to a dead centre a motor would
@@ -119,15 +127,15 @@ class SwingArm:
 
 @dataclass(frozen=True)
 class Gains:
-    """Register values of a position controller; None: as the servo has it."""
+    """Table ``[joints.gains]``: register values of a position controller; None: as the servo has it."""
 
-    position_p: int | None = None
-    position_i: int | None = None
-    position_d: int | None = None
-    velocity_p: int | None = None
-    velocity_i: int | None = None
-    feedforward_1: int | None = None
-    feedforward_2: int | None = None
+    position_p: _Gain | None = None
+    position_i: _Gain | None = None
+    position_d: _Gain | None = None
+    velocity_p: _Gain | None = None
+    velocity_i: _Gain | None = None
+    feedforward_1: _Gain | None = None
+    feedforward_2: _Gain | None = None
 
     @property
     def registers(self) -> Mapping[str, int]:
@@ -148,7 +156,7 @@ _GAINS = {
 
 @dataclass(frozen=True)
 class StopAt:
-    """Where an arm stops before a servo of it shuts down; None: never.
+    """Table ``[joints.stop_at]``: where an arm stops before a servo of it shuts down; None: never.
 
     Attributes:
         load_percent: Of what the motor can give, for servos that measure that and no current.
@@ -156,14 +164,14 @@ class StopAt:
         temperature_c: Degrees Celsius.
     """
 
-    load_percent: float | None = None
-    current_ma: float | None = None
-    temperature_c: float | None = None
+    load_percent: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
+    current_ma: _Positive | None = None
+    temperature_c: _Positive | None = None
 
 
 @dataclass(frozen=True)
 class Twin:
-    """The other servo of a joint that two of them turn.
+    """Table ``[joints.twin]``: the other servo of a joint that two of them turn.
 
     Attributes:
         id: Its own, also where it listens to the first one's goals.
@@ -173,9 +181,9 @@ class Twin:
         reverse: As of the first one; None: not, and of a shadow as it is found.
     """
 
-    id: int
-    direction: int = 1
-    zero_ticks: int = TICKS_PER_TURN // 2
+    id: Annotated[int, Field(ge=0, le=252)]
+    direction: Sign = 1
+    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_TURN // 2
     shadow: bool = False
     reverse: bool | None = None
 
@@ -206,7 +214,7 @@ class JointMap:
     id: int
     model: str
     mode: OperatingMode
-    direction: int
+    direction: Sign
     zero_ticks: int
     ratio: float
     lower: float

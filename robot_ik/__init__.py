@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from robot_ik.batch import solve_batch
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
         PostureGoal,
         Tolerance,
     )
-    from robot_ik.inverse_kinematics import solve, solve_all, solve_batch, warm_up
+    from robot_ik.inverse_kinematics import solve, solve_all, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
+    "robot_ik.batch": ("solve_batch",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -65,7 +67,7 @@ _HOME = {
     "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.inverse_kinematics": ("solve", "solve_all", "solve_batch", "warm_up"),
+    "robot_ik.inverse_kinematics": ("solve", "solve_all", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}

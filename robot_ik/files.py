@@ -74,13 +74,13 @@ def read_json(path: Path, what: str, hint: str = "") -> Any:
     return parse_json(read_text(path, what, hint), path)
 
 
-def read_csv(path: Path, what: str, hint: str = "") -> list[list[str]]:
+def read_csv(path: Path, what: str) -> list[list[str]]:
     """The rows of a CSV file.
 
     Raises:
         ConfigError: As ``read_text``; or a cell is longer than the reader takes.
     """
-    rows = csv.reader(read_text(path, what, hint).splitlines())
+    rows = csv.reader(read_text(path, what).splitlines())
     try:
         return list(rows)
     except csv.Error as error:

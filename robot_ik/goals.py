@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -323,21 +323,13 @@ def _turn_rows(place: int, free_axis: str | ArrayLike | None) -> Rows:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class PositionGoal(Goal):
-    """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
-
-    Attributes:
-        axes: Which coordinates count; ``"z"`` asks for a height only.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
-    """
+class _PointGoal(Goal):
+    """A point at ``position`` (3,), world, metres, or at some of its coordinates."""
 
     position: ArrayLike = ()
     weight: float = field(default=1.0, kw_only=True)
     axes: str = field(default="xyz", kw_only=True)
 
-    name: ClassVar[str] = "position goal"
     has_position: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -348,11 +340,6 @@ class PositionGoal(Goal):
         )
 
     @property
-    def rows(self) -> Rows:
-        mask = axes_mask(self.axes)
-        return _WHOLE_PLACE if all(mask) else Rows(place=SOME_AXES, mask=mask)
-
-    @property
     def target(self) -> Pose:
         return Pose(self.position)
 
@@ -360,8 +347,26 @@ class PositionGoal(Goal):
     def weights(self) -> tuple[float, float]:
         return self.weight, 0.0
 
-    def moved_to(self, target: Pose) -> PositionGoal:
+    def moved_to(self, target: Pose) -> Self:
         return replace(self, position=target.position)
+
+
+class PositionGoal(_PointGoal):
+    """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
+
+    Attributes:
+        axes: Which coordinates count; ``"z"`` asks for a height only.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
+    """
+
+    name: ClassVar[str] = "position goal"
+
+    @property
+    def rows(self) -> Rows:
+        mask = axes_mask(self.axes)
+        return _WHOLE_PLACE if all(mask) else Rows(place=SOME_AXES, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -580,8 +585,7 @@ class HalfSpaceGoal(_Place):
 # Goals for the whole body: where its centre of mass is, and how the joints stand.
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CenterOfMassGoal(Goal):
+class CenterOfMassGoal(_PointGoal):
     """The centre of mass at ``position`` (3,), world, metres; MuJoCo's ``subtree_com``.
 
     Attributes:
@@ -592,34 +596,11 @@ class CenterOfMassGoal(Goal):
         InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
     """
 
-    position: ArrayLike = ()
-    axes: str = field(default="xyz", kw_only=True)
-    weight: float = field(default=1.0, kw_only=True)
-
     name: ClassVar[str] = "centre-of-mass goal"
-    has_position: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        axes_mask(self.axes)
-        self._set(
-            position=vector(self.position, 3, "position"), weight=positive_number(self.weight, "weight")
-        )
 
     @property
     def rows(self) -> Rows:
         return Rows(place=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
-
-    @property
-    def target(self) -> Pose:
-        return Pose(self.position)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, 0.0
-
-    def moved_to(self, target: Pose) -> CenterOfMassGoal:
-        return replace(self, position=target.position)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

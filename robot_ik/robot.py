@@ -385,10 +385,11 @@ def load_robot(
         path = source
     model, velocity = read_model(source, path)
     if path is not source:  # its own name
-        file = dataclasses.replace(file, name=model.names[: model.names.index(b"\0")].decode() or "model")
+        named = model.names[: model.names.index(b"\0")].decode() or "model"
+        file = file.model_copy(update={"name": named})
         path = Path(f"<memory>/{file.name}")
     if velocity:
-        file = dataclasses.replace(file, velocity={**velocity, **file.velocity})
+        file = file.model_copy(update={"velocity": {**velocity, **file.velocity}})
     return make_robot(model, path, file, joints, tool)
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import importlib
 import math
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -131,27 +129,32 @@ class _Provenance(Table):
     sources: Several[str] = ()
 
 
-class _RobotTable(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
-    title: str
-    model: str
+class _Keys(Table):
+    """Keys of ``robot.toml`` that count as they stand."""
+
+    title: str = ""
     tool: str | None = None
     solver: str | None = None
     home: str | Several[float] | None = None
     tools: dict[str, Tool] = Field(default={})
     groups: dict[str, Several[str]] = Field(default={})
-    motion: _MotionTable = _MotionTable()
-    speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
-    figure: FigureParts | None = None
     stiffness: dict[str, _Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
+    figure: FigureParts | None = None
     reach: ReachScene | None = None
     gallery: GalleryScene | None = None
+
+
+class _RobotTable(_Keys):
+    version: Annotated[Literal[1], Field(alias="schema")]
+    title: str
+    model: str
+    motion: _MotionTable = _MotionTable()
+    speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
     provenance: _Provenance = _Provenance()
 
 
-@dataclass(frozen=True, repr=False)
-class RobotFile:
+class RobotFile(_Keys):
     """What ``robot.toml`` says; for a bare model file everything but the name is empty.
 
     Attributes:
@@ -164,24 +167,15 @@ class RobotFile:
 
     name: str
     path: Path | None = None
-    title: str = ""
-    tool: str | None = None
-    solver: str | None = None
-    home: str | tuple[float, ...] | None = None
-    tools: Mapping[str, Tool] = field(default_factory=dict)
-    groups: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    velocity: Mapping[str, float] = field(default_factory=dict)
-    acceleration: Mapping[str, float] = field(default_factory=dict)
-    stiffness: Mapping[str, float] = field(default_factory=dict)
-    couplings: Mapping[str, Coupled] = field(default_factory=dict)
-    speeds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    figure: FigureParts | None = None
-    reach: ReachScene | None = None
-    gallery: GalleryScene | None = None
+    velocity: dict[str, float] = Field(default={})
+    acceleration: dict[str, float] = Field(default={})
+    speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"RobotFile({self.name!r}, {self.title!r}, {self.path})"
+
+    __str__ = __repr__
 
 
 def catalogue() -> dict[str, Path]:
@@ -199,25 +193,15 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     parsed = read_table(_RobotTable, path, "robot.toml")
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
+        **{key: getattr(parsed, key) for key in _Keys.model_fields},
         name=path.parent.name,
         path=path,
-        title=parsed.title,
-        tool=parsed.tool,
-        solver=parsed.solver,
-        home=parsed.home,
-        tools=parsed.tools,
-        groups=parsed.groups,
         velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
         acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
-        stiffness=parsed.stiffness,
-        couplings=parsed.couplings,
         speeds={
             name: {joint: math.radians(speed) for joint, speed in speeds.items()}
             for name, speeds in parsed.speed_deg.items()
         },
-        figure=parsed.figure,
-        reach=parsed.reach,
-        gallery=parsed.gallery,
         sources=parsed.provenance.sources,
     )
 

@@ -151,14 +151,13 @@ Wxyz = Annotated[
 Made = TypeVar("Made", bound=Table)
 
 
-def check_table(model: type[Made], data: Any, file: Path | str, at: str = "") -> Made:
-    """The content of a file, or of one table of it, with every key checked.
+def check_table(model: type[Made], data: Any, file: Path | str) -> Made:
+    """The content of a file with every key checked.
 
     Args:
         model: What it should be.
         data: What a parser made of it.
         file: For messages.
-        at: Where in the file the table stands.
 
     Raises:
         ConfigError: A key is unknown, missing, of another type or out of range.
@@ -166,7 +165,7 @@ def check_table(model: type[Made], data: Any, file: Path | str, at: str = "") ->
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise config_error(error, file, at) from None
+        raise config_error(error, file) from None
 
 
 def read_table(model: type[Made], path: Path, what: str, hint: str = "") -> Made:
@@ -174,16 +173,10 @@ def read_table(model: type[Made], path: Path, what: str, hint: str = "") -> Made
     return check_table(model, read_toml(path, what, hint), path)
 
 
-def config_error(error: ValidationError, file: Path | str, at: str = "") -> ConfigError:
-    """What pydantic finds wrong in a file; an unknown key goes first, for it often explains a missing one.
-
-    Args:
-        error: Of ``model_validate``.
-        file: The file.
-        at: Where in it the table stands.
-    """
+def config_error(error: ValidationError, file: Path | str) -> ConfigError:
+    """What pydantic finds wrong in a file; an unknown key goes first, for it often explains a missing one."""
     found = sorted(_wrong_keys(error), key=lambda row: not row[0])
-    first = found[0][1].within((), at)
+    first = found[0][1]
     more = f"and {len(found) - 1} more to correct after this" if len(found) > 1 else ""
     first.hint = "\n".join(filter(None, (first.hint, more)))
     return first.in_file(file)

@@ -119,6 +119,8 @@ def take(browser: Any, shot: Shot) -> None:
         wait(lambda: not session.busy and shot.until(page._view))
         if shot.text:
             window.get_by_text(shot.text).first.wait_for()
+        for client in page.server.get_clients().values():
+            client.scene.configure_default_lights(cast_shadow=True)  # now, and not after a while
         window.wait_for_timeout(1500)  # tables are renewed once a second
         stop.set()
         window.wait_for_timeout(2500)  # a browser without a GPU draws parts of a frame late

@@ -53,17 +53,11 @@ class VirtualBus:
         latency: Seconds by which answers come later than they should, besides what the port was given.
     """
 
-    def __init__(
-        self,
-        servos: Iterable[VirtualServo],
-        clock: Clock,
-        seed: int = 0,
-        world: World | None = None,
-    ) -> None:
+    def __init__(self, servos: Iterable[VirtualServo], clock: Clock, seed: int = 0) -> None:
         self.servos = tuple(servos)
         self.clock = clock
         self.lock = threading.RLock()
-        self.world = world
+        self.world: World | None = None
         self.echo = self.unplugged = False
         self.latency = 0.0
         self.schedule = WireSchedule(clock)

@@ -111,7 +111,7 @@ def grid_body(
     return MarkerBody(name, markers)
 
 
-def cube_body(ids: Sequence[int], size: float, edge: float, *, name: str = "cube") -> MarkerBody:
+def cube_body(ids: Sequence[int], size: float, edge: float) -> MarkerBody:
     """A cube with a marker in the middle of up to six sides.
 
     Frame: centre of the cube.  The sides in their order: front (+z), right (+x), back (-z), left (-x), top
@@ -122,7 +122,6 @@ def cube_body(ids: Sequence[int], size: float, edge: float, *, name: str = "cube
         ids: One to six, in the order of the sides.
         size: Side of the black squares, metres.
         edge: Of the cube, metres.
-        name: Of the body.
 
     Raises:
         CameraError: Too many or repeated ids, or markers larger than the cube.
@@ -138,7 +137,7 @@ def cube_body(ids: Sequence[int], size: float, edge: float, *, name: str = "cube
     turns = [(0.0, k * quarter, 0.0) for k in range(4)] + [(-quarter, 0.0, 0.0), (quarter, 0.0, 0.0)]
     sides = [Pose.exp((0.0, 0.0, 0.0, *turn)) for turn in turns]
     out = Pose((0.0, 0.0, 0.5 * edge))
-    return MarkerBody(name, {i: (size, side.compose(out)) for i, side in zip(ids, sides, strict=False)})
+    return MarkerBody("cube", {i: (size, side.compose(out)) for i, side in zip(ids, sides, strict=False)})
 
 
 # ------------------------------------------------------------------------------------- files

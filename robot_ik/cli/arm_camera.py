@@ -25,33 +25,40 @@ Report = TypeVar("Report", covariant=True)
 
 #: Fewer views tell nothing, so there is nothing to go on with.
 LEAST_VIEWS = 4
+#: Behind the help of an option.
+NEEDED = "(needed for a real camera)"
 
 
-class ArmCameraOptions(Protocol):
+@dataclass(frozen=True, kw_only=True)
+class ArmCameraOptions:
     """The options of both."""
 
-    @property
-    def robot(self) -> str: ...
-    @property
-    def bus(self) -> str: ...
-    @property
-    def arm(self) -> str: ...
-    @property
-    def frame(self) -> str: ...
-    @property
-    def camera(self) -> str: ...
-    @property
-    def intrinsics(self) -> str: ...
-    @property
-    def board(self) -> str: ...
-    @property
-    def dictionary(self) -> str: ...
-    @property
-    def views(self) -> int: ...
-    @property
-    def speed(self) -> float: ...
-    @property
-    def seed(self) -> int: ...
+    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
+    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    bus: Annotated[str, bus_argument()] = "sim"
+    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
+    """Servo ids, signs, zeros and limits."""
+    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    """Robot frame that carries camera or board."""
+    camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
+    """Where the pictures come from."""
+    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=NEEDED)] = ""
+    """Its calibration."""
+    board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=NEEDED)] = ""
+    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
+    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
+    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
+    """Of the board's markers."""
+    views: Annotated[int, arg(metavar="N")] = 15
+    """How many pictures to take: 4 to 100."""
+    speed: float = 1.0
+    """Share of the joints' speed limits, above 0 and up to 1."""
+    dry_run: bool = False
+    """Plan the views and print them; nothing moves."""
+    seed: int = 0
+    """Of the planning and of the synthetic camera's noise."""
+    json: bool = False
+    """Print one JSON object on stdout instead of tables."""
 
 
 def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, Any]:
@@ -125,12 +132,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
 
     try:
         with console.progress() as bar:
-            task = bar.add_task("opening", total=1.0, note="")
-
-            def progress(phase: str, share: float) -> None:
-                bar.update(task, description=phase, completed=share)
-
-            return job(keep=keep, progress=progress)
+            return job(keep=keep, progress=console.phases_on(bar))
     except KeyboardInterrupt:
         console.say(f"interrupted after {views} views", "yellow")
         if views >= LEAST_VIEWS:
@@ -152,8 +154,8 @@ def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
 _POSE = "X Y Z [W X Y Z]"
 
 
-@dataclass(frozen=True)
-class CameraHandeyeOptions:
+@dataclass(frozen=True, kw_only=True)
+class CameraHandeyeOptions(ArmCameraOptions):
     """Moves the arm through views that it plans itself, and finds where the camera is mounted.
 
     eye-to-hand: the camera stands beside the arm, the arm carries the board. eye-in-hand: the arm carries
@@ -163,22 +165,6 @@ class CameraHandeyeOptions:
 
     mounting: Literal["eye-in-hand", "eye-to-hand"] = "eye-to-hand"
     """Whether the arm carries the camera or the board."""
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
-    bus: Annotated[str, bus_argument()] = "sim"
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
-    """Servo ids, signs, zeros and limits."""
-    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
-    """Robot frame that carries camera or board."""
-    camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
-    """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
-    """Its calibration."""
-    board: Annotated[str, arg(metavar="BOARD", help_behavior_hint="(needed for a real camera)")] = ""
-    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
-    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
-    """Of the board's markers."""
     camera_guess: Annotated[
         tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the scene's)")
     ] = ()
@@ -187,22 +173,12 @@ class CameraHandeyeOptions:
         tuple[float, ...], arg(metavar=_POSE, help_behavior_hint="(default: the scene's)")
     ] = ()
     """Where the board is, roughly, seen from the frame that carries it (eye-to-hand) or from the world."""
-    views: Annotated[int, arg(metavar="N")] = 15
-    """How many pictures to take: 4 to 100."""
-    speed: float = 1.0
-    """Share of the joints' speed limits, above 0 and up to 1."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
     """Where the camera's place goes; the samples go beside it."""
     overwrite: bool = False
     """Replace both."""
     samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
     """Solve what was measured before; nothing moves."""
-    dry_run: bool = False
-    """Plan the views and print them; nothing moves."""
-    seed: int = 0
-    """Of the planning and of the synthetic camera's noise."""
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
 
 
 def run(options: CameraHandeyeOptions) -> int:

@@ -14,8 +14,13 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import joint_degrees, pose_option, wrong
-from robot_ik.cli.arm_camera import arm_camera_values, measured, numbers_of_seen
-from robot_ik.cli.connection import bus_argument
+from robot_ik.cli.arm_camera import (
+    NEEDED,
+    ArmCameraOptions,
+    arm_camera_values,
+    measured,
+    numbers_of_seen,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
@@ -25,11 +30,10 @@ if TYPE_CHECKING:
 
 
 _NOT_WRITTEN = "nothing is written: to keep these zeros, give your arm file with --arm"
-_NEEDED = "(needed for a real camera)"
 
 
-@dataclass(frozen=True)
-class CameraVerifyOptions:
+@dataclass(frozen=True, kw_only=True)
+class CameraVerifyOptions(ArmCameraOptions):
     """Moves a board carried by the tool through poses, and says how far it is from where the joints say.
 
     The camera stands beside the arm; its place must come from a board on the table (camera locate), not from
@@ -40,24 +44,8 @@ class CameraVerifyOptions:
     Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
-    bus: Annotated[str, bus_argument()] = "sim"
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
-    """Servo ids, signs, zeros and limits; what --fit writes to."""
-    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
-    """Robot frame that carries the board."""
-    camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
-    """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=_NEEDED)] = ""
-    """Its calibration."""
-    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=_NEEDED)] = ""
+    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = ""
     """Where it stands, from camera locate."""
-    board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=_NEEDED)] = ""
-    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
-    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
-    """Of the board's markers."""
     board_pose: Annotated[
         tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: in the frame)")
     ] = ()
@@ -82,16 +70,8 @@ class CameraVerifyOptions:
     """Judge what was measured before; nothing moves."""
     picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
     """Draw the errors, from above and from the side (needs the extra plots)."""
-    speed: float = 1.0
-    """Share of the joints' speed limits, above 0 and up to 1."""
-    dry_run: bool = False
-    """Plan the poses and print them; nothing moves."""
-    seed: int = 0
-    """Of the planning and of the synthetic camera's noise."""
     rehearse_zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
     """Simulated servos whose shaft is some degrees ahead of what their registers say."""
-    json: bool = False
-    """Print one JSON object on stdout instead of tables."""
 
 
 def run(options: CameraVerifyOptions) -> int:
@@ -236,7 +216,7 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
     screen = console.out()
     screen.print(_poses(report))
     screen.print(_regions("the arm as it is", report.judged(corrected=False)))
-    if report.by_arm:
+    if report.known.by_arm:
         screen.print(
             "The camera's place was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
@@ -292,7 +272,7 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
 def _offset_table(report: VerifyReport) -> Any:
     fit = report.fit
     assert fit is not None
-    truth = report.true_offsets
+    truth = report.known.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
     rows = console.table(*columns, title="joint zeros")
     for k, name in enumerate(fit.joints):
@@ -308,17 +288,19 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     found: dict[str, Any] = {
         "schema": 1,
         "job": "verify",
-        "robot": report.samples.robot,
+        "robot": report.known.samples.robot,
         "joints": report.robot.joints,
-        "frame": report.frame,
+        "frame": report.known.samples.frame,
         "stations": [q.tolist() for q in report.stations],
         "unseen": list(report.unseen),
     }
     if verdict is None:
         return found
     found |= verdict
-    found["extrinsics_by_arm"] = report.by_arm
-    found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
+    found["extrinsics_by_arm"] = report.known.by_arm
+    found["poses"] = [
+        _error(one) | {"q": q} for one, q in zip(report.errors, report.known.samples.q, strict=True)
+    ]
     found["unsure"] = list(report.unsure)
     found["regions"] = _sums(report.judged(corrected=False))
     fit = report.fit
@@ -326,7 +308,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         found["fit"] = {
             "offsets_rad": fit.offsets,
             "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
-            "true_rad": report.true_offsets,
+            "true_rad": report.known.true_offsets,
             "held": [{"joint": one.joint, "why": one.words} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +255,17 @@ def progress() -> Progress:
         transient=True,
         disable=not console.is_terminal,
     )
+
+
+def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], None]:
+    """The ``progress`` of a job: its phase, and the share of it that is done, on a bar.
+
+    Args:
+        bar: Shown already.
+        before: What goes on before the first phase.
+    """
+    task = bar.add_task(before, total=1.0, note="")
+    return lambda phase, share: bar.update(task, description=phase, completed=share)
 
 
 @contextlib.contextmanager

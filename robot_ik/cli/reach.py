@@ -138,16 +138,12 @@ def run(options: ReachOptions) -> int:
         claimed(options.record, overwrite=options.overwrite),
         console.progress() as bar,
     ):
-        task = bar.add_task("opening", total=1.0, note="")
-
-        def progress(phase: str, share: float) -> None:
-            bar.update(task, description=phase, completed=share)
 
         def done(report: ReachReport) -> None:
             bar.stop()
             _save_and_print(report, folder, options)
 
-        report = run_reach(request, progress, done)
+        report = run_reach(request, console.phases_on(bar), done)
     return console.DONE if report.reached else console.NOT_ACHIEVED
 
 

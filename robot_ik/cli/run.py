@@ -81,12 +81,7 @@ def _run(script: Script, options: RunOptions) -> int:
     this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed, options.record))
     try:
         with console.progress() as bar, _quiet(options.bus):
-            task = bar.add_task("getting ready", total=1.0, note="")
-
-            def progress(name: str, share: float) -> None:
-                bar.update(task, description=name, completed=share)
-
-            this.run(progress)
+            this.run(console.phases_on(bar, "getting ready"))
     finally:
         if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
             _report(this.report, options)

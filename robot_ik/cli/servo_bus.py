@@ -85,18 +85,18 @@ def run_ports(options: PortsOptions) -> int:
     return console.DONE if rows else console.NOT_ACHIEVED
 
 
-def port_row(port: Any, sys_root: str = "/sys", system: str = sys.platform) -> PortRow:
+def port_row(port: Any, system: str = sys.platform) -> PortRow:
     """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
     vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
     about = port.description or "serial port"
-    row = serial_row(port.device, about, sys_root=sys_root, system=system, vendor=vendor)
+    row = serial_row(port.device, about, system=system, vendor=vendor)
     return PortRow(
         port.device,
         stable_name(port.device),
         port.description or "",
         f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
         getattr(port, "serial_number", None) or "",
-        latency_ms(port.device, sys_root),
+        latency_ms(port.device),
         named_users_of(port.device),
         row.status,
         row.do,

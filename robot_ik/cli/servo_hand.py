@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.calibration import Sweep
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.joint_map import JointMap
+    from robot_ik.hardware.joint_map import JointMap, Sign
     from robot_ik.motion import Trajectory
 
 
@@ -213,7 +213,7 @@ def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limi
     def swept() -> None:
         calibration.check_sweep(config, sweep)
 
-    def turned(joint: JointMap, before: Mapping[int, int]) -> dict[int, int]:
+    def turned(joint: JointMap, before: Mapping[int, int]) -> dict[int, Sign]:
         return calibration.wiggled(config, joint, before, sweep.now)
 
     _step(prompts, "1. sweep: move every joint from one stop to the other", sample, swept)
@@ -222,7 +222,7 @@ def _by_hand(arm: Arm, prompts: Prompts, pose: Mapping[str, float], limits: Limi
     text = f"2. zero: put the arm into the pose {where} and hold it"
     zero = _step(prompts, text, sample, lambda: _held(arm, sweep, sample))
     swept()  # that pose may lie beyond what was swept
-    directions: dict[int, int] = {}
+    directions: dict[int, Sign] = {}
     for k, joint in enumerate(config.joints, 1):
         about = joint.text(calibration.ASKED_WIGGLE * joint.lever, 0)
         text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"

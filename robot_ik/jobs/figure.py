@@ -32,7 +32,7 @@ from robot_ik.files import read_csv, shown, write_atomically
 from robot_ik.jobs.ar.job import (
     ArReport,
     ArRequest,
-    Progress,
+    PictureProgress,
     heights,
     marker_from_base,
     marker_places,
@@ -228,7 +228,7 @@ class MarkerFigure:
 
 
 def draw_on_camera(
-    abilities: Abilities, request: FigureRequest, camera: ArRequest, progress: Progress
+    abilities: Abilities, request: FigureRequest, camera: ArRequest, progress: PictureProgress
 ) -> tuple[ArReport, list[FigureFrame]]:
     """The figure drawn into the pictures of a camera, acting on a marker in them."""
     frames: list[FigureFrame] = []

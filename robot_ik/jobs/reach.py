@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from robot_ik.errors import (
 from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs import JobReport, Progress
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
@@ -136,11 +137,8 @@ class ReachRequest:
 SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
-Phase = TypeVar("Phase")
-
-
 @dataclass(eq=False)
-class ReachReport:
+class ReachReport(JobReport):
     """What happened, as far as it got; fields stay None where it did not get.
 
     Attributes:
@@ -182,12 +180,6 @@ class ReachReport:
     after: Any = None
     problem: RobotIkError | None = None
     counters: dict[str, int] = field(default_factory=dict)
-
-    def keep(self, phase: Phase) -> Phase:
-        """Takes over what a phase has found; its fields have the names of these."""
-        for one in fields(phase):  # type: ignore[arg-type]
-            setattr(self, one.name, getattr(phase, one.name))
-        return phase
 
     @property
     def decision(self) -> Verdict:
@@ -235,9 +227,6 @@ Array = NDArray[np.float64]
 _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorFaultError)
 # How long the servos may take to arrive after the last command.
 _SETTLE_SECONDS = 0.4
-
-
-Progress = Callable[[str, float], None]
 
 
 def run_reach(

@@ -15,7 +15,8 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.bundle import named_row
+from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.linalg import eliminate
 from robot_ik.kernels.loop import (
@@ -31,7 +32,8 @@ from robot_ik.kernels.loop import (
     some_within_reach,
     step_bounds,
 )
-from robot_ik.kernels.residuals import goal_end, goal_jacobian
+from robot_ik.kernels.residuals import goal_end, goal_jacobian, open_goals
+from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import (
     ALL_GOALS,
     BEST_COST,
@@ -60,7 +62,13 @@ from robot_ik.kernels.workspace import (
     STATUS,
     TRY_LIMIT,
     TRY_STEPS,
+    open_run,
+    open_work,
 )
+
+LEVEL_OPTIONS = ("damping", "increase", "decrease", "least", "floor")
+"""Options of ``lm`` that count here, in their order."""
+open_options = named_row("LevelOptions", tuple((name, float) for name in LEVEL_OPTIONS))
 
 # Damping of levels that are served already: nothing where they are met, else in proportion to their cost.
 _HELD_DAMPING = 1e-12
@@ -692,3 +700,11 @@ def run_levels(tree, goal, work, options):
             next_level(tree, goal, work, options.damping)
         else:
             level_step(tree, goal, work, options)
+
+
+@kernel
+def lm_levels(run):
+    """``lm`` for goals of several priorities, and for soft ones; its options are ``LEVEL_OPTIONS``."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run_levels(tree, goal, work, open_options(run.options))

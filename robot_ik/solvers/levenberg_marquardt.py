@@ -24,7 +24,6 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, copy, give_row, measure, proceed, step_bounds, take_row
-from robot_ik.kernels.priorities import run_levels
 from robot_ik.kernels.residuals import (
     ORIENTATION,
     PARTIAL,
@@ -146,8 +145,6 @@ _NO_CLAMP = 1e6
 # more to gain: a share of the cost, of which rounding leaves some 1e-15.
 _EXACT_DECREASE = 0.1
 _NOTHING_LEFT = 1e-13
-# What is served level after level.
-_LEVELS = frozenset({"priorities", "soft"})
 
 
 @dataclass(frozen=True)
@@ -196,16 +193,25 @@ class LevenbergMarquardt(IterativeSolver):
         return lm_guided if self.guided else lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        return lm_levels if problem.features & _LEVELS else self.kernel()
+        if not has_levels(problem.compiled):
+            return self.kernel()
+        from robot_ik.kernels.priorities import lm_levels  # which few problems need
+
+        return lm_levels
 
     def beyond(self, problem: Problem) -> str:
-        if self.guided and problem.features & _LEVELS:
+        if self.guided and has_levels(problem.compiled):
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().beyond(problem)
 
     def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
-        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work}
-        return (RUN.pack(tables | {"options": self.option_values}),)
+        options = self.option_values
+        if has_levels(compiled):
+            from robot_ik.kernels.priorities import LEVEL_OPTIONS
+
+            options = np.array([getattr(self, name) for name in LEVEL_OPTIONS], dtype=float)
+        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": options}
+        return (RUN.pack(tables),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
@@ -225,6 +231,11 @@ class LevenbergMarquardt(IterativeSolver):
 
 
 open_options = options_of(LevenbergMarquardt)
+
+
+def has_levels(compiled: CompiledProblem) -> bool:
+    """Whether goals are served level after level: they have several priorities, or some are soft."""
+    return bool(compiled.goal_arrays["level"].any() or compiled.goal_arrays["soft"].any())
 
 
 @pure
@@ -382,14 +393,6 @@ def lm(run):
     while proceed(tree, goal, work):
         lm_step(tree, goal, work, work.frames, work.residual, options)
         advance(tree, goal, work)
-
-
-@kernel
-def lm_levels(run):
-    """``lm`` for goals of several priorities, and for soft ones."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
-    run_levels(tree, goal, work, open_options(run.options))
 
 
 @kernel

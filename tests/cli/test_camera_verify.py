@@ -58,11 +58,12 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
                     time.sleep(5.0)
                 some.add(q, view)
                 keep(VerifySamples(some, *known, False, HIDDEN, servos))
-        stations = tuple(samples.q)
-        empty = VerifyReport(
-            robot, "flange", stations, samples, (3,), *known, False, (), None, config, HIDDEN
-        )  # fmt: skip
-        return empty if dry_run else verify._judged(empty, request.fit)
+        report = VerifyReport(
+            robot, config, VerifySamples(samples, *known, False, HIDDEN), tuple(samples.q), (3,)
+        )
+        if not dry_run:
+            report.keep(verify.compare(report.known, robot, 9, fit=request.fit))
+        return report
 
     monkeypatch.setattr(verify, "run_verify", run)
     return path

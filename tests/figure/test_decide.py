@@ -241,7 +241,7 @@ def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities)
     robot = load_robot("humanoid")
     parts = robot.file.figure
     assert parts is not None
-    file = replace(robot.file, figure=parts.model_copy(update={"hands": {}}))
+    file = robot.file.model_copy(update={"figure": parts.model_copy(update={"hands": {}})})
     armless = load_figure(replace(robot, file=file))
     found = decide(replace(abilities, figure=armless, maps={}), (0.4, -0.2, 1.2))
     assert found.action == "nothing" and "no hands" in found.reason

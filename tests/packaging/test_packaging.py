@@ -126,7 +126,7 @@ print(*sorted(name for name in sys.modules if name.partition(".")[0] == "robot_i
 def test_a_solve_loads_what_it_needs() -> None:
     """No reader of URDFs, no pose prior, no step of other methods, nothing above the solvers."""
     run = subprocess.run([sys.executable, "-c", ONE_SOLVE], capture_output=True, text=True, check=True)
-    assert len(run.stdout.split()) <= 28, run.stdout
+    assert len(run.stdout.split()) <= 27, run.stdout
 
 
 def test_hardware_refuses_its_bare_name() -> None:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robot_ik.batch import solve_batch
 from robot_ik.errors import ConfigError, InvalidGoalError, UnsupportedGoalError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.inverse_kinematics import solve, solve_batch
+from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status
@@ -55,7 +56,7 @@ def test_wrong_members_are_refused(puma):
 @pytest.mark.parametrize("name", ["auto", "lm", "dls", "analytic"])
 @pytest.mark.parametrize("threads", [1, 3])
 def test_a_batch_gives_the_same_answers_as_one_by_one(puma, name, threads, monkeypatch):
-    monkeypatch.setattr("robot_ik.inverse_kinematics._LEAST_PER_THREAD", 5)
+    monkeypatch.setattr("robot_ik.batch._LEAST_PER_THREAD", 5)
     poses = poses_of(puma, 24)
     matrices = np.array([p.matrix for p in poses])
     matrices[3, :3, 3] = 3.0  # out of reach

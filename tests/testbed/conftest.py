@@ -106,7 +106,7 @@ class Screen:
         deadline = time.monotonic() + PATIENCE
         last = self.shot()
         while time.monotonic() < deadline:
-            time.sleep(0.4)
+            time.sleep(0.25)
             now = self.shot()
             fresh = now.max() > 0 if differs_from is None else changed(now, differs_from) > 0
             if fresh and changed(now, last) == 0:

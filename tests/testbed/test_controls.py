@@ -14,6 +14,7 @@ from robot_ik.bench.page import PageClient
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session
+from tests.testbed.conftest import PATIENCE
 
 ELSEWHERE = {"Path", "Hand over"}
 """A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
@@ -31,7 +32,7 @@ def stage() -> Iterator[tuple[Page, PageClient, Sent]]:
         for _ in range(3):
             session.tick()
         session.send = sent.put  # type: ignore[method-assign]
-        with Page(session, port=8730) as page, PageClient(page.url) as client:
+        with Page(session, port=8730, shadows=False) as page, PageClient(page.url) as client:
             yield page, client, sent
 
 
@@ -67,7 +68,7 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
         *(one.message_buffer for one in server._client_state_from_id.values()),
     ]
     before = counts(page, buffers)
-    deadline = time.monotonic() + 2.0
+    deadline = time.monotonic() + PATIENCE
     client._send(message)
     while time.monotonic() < deadline:
         page.draw(page._view)

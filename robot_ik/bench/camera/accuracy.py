@@ -112,15 +112,15 @@ def marker(effort: Effort) -> Iterator[Quantity]:
 
 
 def _boards(
-    effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False, tilt: float = 60.0
+    effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False
 ) -> Iterator[tuple[Pose, BodyObservation | None]]:
-    """True pose and observation of a board of side × side markers, tilted by up to ``tilt`` degrees."""
+    """True pose and observation of a board of side × side markers, tilted by up to 60 degrees."""
     layout = grid_body(side, side, STANDARD_SIZE, _GAP).markers
     size = side * STANDARD_SIZE + (side - 1) * _GAP
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
     for number in range(effort.count(count)):
-        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, tilt))
+        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
         placed = {i: (s, pose.compose(on)) for i, (s, on) in layout.items()}
         cover = _half(pose, size, rng) if hidden else None
         image = render_markers(
@@ -387,22 +387,23 @@ LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
 """Azuma's remedies: what part of the delay is left, and what is done about it."""
 
 
-def remedy_errors(
-    delay: float = 0.066, seconds: float = 4.0, *, rate_hz: float = 30.0, seed: int = 0
-) -> dict[str, Misses]:
+# Pictures a second of the registration that lags.
+_RATE_HZ = 30.0
+
+
+def remedy_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Misses]:
     """Registration errors of a robot on a moving board when tracking and drawing take ``delay`` seconds.
 
     Each remedy is measured on the same pictures, with points of a robot on the board.
     """
-    rng = np.random.default_rng([seed, 5])
-    steps = max(1, round(delay * rate_hz))
-    count = round(seconds * rate_hz)
-    times = np.arange(count) / rate_hz
+    rng = np.random.default_rng([0, 5])
+    steps = max(1, round(delay * _RATE_HZ))
+    times = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
     frames = [_photograph(hand_motion(t), rng, k, float(t)) for k, t in enumerate(times)]
     watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
     looks = [watcher.see(frame) for frame in frames]
     return {
-        name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(seed))
+        name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(0))
         for name, (share, latency_options) in LATENCY_CASES.items()
     }
 

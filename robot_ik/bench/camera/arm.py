@@ -20,7 +20,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEyeSample, moved, solve_handeye
 from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
-from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro
+from robot_ik.camera.motion_filter import MotionFilter, OneEuro
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
@@ -278,9 +278,7 @@ def hand(rng: np.random.Generator) -> Callable[[float], Array]:
     return lambda t: np.asarray((size * np.sin(2.0 * np.pi * frequency * t + phase)).sum(axis=0))
 
 
-def compare_filters(
-    hands: int = 4, seconds: float = 20.0, seed: int = 0, options: FilterOptions | None = None
-) -> tuple[list[Lag], list[Lag]]:
+def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tuple[list[Lag], list[Lag]]:
     """Errors of a moving and of a resting hand, at each of ``DELAYS``.
 
     30 pictures a second, noise of 0.3 mm along each axis.
@@ -289,19 +287,16 @@ def compare_filters(
         hands: Different motions.
         seconds: Of each.
         seed: Of motions and noise.
-        options: Of the motion filter.
     """
     rng = np.random.default_rng(seed)
-    moving = [_errors(hand(rng), seconds, rng, options) for _ in range(hands)]
-    resting = [_errors(lambda t: np.zeros(3), seconds, rng, options) for _ in range(hands)]
+    moving = [_errors(hand(rng), seconds, rng) for _ in range(hands)]
+    resting = [_errors(lambda t: np.zeros(3), seconds, rng) for _ in range(hands)]
     return _lags(np.concatenate(moving)), _lags(np.concatenate(resting))
 
 
-def _errors(
-    path: Callable[[float], Array], seconds: float, rng: np.random.Generator, options: FilterOptions | None
-) -> Array:
+def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Generator) -> Array:
     """(n, delays, 3) errors in metres of holding, predicting and calming."""
-    tracked, calm = MotionFilter(options), OneEuro()
+    tracked, calm = MotionFilter(), OneEuro()
     covariance = np.diag([_NOISE_M**2] * 3 + [_NOISE_RAD**2] * 3)
     rows = []
     for k in range(int(seconds * _RATE_HZ)):
@@ -374,8 +369,8 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
             frame=scene.cube_frame, pose_frame_board=board, board_sigma=_VERIFY_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
-        assert report.fit is not None and report.true_offsets is not None
-        worst.append(float(np.abs(report.fit.offsets - report.true_offsets).max()))
+        assert report.fit is not None and report.known.true_offsets is not None
+        worst.append(float(np.abs(report.fit.offsets - report.known.true_offsets).max()))
         largest.append(summary(report.judged(corrected=True)).largest)
         for _ in range(_SPOILT):
             off, sigma = _spoilt(report, rng)
@@ -392,13 +387,13 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
 
 def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
     """Errors and standard deviations (nv,) with noise in corners and joints."""
-    views = _noisy(report.samples.q, report.samples.views, rng)
+    known, samples = report.known, report.known.samples
+    views = _noisy(samples.q, samples.views, rng)
     fit = fit_zero_offsets(
-        views, report.robot, report.frame, report.samples.intrinsics,
-        camera=report.camera, board=report.board,
-    )  # fmt: skip
-    assert report.true_offsets is not None and fit.found == report.robot.joints
-    return fit.offsets - report.true_offsets, fit.sigma
+        views, report.robot, samples.frame, samples.intrinsics, camera=known.camera, board=known.board
+    )
+    assert known.true_offsets is not None and fit.found == report.robot.joints
+    return fit.offsets - known.true_offsets, fit.sigma
 
 
 def _noisy(

@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Batch, Floor, Growth
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.inverse_kinematics import solve_batch, usable_cores
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose

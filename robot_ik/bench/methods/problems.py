@@ -204,22 +204,21 @@ class ProblemSet:
         return len(self.targets)
 
 
-def make_set(name: str, robot: Robot, count: int, seed: int = 0, frame: str | None = None) -> ProblemSet:
-    """``count`` problems of one kind.
+def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
+    """``count`` problems of one kind for the tool.
 
     Args:
         name: A key of ``SETS``.
         robot: From ``load_robot``.
         count: How many.
         seed: The same seed gives the same numbers.
-        frame: Default: the tool.
 
     Returns:
         The set; empty, with a reason, where the robot cannot have such problems.
     """
     # A stream of its own for each kind: asking for one set more changes no other.
     rng = np.random.default_rng([seed, *name.encode()])
-    return SETS[name](robot, count, rng, robot.tool if frame is None else frame)
+    return SETS[name](robot, count, rng, robot.tool)
 
 
 def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:

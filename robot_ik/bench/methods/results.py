@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from robot_ik.batch import usable_cores
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import read_json
-from robot_ik.inverse_kinematics import usable_cores
 from robot_ik.tables import config_error
 
 if TYPE_CHECKING:

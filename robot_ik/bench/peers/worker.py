@@ -119,6 +119,8 @@ class RoboticsToolbox(Library):
     needs = ("roboticstoolbox-python", "numpy<2")
 
     def setup(self, task: Task) -> bool:
+        if len(task.sites) != 1 or task.free_base:
+            return False
         rtb = importlib.import_module("roboticstoolbox")
         parts = []
         for frame, low, high in zip(task.frames, task.lower, task.upper):  # noqa: B905
@@ -128,7 +130,7 @@ class RoboticsToolbox(Library):
         tolerance = 0.5 * (0.7 * min(task.position, task.angle)) ** 2
         self._options = {"ilimit": 30, "slimit": 100, "tol": tolerance, "k": 0.1, "method": "chan"}
         self.settings = f"ETS.ik_LM, {self._options}, joint_limits"
-        return len(task.sites) == 1 and not task.free_base
+        return True
 
     def solve(self, target: Array, start: Array) -> Array | None:
         found = self._chain.ik_LM(target, q0=start, joint_limits=True, **self._options)

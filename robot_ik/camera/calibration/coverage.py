@@ -40,7 +40,6 @@ class Coverage:
         pixels: (n, 2) all corners of all views.
         parts: (3, 3) number of views that showed each part of the picture.
         leans: (views, 2) tilt in degrees, towards the side of the picture on which the board is farther away.
-        spacings: (views,) squares in pixels: large is near.
         missing: In words; empty when nothing is.
     """
 
@@ -48,7 +47,6 @@ class Coverage:
     pixels: Array
     parts: NDArray[np.int64]
     leans: Array
-    spacings: Array
     missing: tuple[str, ...]
 
 
@@ -69,7 +67,7 @@ def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple
     leans = np.array([_lean(r) for r in rotations]).reshape(-1, 2)
     spacings = np.array([_spacing(f) for f in found])
     pixels = np.concatenate([f.pixels for f in found]) if found else np.zeros((0, 2))
-    return Coverage(size, pixels, parts, leans, spacings, tuple(_missing(parts, leans, spacings)))
+    return Coverage(size, pixels, parts, leans, tuple(_missing(parts, leans, spacings)))
 
 
 def _lean(rotation: Array) -> Array:

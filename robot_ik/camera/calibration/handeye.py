@@ -20,7 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, cross_matrices, point_jacobian
-from robot_ik.camera.calibration.least_squares import ArmNoise, Fit, estimate_noise, fit_shared, fit_without
+from robot_ik.camera.calibration.least_squares import (
+    ArmNoise,
+    LeftOut,
+    LinearViews,
+    Normal,
+    estimate_noise,
+    normal_equations,
+)
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
@@ -352,14 +359,16 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
 # ------------------------------------------------------------------------------------------
 # Hand-eye calibration: where a camera sits on the arm, or stands beside it.
 #
-# A first answer from AX = XB (``handeye_start``), then the joint least squares of all corners in all pictures
-# over both unknown poses.  Two errors are told apart: that of the pixels, and that of the arm, which
-# moves all
-# corners of a picture together (servo ticks, gear play, geometry).  How large the arm's is, is estimated from
-# the views themselves (restricted maximum likelihood), so the stated uncertainty is an honest one.
+# A first answer from AX = XB (``start_handeye``), then the joint least squares of all corners in all pictures
+# over both unknown poses.  Two errors are told apart: that of the pixels, and that of the arm, which moves
+# all corners of a picture together (servo ticks, gear play, geometry).  How large the arm's is, is estimated
+# from the views themselves (restricted maximum likelihood), so the stated uncertainty is an honest one.
 
 
 _ROUNDS = 25
+# The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
+_ALL = np.arange(12)
+_HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
 # Steps smaller than this (metres, rad) end the iteration; larger than _LARGEST_STEP they are shortened.
 _DONE, _LARGEST_STEP = 1e-7, 0.5
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
@@ -458,13 +467,15 @@ def solve_handeye(
         data = compress(mount, samples, intrinsics, corners)
         scale = pixel_scale(data)
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        before = noise = estimate_noise(data, scale, before)
-        fit = fit_shared(data, noise)
-        step = fit.step * min(1.0, _LARGEST_STEP / max(float(np.abs(fit.step).max()), 1e-300))
+        views = _linear(data, scale)
+        before = estimate_noise(views, _ALL, before)
+        normal = normal_equations(views, before, _ALL)
+        step = normal.step()
+        step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
         mount = mount.moved(step)
         if np.abs(step).max() < _DONE:
             break
-    found = _result(mount, samples, intrinsics, data, noise, fit, spread)
+    found = _result(mount, samples, intrinsics, normal, spread)
     require_explained(
         [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
     )
@@ -508,53 +519,47 @@ def pixel_scale(data: Compressed) -> float:
     return float(np.sqrt((prior + freedom * robust**2 / share) / (prior + freedom)))
 
 
+def _linear(data: Compressed, pixel_scale: float) -> LinearViews:
+    """The views for the fit of camera and board: the hand is off, position and angle; nothing is known."""
+    sources = np.broadcast_to(_HAND[:, None], (2, len(data.covariance), 6, 6))
+    return LinearViews(
+        data.pseudo_measurement, data.covariance * pixel_scale**2, data.by_shared, sources,
+        np.zeros((12, 12)), np.zeros(12),
+    )  # fmt: skip
+
+
 def _result(
     mount: Mount,
     samples: Sequence[HandEyeSample],
     intrinsics: CameraIntrinsics,
-    data: Compressed,
-    noise: ArmNoise,
-    fit: Fit,
+    normal: Normal,
     spread: Array,
 ) -> HandEye:
-    residuals = []
-    for k, sample in enumerate(samples):
-        without = fit_without(data, noise, fit, k)
-        points = sample.view.points
-        residuals.append(
-            _residual(
-                mount, sample, intrinsics, without.step, without.pseudo_measurement, without.sigmas, points
-            )
-        )
+    residuals = [_residual(mount, sample, intrinsics, normal.left_out(k)) for k, sample in enumerate(samples)]
     good = [one for one in residuals if not one.outlier] or residuals
+    position, angle = normal.noise.sizes.tolist()
     return HandEye(
         mounting=mount.mounting,
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
-        covariance=fit.covariance,
+        covariance=normal.covariance,
         residuals=tuple(residuals),
         residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),
         residual_mm=float(1e3 * np.sqrt(np.mean([one.left_out_position**2 for one in good]))),
-        arm_position=noise.position,
-        arm_angle=noise.angle,
+        arm_position=position,
+        arm_angle=angle,
         spread=spread,
     )
 
 
 def _residual(
-    mount: Mount,
-    sample: HandEyeSample,
-    intrinsics: CameraIntrinsics,
-    step: Array,
-    pseudo_measurement: Array,
-    sigmas: float,
-    points: Array,
+    mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics, without: LeftOut
 ) -> ViewResidual:
-    others = mount.moved(step)
+    others, points = mount.moved(without.step), sample.view.points
     # The target moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
-    moved = HandEyeSample(sample.pose_world_hand.compose(Pose.exp(pseudo_measurement)), sample.view)
-    found = others.pose_camera_board(moved)
+    hand = sample.pose_world_hand.compose(Pose.exp(without.pseudo_measurement))
+    found = others.pose_camera_board(HandEyeSample(hand, sample.view))
     apart = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
     left_out = _rms_distance(others.miss(sample, intrinsics))
     return ViewResidual(
@@ -562,8 +567,8 @@ def _residual(
         left_out_pixels=left_out,
         left_out_position=float(np.sqrt(np.mean(apart**2))),
         left_out_angle=expected.distance(found)[1],
-        sigmas=sigmas,
-        outlier=sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,
+        sigmas=without.sigmas,
+        outlier=without.sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,
     )
 
 

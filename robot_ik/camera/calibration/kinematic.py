@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,13 +21,12 @@ from robot_ik.camera.calibration.handeye import (
     require_explained,
 )
 from robot_ik.camera.calibration.least_squares import (
-    JointNoise,
+    ArmNoise,
+    LinearViews,
     Normal,
     Unobservable,
-    cost,
-    estimate_joint_noise,
+    estimate_noise,
     find_unobservable,
-    inverse,
     joint_information,
     normal_equations,
 )
@@ -39,7 +38,7 @@ from robot_ik.robot import Robot
 # ------------------------------------------------------------------------------------------
 # What self-calibration sees: an arm whose joints may be off by constants, a camera and a board.
 #
-# Each view is boiled down to the twist of the hand that its picture asks for (``handeye_model.compress``); a
+# Each view is boiled down to the twist of the hand that its picture asks for (``handeye.compress``); a
 # change of the joints' offsets moves the hand too, so all unknowns enter those six numbers linearly.
 
 
@@ -117,32 +116,6 @@ class ArmEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class Linear:
-    """All views, linear at one state, and what is known of the poses beforehand.
-
-    Attributes:
-        pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
-        pixels: (n, 6, 6) covariance of it from the corners alone.
-        rows: (n, 6, nv + 12) by how much the unknowns change it.
-        arm: (n, 6, 6) covariance that one rad of error in each joint would give it.
-        prior: (nv + 12, nv + 12) information on the poses; ``off``: (nv + 12,) from where they were thought.
-        data: What ``compress`` gave.
-    """
-
-    pseudo_measurement: Array
-    pixels: Array
-    rows: Array
-    arm: Array
-    prior: Array
-    off: Array
-    data: Compressed
-
-    def scaled(self, pixel_scale: float) -> Linear:
-        """The same with corners that are worse by a factor."""
-        return replace(self, pixels=self.pixels * pixel_scale**2)
-
-
-@dataclass(frozen=True, eq=False)
 class ArmModel:
     """What does not change while the unknowns are sought.
 
@@ -176,20 +149,24 @@ class ArmModel:
         """The views, with the hand where the offsets put it."""
         return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
 
-    def linear(self, state: ArmEstimate, weights: Sequence[Array] | None = None) -> Linear:
-        """All views at ``state``; ``weights`` of their corners as for ``compress``."""
-        samples = self.samples(state)
-        data = compress(state.mount, samples, self.intrinsics, weights)
+    def linear(
+        self, state: ArmEstimate, weights: Sequence[Array] | None = None
+    ) -> tuple[LinearViews, Compressed]:
+        """All views at ``state``, and what ``compress`` made of them with ``weights`` of their corners.
+
+        The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
+        """
+        data = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, one) for one in self.views])
-        rows = np.concatenate([-by_joint, data.by_shared], axis=2)
         n = self.robot.nv
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
         off[n : n + 6] = self.camera.off(state.mount.pose_parent_camera)
         off[n + 6 :] = self.board.off(state.mount.pose_other_board)
-        arm = by_joint @ by_joint.transpose(0, 2, 1)
-        return Linear(data.pseudo_measurement, data.covariance, rows, arm, prior, off, data)
+        rows = np.concatenate([-by_joint, data.by_shared], axis=2)
+        pixels, joints = data.covariance * pixel_scale(data) ** 2, by_joint @ by_joint.transpose(0, 2, 1)
+        return LinearViews(data.pseudo_measurement, pixels, rows, joints[None], prior, off), data
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -342,11 +319,9 @@ class ZeroOffsets:
         covariance: (nv, nv); zeros for those held, given which the others are known so well.
         unobservable: What could not be told apart, and which joint is held for it.
         pose_parent_camera, pose_other_board: The poses, refined.
-        pose_covariance: (12, 12) of their twists.
         errors: Of each view, as the fit to all *other* views has it.
         residual_px: RMS distance of the corners, px, of views that are no outliers.
         joint_noise: Standard deviation of a joint from view to view, rad.
-        pixel_scale: Standard deviation of the pixels in units of the stated one.
         singular_values: Of the information on the free offsets, 1/rad.
     """
 
@@ -356,11 +331,9 @@ class ZeroOffsets:
     unobservable: tuple[Unobservable, ...]
     pose_parent_camera: Pose
     pose_other_board: Pose
-    pose_covariance: Array
     errors: tuple[PoseError, ...]
     residual_px: float
     joint_noise: float
-    pixel_scale: float
     singular_values: Array
 
     @property
@@ -445,50 +418,39 @@ def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hol
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
-    """The end of an iteration: where, the views linear there, and what they are worth."""
+    """The end of an iteration: where, and the views linear there."""
 
     state: ArmEstimate
-    linear: Linear
-    noise: JointNoise
     normal: Normal
-    scale: float
 
 
 def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
     corners: list[Array] | None = None
-    noise: JointNoise | None = None
+    noise: ArmNoise | None = None
     damping = _FIRST_DAMPING
     for _ in range(_ROUNDS):
-        raw = model.linear(state, corners)
-        scale = pixel_scale(raw.data)
-        linear = raw.scaled(scale)
-        noise = estimate_joint_noise(linear, free, noise)
-        normal = normal_equations(linear, noise, free)
-        step, damping = _downhill(model, state, corners, (linear, noise, normal), damping)
-        state = state.moved(step)
-        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in raw.data.left]
+        views, data = model.linear(state, corners)
+        noise = estimate_noise(views, free, noise)
+        normal = normal_equations(views, noise, free)
+        step, damping = _downhill(model, state, corners, normal, damping)
+        state, scale = state.moved(step), pixel_scale(data)
+        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
         if np.abs(step).max() < _DONE:
             break
-    assert noise is not None  # there was a round
-    return _Fitted(state, linear, noise, normal, scale)
+    return _Fitted(state, normal)
 
 
 def _downhill(
-    model: ArmModel,
-    state: ArmEstimate,
-    corners: list[Array] | None,
-    equations: tuple[Linear, JointNoise, Normal],
-    damping: float,
+    model: ArmModel, state: ArmEstimate, corners: list[Array] | None, normal: Normal, damping: float
 ) -> tuple[Array, float]:
     """A step that lowers the cost, and the damping for the next one; zeros where none does."""
-    linear, noise, normal = equations
-    now = cost(linear, noise)
+    now = normal.views.cost(normal.noise)
     for _ in range(_TRIES):
         step = normal.step(damping)
         if np.abs(step).max() < _SMALL:
             return step, damping
-        there = model.linear(state.moved(step), corners)
-        if cost(there, noise) < now:
+        there, _ = model.linear(state.moved(step), corners)
+        if there.cost(normal.noise) < now:
             return step, max(0.1 * damping, 1e-9)
         damping = 10.0 * max(damping, 1e-6)
     return np.zeros_like(step), damping
@@ -498,7 +460,6 @@ def _result(
     model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
 ) -> ZeroOffsets:
     n = model.robot.nv
-    covariance = fitted.normal.spread_out(inverse(fitted.normal.matrix))
     errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
     mount = fitted.state.mount
     every = [
@@ -512,24 +473,18 @@ def _result(
     return ZeroOffsets(
         joints=model.robot.joints,
         offsets=fitted.state.offsets,
-        covariance=covariance[:n, :n],
+        covariance=fitted.normal.covariance[:n, :n],
         unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
-        pose_covariance=covariance[n:, n:],
         errors=errors,
         residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
-        joint_noise=fitted.noise.size,
-        pixel_scale=fitted.scale,
+        joint_noise=float(fitted.normal.noise.sizes[0]),
         singular_values=np.sqrt(joint_information(fitted.normal, n)[0]),
     )
 
 
 def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
     """How one view fits what all others say."""
-    step, covariance = fitted.normal.without(view)
-    rows = fitted.linear.rows[view]
-    pseudo_measurement = fitted.linear.pseudo_measurement[view] + rows @ step
-    expected = fitted.noise.covariances[view] + rows @ covariance @ rows.T
-    sigmas = float(np.sqrt(max(pseudo_measurement @ np.linalg.solve(expected, pseudo_measurement), 0.0)))
-    return pose_error(model, fitted.state.moved(step), view, expected, sigmas)
+    without = fitted.normal.left_out(view)
+    return pose_error(model, fitted.state.moved(without.step), view, without.covariance, without.sigmas)

@@ -1,203 +1,93 @@
-"""How well the arm knows its own poses, judged by the views; and the fit that takes it into account.
+"""The one least-squares core of calibrations with an arm: neither pixels nor the hand are exact.
 
-Each view wishes for a twist of the hand, e_i, that differs from what camera and board would account for,
--R_i d, by the error of its pixels (covariance P_i, known) and by the arm's (position and angle, unknown).
+Each view is boiled down to the twist of the hand that its picture asks for, e_i (6,).  A step x of the
+unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki: P_i of the pixels, which is
+known, and G_ki of a source of the arm's own error (position and angle of the hand, or its joints) whose size
+s_k, one for all views, is found by restricted maximum likelihood.  A view that contradicts the others counts
+less, and what was known of the unknowns before enters with its covariance.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from robot_ik.camera.calibration.handeye import Compressed
-    from robot_ik.camera.calibration.kinematic import Linear
-
 Array = NDArray[np.float64]
 
-# Searched: metres and rad, from far better than servos to a thing that is loose.
-_POSITIONS = np.geomspace(1e-6, 2e-2, 9)
-_ANGLES = np.geomspace(1e-6, 5e-2, 9)
-_NEARBY_ARM = np.geomspace(0.4, 2.5, 3)
-_ZOOMS_ARM = 5
+# Searched: metres or rad, from far better than servos to a thing that is loose; then about the last answer.
+_SIZES = np.geomspace(1e-7, 5e-2, 10)
+_NEARBY = np.geomspace(0.4, 2.5, 3)
+_ZOOMS = 5
 # Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
-_FREEDOM = 5.0
+_FREEDOM, _TWIST = 5.0, 6
 _ROUNDS = 3
-# A prior that weighs as much as nothing: keeps the fit solvable when a view is left out of the fewest.
+# A prior that weighs as much as nothing: keeps the fit solvable where the views say nothing.
 _NOTHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ArmNoise:
-    """Standard deviations of one axis of the hand's pose, and how the views are believed.
+class LinearViews:
+    """All views, linear at one state, and what is known of the m unknowns beforehand.
 
     Attributes:
-        position, angle: Metres, rad.
-        covariances: (n, 6, 6) of the wishes: pixels and arm together, divided by the weight of the view.
-        weights: (n,) around 1; near 0 for a view that contradicts the others.
+        pseudo_measurement: (n, 6) twist of the hand, in its axes, that each picture asks for.
+        pixels: (n, 6, 6) covariance of it from the corners alone.
+        rows: (n, 6, m) by how much the unknowns change it.
+        sources: (k, n, 6, 6) covariance that each source of the arm's error would give it, of size 1.
+        prior: (m, m) information on the unknowns; ``off``: (m,) from where they were thought to be.
     """
 
-    position: float
-    angle: float
+    pseudo_measurement: Array
+    pixels: Array
+    rows: Array
+    sources: Array
+    prior: Array
+    off: Array
+
+    def covariances(self, sizes: Array) -> Array:
+        """(..., n, 6, 6) of pixels and arm together, for sizes (..., k)."""
+        return np.asarray(self.pixels + np.tensordot(sizes**2, self.sources, 1))
+
+    def cost(self, noise: ArmNoise) -> float:
+        """What is minimised, with the noise held: squares of the views and of what was known before."""
+        weighted = np.linalg.solve(noise.covariances, self.pseudo_measurement[..., None])[..., 0]
+        squares = noise.weights * np.einsum("ni,ni->n", self.pseudo_measurement, weighted)
+        return float(squares.sum() + self.off @ self.prior @ self.off)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmNoise:
+    """The arm's own error from view to view, and how the views are believed.
+
+    Attributes:
+        sizes: (k,) standard deviation of each source.
+        covariances: (n, 6, 6) of the pseudo-measurements, pixels and arm together.
+        weights: (n,) at most 1; near 0 for a view that contradicts the others.
+    """
+
+    sizes: Array
     covariances: Array
     weights: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """Step (12,) of camera and board, its covariance (12, 12), and the parts it is summed from.
+class LeftOut:
+    """What all views but one say of that one.
 
     Attributes:
-        normals: (n, 12, 12); ``rights``: (n, 12).
-    """
-
-    step: Array
-    covariance: Array
-    normals: Array
-    rights: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Without:
-    """What all views but one say.
-
-    Attributes:
-        step: (12,) of camera and board.
-        pseudo_measurement: (6,) what the view left out still wishes for then.
+        step: (m,) of the unknowns.
+        pseudo_measurement: (6,) what its picture still asks for then; ``covariance``: (6, 6) to be expected.
         sigmas: Its length in standard deviations.
     """
 
     step: Array
     pseudo_measurement: Array
+    covariance: Array
     sigmas: float
-
-
-def fit_shared(data: Compressed, noise: ArmNoise) -> Fit:
-    """Generalised least squares over all views."""
-    weighted = np.linalg.solve(noise.covariances, data.by_shared)  # (n, 6, 12)
-    normals = np.einsum("nik,nil->nkl", data.by_shared, weighted)
-    rights = -np.einsum("nik,ni->nk", weighted, data.pseudo_measurement)
-    covariance = np.linalg.pinv(normals.sum(axis=0), rcond=1e-15, hermitian=True)
-    return Fit(covariance @ rights.sum(axis=0), covariance, normals, rights)
-
-
-def fit_without(data: Compressed, noise: ArmNoise, fit: Fit, view: int) -> Without:
-    """The fit that does not know one view, and how that view contradicts it."""
-    normal = fit.normals.sum(axis=0) - fit.normals[view]
-    scale = np.sqrt(np.maximum(np.diag(fit.normals.sum(axis=0)), 1e-300))
-    covariance = np.linalg.inv(normal / np.outer(scale, scale) + _NOTHING * np.eye(12))
-    covariance = covariance / np.outer(scale, scale)
-    step = covariance @ (fit.rights.sum(axis=0) - fit.rights[view])
-    rows = data.by_shared[view]
-    pseudo_measurement = data.pseudo_measurement[view] + rows @ step
-    expected = noise.covariances[view] * noise.weights[view] + rows @ covariance @ rows.T
-    return Without(
-        step,
-        pseudo_measurement,
-        float(np.sqrt(pseudo_measurement @ np.linalg.solve(expected, pseudo_measurement))),
-    )
-
-
-def estimate_noise(data: Compressed, pixel_scale: float, before: ArmNoise | None = None) -> ArmNoise:
-    """The arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
-
-    Restricted: twelve numbers are fitted to the same views, so plain maximum likelihood would find the arm
-    better than it is.  Source: Patterson & Thompson, Recovery of inter-block information when block sizes are
-    unequal, Biometrika 58(3), 1971.  Weights are those of a multivariate Student's t (Lange, Little &
-    Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
-
-    Args:
-        data: Of the views.
-        pixel_scale: Standard deviation of the pixels in units of the stated one.
-        before: The answer of an earlier round, to start from.
-    """
-    pixels = data.covariance * pixel_scale**2
-    weights = _first_weights(data) if before is None else before.weights
-    for _ in range(_ROUNDS if before is None else 1):
-        position, angle = _most_likely(data, pixels, weights, before)
-        covariances = pixels + np.diag([position**2] * 3 + [angle**2] * 3)
-        noise = ArmNoise(position, angle, covariances / weights[:, None, None], weights)
-        rest = data.pseudo_measurement + data.by_shared @ fit_shared(data, noise).step
-        squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
-        again = np.minimum(1.0, (_FREEDOM + 6.0) / (_FREEDOM + squares))
-        noise = ArmNoise(position, angle, covariances / again[:, None, None], again)
-        weights, before = again, noise
-    return noise
-
-
-def _first_weights(data: Compressed) -> Array:
-    """Views that are far off in the middle view's measure begin with little weight."""
-    scale = np.maximum(1.4826 * np.median(np.abs(data.pseudo_measurement), axis=0), 1e-12)
-    return np.asarray(1.0 / np.maximum(1.0, (np.abs(data.pseudo_measurement) / scale).max(axis=1) / 4.0) ** 2)
-
-
-def _most_likely(
-    data: Compressed, pixels: Array, weights: Array, near: ArmNoise | None
-) -> tuple[float, float]:
-    """Position and angle with the highest restricted likelihood, on a grid that is refined."""
-    if near is None:
-        positions, angles = _POSITIONS, _ANGLES
-    else:
-        positions, angles = near.position * _NEARBY_ARM, near.angle * _NEARBY_ARM
-    for _ in range(_ZOOMS_ARM):
-        pairs = np.array([(p, a) for p in positions for a in angles])
-        best = pairs[int(np.argmax(_arm_likelihood(data, pixels, weights, pairs)))]
-        factor = np.sqrt(positions[1] / positions[0]), np.sqrt(angles[1] / angles[0])
-        positions = best[0] * factor[0] ** np.array([-1.0, 0.0, 1.0])
-        angles = best[1] * factor[1] ** np.array([-1.0, 0.0, 1.0])
-    return float(max(best[0], _POSITIONS[0])), float(max(best[1], _ANGLES[0]))
-
-
-def _arm_likelihood(data: Compressed, pixels: Array, weights: Array, pairs: Array) -> Array:
-    """Restricted log-likelihood (m,) of pairs (m, 2) of position and angle.
-
-    The weights are given here, so their share of the determinants is the same everywhere.
-    """
-    arm = np.repeat(pairs**2, 3, axis=1)[:, :, None] * np.eye(6)
-    covariances = (pixels + arm[:, None]) / weights[:, None, None]  # (m, n, 6, 6)
-    inverse = np.linalg.inv(covariances)
-    rows, pseudo_measurement = data.by_shared.reshape(-1, 12), data.pseudo_measurement.reshape(-1)
-    normal = rows.T @ (inverse @ data.by_shared).reshape(len(pairs), -1, 12)
-    weighted = (inverse @ data.pseudo_measurement[..., None]).reshape(len(pairs), -1)
-    right = weighted @ rows
-    fitted = np.linalg.solve(normal, right[..., None])[..., 0]
-    squares = weighted @ pseudo_measurement - np.sum(right * fitted, axis=1)
-    logs = np.linalg.slogdet(covariances)[1].sum(axis=1) + np.linalg.slogdet(normal)[1]
-    return np.asarray(-0.5 * (logs + squares))
-
-
-# ------------------------------------------------------------------------------------------
-# Least squares over views of an arm whose joints are not exact either; how much, the views tell.
-#
-# In each view every joint is off by its own small error (ticks, play), all of one size, which is estimated by
-# restricted maximum likelihood as in ``handeye_noise``; a view that contradicts the others counts less.
-
-
-# Searched: rad at each joint, from nothing to a loose gear.
-_SIZES = np.geomspace(1e-7, 3e-2, 12)
-_NEARBY_JOINT = np.geomspace(0.5, 2.0, 3)
-_ZOOMS_JOINT = 4
-# Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
-_TWIST = 6
-
-
-@dataclass(frozen=True, eq=False)
-class JointNoise:
-    """Error of the joints from view to view, and how the views are believed.
-
-    Attributes:
-        size: Standard deviation, rad at each joint.
-        covariances: (n, 6, 6) of the wishes, pixels and joints together.
-        weights: (n,) at most 1; near 0 for a view that contradicts the others.
-    """
-
-    size: float
-    covariances: Array
-    weights: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,97 +95,143 @@ class Normal:
     """Normal equations of the unknowns that are ``free``.
 
     Attributes:
-        matrix: (m, m) with what was known before; ``right``: (m,).
-        parts, rights: (n, m, m) and (n, m) of each view.
-        free: (m,) places of the unknowns among all.
-        count: How many there are in all.
+        views, noise: What they are of.
+        matrix: (f, f) with what was known before; ``right``: (f,).
+        parts, rights: (n, f, f) and (n, f) of each view.
+        free: (f,) places of the unknowns among all.
     """
 
+    views: LinearViews
+    noise: ArmNoise
     matrix: Array
     right: Array
     parts: Array
     rights: Array
     free: NDArray[np.int64]
-    count: int
 
     def step(self, damping: float = 0.0) -> Array:
-        """Of all unknowns; 0 for those that are not free.  Levenberg and Marquardt's damping."""
-        scale = np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
-        scaled = self.matrix / np.outer(scale, scale) + damping * np.eye(len(scale))
+        """(m,) of all unknowns; 0 for those that are not free.  Levenberg and Marquardt's damping."""
+        scaled, scale = _balanced(self.matrix, damping)
         return self._whole(np.linalg.lstsq(scaled, self.right / scale, rcond=1e-15)[0] / scale)
 
-    def without(self, view: int) -> tuple[Array, Array]:
-        """Step and covariance of all unknowns as the other views have it."""
-        covariance = inverse(self.matrix - self.parts[view])
-        step = self._whole(covariance @ (self.right - self.rights[view]))
-        return step, self.spread_out(covariance)
+    @property
+    def covariance(self) -> Array:
+        """(m, m) of all unknowns; zeros for those that are not free."""
+        return self._spread_out(inverse(self.matrix))
 
-    def spread_out(self, matrix: Array) -> Array:
-        """(m, m) of the free ones as one of all, zeros elsewhere."""
-        whole = np.zeros((self.count, self.count))
-        whole[np.ix_(self.free, self.free)] = matrix
-        return whole
+    def left_out(self, view: int) -> LeftOut:
+        """How one view fits what all others say."""
+        _, scale = _balanced(self.matrix)
+        outer = np.outer(scale, scale)
+        others = (self.matrix - self.parts[view]) / outer + _NOTHING * np.eye(len(scale))
+        covariance = np.linalg.inv(others) / outer
+        step = self._whole(covariance @ (self.right - self.rights[view]))
+        rows = self.views.rows[view]
+        rest = self.views.pseudo_measurement[view] + rows @ step
+        expected = self.noise.covariances[view] + rows @ self._spread_out(covariance) @ rows.T
+        sigmas = float(np.sqrt(max(rest @ np.linalg.solve(expected, rest), 0.0)))
+        return LeftOut(step, rest, expected, sigmas)
 
     def _whole(self, step: Array) -> Array:
-        whole = np.zeros(self.count)
+        whole = np.zeros(len(self.views.off))
         whole[self.free] = step
         return whole
 
+    def _spread_out(self, matrix: Array) -> Array:
+        count = len(self.views.off)
+        whole = np.zeros((count, count))
+        whole[np.ix_(self.free, self.free)] = matrix
+        return whole
 
-def normal_equations(linear: Linear, noise: JointNoise, free: NDArray[np.int64]) -> Normal:
-    """Weighted least squares; ``free``: (m,) places of the unknowns that are sought."""
-    rows = linear.rows[:, :, free]
+
+def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> Normal:
+    """Weighted least squares; ``free``: (f,) places of the unknowns that are sought."""
+    rows = views.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
     parts = np.einsum("nik,nil->nkl", rows, weighted)
-    rights = -np.einsum("nik,ni->nk", weighted, linear.pseudo_measurement)
-    prior = linear.prior[np.ix_(free, free)]
-    right = rights.sum(axis=0) - prior @ linear.off[free]
-    return Normal(parts.sum(axis=0) + prior, right, parts, rights, free, len(linear.off))
+    rights = -np.einsum("nik,ni->nk", weighted, views.pseudo_measurement)
+    prior = views.prior[np.ix_(free, free)]
+    right = rights.sum(axis=0) - prior @ views.off[free]
+    return Normal(views, noise, parts.sum(axis=0) + prior, right, parts, rights, free)
 
 
-def cost(linear: Linear, noise: JointNoise) -> float:
-    """What is minimised, with the noise held: squares of the views and of what was known before."""
-    weighted = np.linalg.solve(noise.covariances, linear.pseudo_measurement[..., None])[..., 0]
-    squares = noise.weights * np.einsum("ni,ni->n", linear.pseudo_measurement, weighted)
-    return float(squares.sum() + linear.off @ linear.prior @ linear.off)
+def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
+    """The sizes of the arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
+
+    Restricted: the unknowns are fitted to the same views, so plain maximum likelihood would find the arm
+    better than it is.  Source: Patterson & Thompson, Recovery of inter-block information when block sizes are
+    unequal, Biometrika 58(3), 1971.  Weights are those of a multivariate Student's t (Lange, Little &
+    Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
+
+    Args:
+        views: Linear at the answer so far.
+        free: (f,) places of the unknowns that are sought.
+        before: The answer of an earlier round, to start from.
+    """
+    weights = _first_weights(views) if before is None else before.weights
+    for _ in range(_ROUNDS if before is None else 1):
+        sizes = _most_likely(views, free, weights, before)
+        covariances = views.covariances(sizes)
+        step = normal_equations(views, ArmNoise(sizes, covariances, weights), free).step()
+        rest = views.pseudo_measurement + views.rows @ step
+        squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
+        weights = np.minimum(1.0, (_FREEDOM + _TWIST) / (_FREEDOM + squares))
+        before = ArmNoise(sizes, covariances, weights)
+    assert before is not None  # there was a round
+    return before
 
 
-def estimate_joint_noise(linear: Linear, free: NDArray[np.int64], before: JointNoise | None) -> JointNoise:
-    """Size of the joints' error, then the weights of the views; one turn of each."""
-    n = len(linear.pseudo_measurement)
-    if before is None:
-        scale = np.maximum(1.4826 * np.median(np.abs(linear.pseudo_measurement), axis=0), 1e-12)
-        far = (np.abs(linear.pseudo_measurement) / scale).max(axis=1) / 4.0
-        weights = np.maximum(1.0, far) ** -2.0
-    else:
-        weights = before.weights
-    sizes = _SIZES if before is None else max(before.size, _SIZES[0]) * _NEARBY_JOINT
-    for _ in range(_ZOOMS_JOINT):
-        best = sizes[int(np.argmax([_joint_likelihood(linear, free, weights, size) for size in sizes]))]
-        factor = np.sqrt(sizes[1] / sizes[0])
-        sizes = best * factor ** np.array([-1.0, 0.0, 1.0])
-    covariances = linear.pixels + best**2 * linear.arm
-    noise = JointNoise(float(best), covariances, weights)
-    rest = linear.pseudo_measurement + linear.rows @ normal_equations(linear, noise, free).step()
-    squares = np.einsum("ni,ni->n", rest, np.linalg.solve(covariances, rest[..., None])[..., 0])
-    again = np.minimum(1.0, (_FREEDOM + _TWIST) / (_FREEDOM + squares))
-    return JointNoise(float(best), covariances, again if n > 1 else np.ones(n))
+def _first_weights(views: LinearViews) -> Array:
+    """Views that are far off in the middle view's measure begin with little weight."""
+    off = np.abs(views.pseudo_measurement)
+    scale = np.maximum(1.4826 * np.median(off, axis=0), 1e-12)
+    return np.asarray(np.maximum(1.0, (off / scale).max(axis=1) / 4.0) ** -2.0)
+
+
+def _most_likely(views: LinearViews, free: NDArray[np.int64], weights: Array, near: ArmNoise | None) -> Array:
+    """Sizes (k,) with the highest restricted likelihood, on a grid that is refined."""
+    count = len(views.sources)
+    grids = [_SIZES] * count if near is None else [size * _NEARBY for size in near.sizes]
+    for _ in range(_ZOOMS):
+        candidates = np.array(list(itertools.product(*grids)))
+        best = candidates[int(np.argmax(_likelihood(views, free, weights, candidates)))]
+        grids = [
+            size * np.sqrt(grid[1] / grid[0]) ** np.array([-1.0, 0.0, 1.0])
+            for size, grid in zip(best, grids, strict=True)
+        ]
+    return np.maximum(best, _SIZES[0])
+
+
+def _likelihood(views: LinearViews, free: NDArray[np.int64], weights: Array, sizes: Array) -> Array:
+    """Restricted log-likelihood (c,) of candidates (c, k).
+
+    The weights are given here, so their share of the determinants is the same everywhere.
+    """
+    rows, prior, off = views.rows[:, :, free], views.prior[np.ix_(free, free)], views.off[free]
+    covariances = views.covariances(sizes)  # (c, n, 6, 6)
+    inverses = np.linalg.inv(covariances) * weights[:, None, None]
+    flat, measured = rows.reshape(-1, len(free)), views.pseudo_measurement.reshape(-1)
+    normal = flat.T @ (inverses @ rows).reshape(len(sizes), -1, len(free)) + prior
+    weighted = (inverses @ views.pseudo_measurement[..., None]).reshape(len(sizes), -1)
+    scaled, scale = _balanced(normal, _NOTHING)
+    right = (weighted @ flat + prior @ off) / scale
+    fitted = np.linalg.solve(scaled, right[..., None])[..., 0]
+    squares = weighted @ measured - np.sum(right * fitted, axis=1)
+    logs = np.linalg.slogdet(covariances)[1].sum(axis=1) + np.linalg.slogdet(scaled)[1]
+    return np.asarray(-0.5 * (logs + squares) - np.log(scale).sum(axis=1))
+
+
+def _balanced(matrix: Array, more: float = 0.0) -> tuple[Array, Array]:
+    """A matrix (..., f, f) in units in which its diagonal is 1, ``more`` added to that; and the units."""
+    scale = np.sqrt(np.maximum(np.diagonal(matrix, axis1=-2, axis2=-1), 1e-300))
+    scaled = matrix / (scale[..., :, None] * scale[..., None, :])
+    return scaled + more * np.eye(matrix.shape[-1]), scale
 
 
 def inverse(matrix: Array) -> Array:
     """Of a positive matrix whose unknowns have other units and may hardly be determined."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    outer = np.outer(scale, scale)
-    return np.asarray(np.linalg.pinv(matrix / outer, rcond=1e-14, hermitian=True) / outer)
-
-
-def _joint_likelihood(linear: Linear, free: NDArray[np.int64], weights: Array, size: float) -> float:
-    """Restricted log-likelihood of a size of the joints' error."""
-    noise = JointNoise(size, linear.pixels + size**2 * linear.arm, weights)
-    normal = normal_equations(linear, noise, free)
-    squares = cost(linear, noise) - normal.right @ normal.step()[free]
-    logs = np.linalg.slogdet(noise.covariances)[1].sum() + np.linalg.slogdet(normal.matrix)[1]
-    return -0.5 * float(logs + squares)
+    scaled, scale = _balanced(matrix)
+    return np.asarray(np.linalg.pinv(scaled, rcond=1e-14, hermitian=True) / np.outer(scale, scale))
 
 
 # ------------------------------------------------------------------------------------------

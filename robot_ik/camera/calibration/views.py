@@ -39,8 +39,8 @@ _MISSES, _PATIENCE = 12, 4
 _ASKED = 3
 # Markers that make a ChArUco board; fewer may be chance finds among the squares of a chessboard.
 _BOARD_MARKERS = 4
-# Pictures without the pattern that are named.
-_NAMED = 5
+# Pictures without the pattern, and views still missing, that are named.
+_NAMED, _WISHES = 5, 3
 
 
 class ViewGatherer:
@@ -238,9 +238,9 @@ def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, floa
     return rotation, float(np.asarray(shift, dtype=float).reshape(3)[2])
 
 
-def missing_words(missing: Sequence[str], most: int = 3) -> str:
+def missing_words(missing: Sequence[str]) -> str:
     """What is still to be shown, shortly."""
     if not missing:
         return "nothing is missing"
-    rest = f" and {len(missing) - most} more" if len(missing) > most else ""
-    return "still to show: " + "; ".join(missing[:most]) + rest
+    rest = f" and {len(missing) - _WISHES} more" if len(missing) > _WISHES else ""
+    return "still to show: " + "; ".join(missing[:_WISHES]) + rest

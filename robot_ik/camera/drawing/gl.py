@@ -136,18 +136,18 @@ def pinhole_for(intrinsics: CameraIntrinsics, finer: float) -> CameraIntrinsics:
     return CameraIntrinsics(width, height, fx, fy, 2.0 - fx * low[0], 2.0 - fy * low[1])
 
 
-def write_frustum(camera: Any, intrinsics: CameraIntrinsics, near: float = _NEAR, far: float = _FAR) -> None:
+def write_frustum(camera: Any, intrinsics: CameraIntrinsics) -> None:
     """Gives a ``MjvGLCamera`` the frustum of a camera without distortion, principal point included.
 
     OpenCV's picture spans -0.5 to W - 0.5, OpenGL's 0 to W, hence the halves; ``frustum_width`` is the *half*
     width, whatever its comment says (MuJoCo 4.0).
     """
     w, h = intrinsics.size
-    camera.frustum_near, camera.frustum_far = near, far
-    camera.frustum_top = (intrinsics.cy + 0.5) * near / intrinsics.fy
-    camera.frustum_bottom = -(h - intrinsics.cy - 0.5) * near / intrinsics.fy
-    camera.frustum_center = (w - 2.0 * intrinsics.cx - 1.0) * near / (2.0 * intrinsics.fx)
-    camera.frustum_width = w * near / (2.0 * intrinsics.fx)
+    camera.frustum_near, camera.frustum_far = _NEAR, _FAR
+    camera.frustum_top = (intrinsics.cy + 0.5) * _NEAR / intrinsics.fy
+    camera.frustum_bottom = -(h - intrinsics.cy - 0.5) * _NEAR / intrinsics.fy
+    camera.frustum_center = (w - 2.0 * intrinsics.cx - 1.0) * _NEAR / (2.0 * intrinsics.fx)
+    camera.frustum_width = w * _NEAR / (2.0 * intrinsics.fx)
 
 
 class GlArtist:
@@ -155,13 +155,12 @@ class GlArtist:
 
     Args:
         backend: A value of ``MUJOCO_GL`` that has drawn in a child process.
-        finer: How much larger than the camera's the picture is rendered before it goes through the lens.
     """
 
     name = "gl"
 
-    def __init__(self, backend: str, finer: float = _FINER) -> None:
-        self._backend, self._finer = backend, finer
+    def __init__(self, backend: str) -> None:
+        self._backend = backend
         self._renderers: dict[tuple[int, int, int], tuple[Any, mujoco.MjModel, mujoco.MjData]] = {}
         self._maps: dict[CameraIntrinsics, tuple[CameraIntrinsics, Any]] = {}
 
@@ -193,7 +192,7 @@ class GlArtist:
 
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:
-            pinhole = pinhole_for(intrinsics, self._finer)
+            pinhole = pinhole_for(intrinsics, _FINER)
             normalized = ray_field(intrinsics).box(0, 0, *intrinsics.size)
             maps = pinhole.fx * normalized[..., 0] + pinhole.cx, pinhole.fy * normalized[..., 1] + pinhole.cy
             self._maps[intrinsics] = pinhole, tuple(part.astype(np.float32) for part in maps)

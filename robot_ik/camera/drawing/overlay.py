@@ -216,22 +216,6 @@ def _runs(points: Array, intrinsics: CameraIntrinsics) -> list[NDArray[np.int32]
     return [_fixed(pixels[piece]) for piece in pieces if good[piece[0]] and len(piece) > 1]
 
 
-def draw_path(
-    image: Image,
-    intrinsics: CameraIntrinsics,
-    points_camera: ArrayLike,
-    *,
-    colour: Colour = ORANGE,
-    width: int = 2,
-) -> Image:
-    """Draws a line with a dark rim through points (n, 3) of the camera frame, metres."""
-    result = image.copy()
-    runs = _runs(np.asarray(points_camera, dtype=float).reshape(-1, 3), intrinsics)
-    cv2.polylines(result, runs, False, DARK, width + 2, cv2.LINE_AA, _SHIFT)
-    cv2.polylines(result, runs, False, colour, width, cv2.LINE_AA, _SHIFT)
-    return result
-
-
 def draw_axes(
     image: Image,
     pose_camera_x: Pose,
@@ -269,18 +253,16 @@ def draw_axes(
     return result
 
 
-def draw_marker_outline(
-    image: Image, corners: ArrayLike, *, colour: Colour = GREEN, width: int = 2, label: str = ""
-) -> Image:
+def draw_marker_outline(image: Image, corners: ArrayLike, *, label: str = "") -> Image:
     """Draws a seen marker's border through its corners (4, 2) in pixels, with a square at the first one."""
     points = np.asarray(corners, dtype=float).reshape(4, 2)
     result = image.copy()
-    cv2.polylines(result, [_fixed(points)], True, colour, width, cv2.LINE_AA, _SHIFT)
+    cv2.polylines(result, [_fixed(points)], True, GREEN, 2, cv2.LINE_AA, _SHIFT)
     square = points[0] + np.array([[-3, -3], [3, -3], [3, 3], [-3, 3]])
     cv2.fillConvexPoly(result, _fixed(square), RED, cv2.LINE_AA, _SHIFT)
     if label:
         result = put_label(
-            result, label, (float(points[:, 0].max()) + 8, float(points[:, 1].mean())), accent=colour
+            result, label, (float(points[:, 0].max()) + 8, float(points[:, 1].mean())), accent=GREEN
         )
     return result
 
@@ -291,9 +273,7 @@ def put_label(
     anchor: tuple[float, float],
     *,
     size: int = 17,
-    colour: Colour = WHITE,
     accent: Colour | None = None,
-    bold: bool = False,
 ) -> Image:
     """Writes a caption on a dark translucent card; lines are separated by newlines.
 
@@ -302,12 +282,10 @@ def put_label(
         text: One or more lines.
         anchor: (x, y) of the card's left edge and vertical middle; moved so that the card stays inside.
         size: Letter size in pixels.
-        colour: Of the text.
         accent: A bar at the card's left edge.
-        bold: Heavier letters.
     """
     lines = text.split("\n")
-    sizes = [text_size(line, size, bold=bold) for line in lines]
+    sizes = [text_size(line, size) for line in lines]
     pad, step = round(0.55 * size), round(1.35 * size)
     width = max(w for w, _ in sizes) + 2 * pad + (5 if accent else 0)
     height = step * (len(lines) - 1) + sizes[0][1] + 2 * pad
@@ -320,7 +298,7 @@ def put_label(
         card[:, :5] = accent
     for k, line in enumerate(lines):
         place = (x + pad + (5 if accent else 0), y + pad + sizes[0][1] + k * step)
-        write(result, line, place, size, colour, bold=bold)
+        write(result, line, place, size, WHITE)
     return result
 
 

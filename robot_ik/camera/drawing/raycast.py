@@ -22,8 +22,8 @@ Array = NDArray[np.float64]
 
 # Lens rays are computed at nodes this far apart and interpolated cubically: below 1e-3 px even for fisheyes.
 _NODE_PX = 10.0
-# Rays reach this far, metres.
-_CUTOFF = 50.0
+# Rays reach this far, metres; a surface does not shade itself from nearer than the second.
+_CUTOFF, _OWN_SHADE = 50.0, 2e-3
 
 
 def _cubic_weights(nodes: Array, at: Array) -> Array:
@@ -176,7 +176,7 @@ class Caster:
         n = len(directions)
         geom = np.full(n, -1, dtype=np.int32)
         depth = np.full(n, -1.0)
-        normal = np.zeros((n, 3))
+        normal = np.zeros((n, 3)) if normals else np.broadcast_to(0.0, (n, 3))
         if n and self.model.ngeom:
             mujoco.mj_multiRay(
                 self.model,
@@ -201,12 +201,9 @@ class Caster:
             return -np.inf
         return float(self._data.geom_xpos[geom, 2] + self.model.geom_size[geom, 2])
 
-    def lit(self, light: Array, points: Array, slack: float = 2e-3) -> NDArray[np.bool_]:
-        """Which ``points`` (n, 3) nothing shades from a light at ``light`` (3,).
-
-        ``slack`` (m) lets a surface not shade itself.
-        """
+    def lit(self, light: Array, points: Array) -> NDArray[np.bool_]:
+        """Which ``points`` (n, 3) nothing shades from a light at ``light`` (3,)."""
         way = points - light
         reach = np.linalg.norm(way, axis=1)
         hits = self.cast(light, way, normals=False)
-        return np.asarray(hits.depth * reach > reach - slack, dtype=bool)
+        return np.asarray(hits.depth * reach > reach - _OWN_SHADE, dtype=bool)

@@ -217,8 +217,8 @@ class RayArtist:
 
     name = "ray"
 
-    def __init__(self, samples: int = 4) -> None:
-        self._places = painter.SAMPLES[samples]
+    def __init__(self) -> None:
+        self._places = painter.SAMPLES[4]
         self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def draw(

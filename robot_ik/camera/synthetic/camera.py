@@ -336,9 +336,7 @@ class CarriedSource(ClosingSource):
         pose_frame_camera: Where on it.
         true_q: Where the robot really is, (nq,).
         seed: Of the sensor noise.
-        sensor: As for ``SyntheticSource``.
-        clock: Likewise.
-        quality: Likewise.
+        clock: As for ``SyntheticSource``.
     """
 
     live = True
@@ -351,14 +349,11 @@ class CarriedSource(ClosingSource):
         true_q: Callable[[], Array],
         *,
         seed: int = 0,
-        sensor: SensorModel = WEBCAM,
         clock: Clock | None = None,
-        quality: Literal["full", "fast"] = "fast",
     ) -> None:
         self.scene, self.frame, self.pose_frame_camera = scene, frame, pose_frame_camera
         self.size = scene.intrinsics.size
-        self._true_q, self._seed, self._clock, self._quality = true_q, seed, clock, quality
-        self._sensor = sensor
+        self._true_q, self._seed, self._clock = true_q, seed, clock
         self._sequence = 0
 
     def read(self) -> Frame:
@@ -367,8 +362,7 @@ class CarriedSource(ClosingSource):
         pose = self.scene.robot.forward(q, self.frame).compose(self.pose_frame_camera)
         source = SyntheticSource(
             replace(self.scene, pose_world_camera=pose), lambda: q,
-            seed=1000 * self._seed + self._sequence, sensor=self._sensor, clock=self._clock,
-            quality=self._quality,
+            seed=1000 * self._seed + self._sequence, clock=self._clock, quality="fast",
         )  # fmt: skip
         frame = replace(source.read(), sequence=self._sequence)
         self._sequence += 1

@@ -146,11 +146,11 @@ class PaintedMarker:
     depth: Array
 
 
-def paper_outline(size: float, margin: float, per_side: int = 9) -> Array:
-    """Points (4 * per_side, 3) along the paper's edge in the marker frame, metres."""
+def paper_outline(size: float, margin: float) -> Array:
+    """Points (36, 3) along the paper's edge in the marker frame, metres."""
     half = size / 2 + margin
-    t = np.linspace(-half, half, per_side, endpoint=False)
-    side = np.full(per_side, half)
+    t = np.linspace(-half, half, 9, endpoint=False)
+    side = np.full(len(t), half)
     xy = np.concatenate([np.stack(p, axis=1) for p in ((t, side), (side, -t), (-t, -side), (-side, t))])
     return np.concatenate([xy, np.zeros((len(xy), 1))], axis=1)
 

@@ -249,12 +249,14 @@ class _StillScene:
         )
 
     def _lit(self, points: Array, source: str, count: int) -> Array:
-        spots = self._lights.spots(source, count)
-        return (
-            np.asarray(np.mean([self._caster.lit(s, points) for s in spots], axis=0))
-            if len(points)
-            else np.zeros(0)
-        )
+        """Part (n,) of a light that the table lets through to ``points`` (n, 3)."""
+        spots, top = self._lights.spots(source, count), self._caster.top(1)
+        shares = np.ones(len(points))
+        # A light above the table reaches all that is not below its top.
+        below = np.flatnonzero(points[:, 2] < top) if spots[0, 2] > top else np.arange(len(points))
+        if len(below):
+            shares[below] = np.mean([self._caster.lit(spot, points[below]) for spot in spots], axis=0)
+        return shares
 
     def _shade(self, normalized: Array) -> Array:
         """Light shares (n, 3 lights, 3 BGR) along any rays (n, 2): exact and slow."""
@@ -337,7 +339,10 @@ class _StillScene:
         bend[1:-1] |= np.abs(np.diff(inverse, 2, axis=0)) > 1e-3
         bend[:, 1:-1] |= np.abs(np.diff(inverse, 2, axis=1)) > 1e-3
         bend |= cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
-        sides = (geom > 1) | ((geom == 1) & (np.abs(self._height_map(depth) - self._caster.top(1)) > 1e-4))
+        sides = geom > 1
+        rows, columns = np.nonzero(geom == 1)
+        heights = self._heights(rows, columns, depth[rows, columns])
+        sides[rows, columns] = np.abs(heights - self._caster.top(1)) > 1e-4
         one = np.array([[0.0, 0.0]])
         four = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
         for chosen, shift in ((sides & ~bend, one), (bend & (geom >= 0), four)):
@@ -348,11 +353,9 @@ class _StillScene:
                 for k in range(3):
                     parts[k][rows, columns] = shares[:, k]
 
-    def _height_map(self, depth: Array) -> Array:
-        """World height (h, w) of what each pixel sees."""
-        normalized, _ = self._coarse(1)
-        far = np.where(np.isfinite(depth), depth, 0.0).reshape(-1)
+    def _heights(self, rows: NDArray[np.intp], columns: NDArray[np.intp], depth: Array) -> Array:
+        """World heights (n,) of what pixels see at ``depth`` (n,)."""
+        w, h = self._field.intrinsics.size
+        normalized = self._field.box(0, 0, w, h)[rows, columns]
         up = self._camera.rotation[2]
-        return np.asarray(
-            (self._camera.position[2] + far * (normalized @ up[:2] + up[2])).reshape(depth.shape)
-        )
+        return np.asarray(self._camera.position[2] + depth * (normalized @ up[:2] + up[2]))

@@ -18,12 +18,13 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen, Shown
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs import JobReport
 from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
-from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
 from robot_ik.jobs.precompile import CompiledAhead
 from robot_ik.jobs.vision import open_calibrated
@@ -99,31 +100,31 @@ class ArRequest:
     seed: int = 0
 
 
-@dataclass(frozen=True)
-class ArReport:
+@dataclass(eq=False)
+class ArReport(JobReport):
     """What came of it.
 
     Attributes:
-        pictures: Written; ``drawn`` of them with the robot.
-        drawn: See ``pictures``.
+        backend: That drew.
+        scale: At which the robot was drawn.
+        notice: What did not go as asked, in one line.
+        pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
         seconds: Of tracking and drawing alone, without taking and writing pictures.
-        scale: At which the robot was drawn.
-        backend: That was used.
-        notice: What did not go as asked, in one line.
-        file: What was written.
         interrupted: The run was ended by hand.
+        file: What was written.
     """
 
-    pictures: int
-    drawn: int
-    reprojection_px: float
-    seconds: float
-    scale: float
     backend: str
+    scale: float
     notice: str
-    file: Path | None
+    pictures: int = 0
+    drawn: int = 0
+    in_view: int = 0
+    reprojection_px: float = float("nan")
+    seconds: float = 0.0
     interrupted: bool = False
+    file: Path | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -131,13 +132,14 @@ class ArReport:
         return self.pictures / self.seconds if self.seconds > 0 else float("nan")
 
 
-Progress = Callable[[int, int], None]
+#: Called with how many pictures are done, and of how many (0: nobody knows).
+PictureProgress = Callable[[int, int], None]
 Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
 
 
 def run_ar(
     request: ArRequest,
-    progress: Progress = lambda done, total: None,
+    progress: PictureProgress = lambda done, total: None,
     *,
     robot: Robot | None = None,
     mover: Mover | None = None,
@@ -158,47 +160,124 @@ def run_ar(
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
         ahead = stack.enter_context(CompiledAhead.overlay())
-        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        make = mover or (lambda robot, figure: make_motion(request.motion, robot, figure, stack))
-        motion = make(robot, figure)
-        frames, intrinsics, total, scene = _open(request, motion, stack)
-        if scene is not None and not request.scale:
-            figure = _figure(request, robot, _scale_in_view(request, robot, motion, scene, total))
-            if request.motion == "follow":  # it reaches with the arm as it is drawn
-                motion = make(robot, figure)
+        phases = _Phases(request, robot, mover, sink, ahead, progress, stack)
+        placed = phases.place()
+        opened = phases.open(placed)
+        placed = phases.fit(placed, opened)
         artist, notice = make_artist(request.backend)
-        notice = "; ".join(filter(None, (notice, getattr(motion, "notice", ""))))
         stack.callback(getattr(artist, "close", lambda: None))
-        registrar = _registrar(request, intrinsics, artist, figure)
+        report = ArReport(artist.name, placed.figure.scale, _joined(notice, placed.notice))
+        report.keep(phases.draw(placed, opened, artist))
+        report.file = sink.close()
+    if report.pictures and not report.drawn:
+        raise MarkerNotFoundError(
+            f"the board {request.board} was seen in none of {report.pictures} pictures; "
+            f"they are in {report.file}",
+            hint="check --board and --dictionary against the print: robot-ik camera detect",
+        )
+    if report.drawn and not report.in_view:
+        report.notice = _joined(report.notice, _OUT_OF_VIEW)
+    return report
+
+
+def _joined(*notices: str) -> str:
+    return "; ".join(filter(None, notices))
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """The robot as it stands on the board, and what moves it."""
+
+    figure: DrawnRobot
+    motion: DrawnMotion
+
+    @property
+    def notice(self) -> str:
+        """What the user should know of the motion."""
+        return getattr(self.motion, "notice", "")
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """The pictures: ``total`` of them (0: nobody knows), their optics; ``scene`` None: real ones."""
+
+    frames: Iterator[Frame]
+    intrinsics: CameraIntrinsics
+    total: int
+    scene: BoardScene | None
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """What was drawn, as in ``ArReport``."""
+
+    pictures: int
+    drawn: int
+    in_view: int
+    reprojection_px: float
+    seconds: float
+    interrupted: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Phases:
+    """What drawing a robot does, one thing after the other, and what all of it needs."""
+
+    request: ArRequest
+    robot: Robot
+    mover: Mover | None
+    sink: PictureSink
+    ahead: CompiledAhead
+    progress: PictureProgress
+    stack: contextlib.ExitStack
+
+    def place(self, scale: float = 0.0) -> Placed:
+        """The robot, as large as asked, or at ``scale`` or as is usual."""
+        request, robot = self.request, self.robot
+        figure = _figure(request, robot, request.scale or scale or _usual_scale(request, robot))
+        if self.mover is not None:
+            return Placed(figure, self.mover(robot, figure))
+        return Placed(figure, make_motion(request.motion, robot, figure, self.stack))
+
+    def open(self, placed: Placed) -> Opened:
+        """The camera; synthetic pictures are as many as the motion takes."""
+        return _open(self.request, placed.motion, self.stack)
+
+    def fit(self, placed: Placed, opened: Opened) -> Placed:
+        """The robot so large that all of it stays in the synthetic pictures."""
+        request, scene = self.request, opened.scene
+        if scene is None or request.scale:
+            return placed
+        scale = _scale_in_view(request, self.robot, placed.motion, scene, opened.total)
+        if request.motion == "follow":  # it reaches with the arm as it is drawn
+            return self.place(scale)
+        return replace(placed, figure=_figure(request, self.robot, scale))
+
+    def draw(self, placed: Placed, opened: Opened, artist: Artist) -> Drawn:
+        """All pictures, until they end or Ctrl-C."""
+        registrar = _registrar(self.request, opened.intrinsics, artist, placed.figure)
         count = drawn = in_view = 0
-        spent, errors, begin = 0.0, [], None
-        interrupted = False
+        spent, errors, begin, interrupted = 0.0, [], None, False
         try:
-            for tracked, shown in _pairs(frames, request):
+            for tracked, shown in _pairs(opened.frames, self.request):
                 begin = tracked.time if begin is None else begin
                 start = time.perf_counter()
                 seen = registrar.track(tracked)
-                ahead.wait()
-                qpos = robot.qpos(motion.q(shown.time - begin, seen))
+                self.ahead.wait()
+                qpos = self.robot.qpos(placed.motion.q(shown.time - begin, seen))
                 made = registrar.compose(seen, shown, qpos)
                 spent += time.perf_counter() - start
-                sink.write(made.image, shown.time)
-                count, drawn = count + 1, drawn + (made.drawing is not None)
-                in_view += made.drawing is not None and bool(made.drawing.robot.coverage.any())
-                errors += _errors(seen, made)
-                progress(count, total)
+                self.sink.write(made.image, shown.time)
+                count += 1
+                if made.drawing is not None:
+                    drawn, in_view = drawn + 1, in_view + bool(made.drawing.robot.coverage.any())
+                    errors += [] if seen is None else [seen.error]
+                self.progress(count, opened.total)
         except KeyboardInterrupt:
             interrupted = True
-        file = sink.close()
-    if count and not drawn:
-        raise MarkerNotFoundError(
-            f"the board {request.board} was seen in none of {count} pictures; they are in {file}",
-            hint="check --board and --dictionary against the print: robot-ik camera detect",
+        return Drawn(
+            count, drawn, in_view, float(np.mean(errors)) if errors else float("nan"), spent, interrupted
         )
-    if drawn and not in_view:
-        notice = "; ".join(filter(None, (notice, _OUT_OF_VIEW)))
-    mean = float(np.mean(errors)) if errors else float("nan")
-    return ArReport(count, drawn, mean, spent, figure.scale, artist.name, notice, file, interrupted)
 
 
 def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
@@ -212,9 +291,9 @@ def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Arr
     request = replace(request, motion="follow")
     with contextlib.ExitStack() as stack:
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        frames, intrinsics, _, _ = _open(request, Standing(robot), stack)
-        watcher, begin = _watcher(request, intrinsics), None
-        for frame in frames:
+        opened = _open(request, Standing(robot), stack)
+        watcher, begin = _watcher(request, opened.intrinsics), None
+        for frame in opened.frames:
             begin = frame.time if begin is None else begin
             seen = watcher.see(frame)
             yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
@@ -226,10 +305,6 @@ def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
         return None
     board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
     return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
-
-
-def _errors(seen: Seen | None, made: Shown) -> list[float]:
-    return [] if seen is None or made.drawing is None else [seen.error]
 
 
 def _usual_scale(request: ArRequest, robot: Robot) -> float:
@@ -310,10 +385,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     return np.array([name in names for name in known]) if names else None
 
 
-def _open(
-    request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack
-) -> tuple[Iterator[Frame], CameraIntrinsics, int, BoardScene | None]:
-    """Frames, their optics, how many there will be (0: nobody knows), and the synthetic scene or None."""
+def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> Opened:
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
         occluders = None if request.occluders is None else load_occluders(request.occluders)
@@ -331,9 +403,9 @@ def _open(
                 yield source.read().without_truth()
                 clock.ticks += 1
 
-        return made(), source.scene.intrinsics, count, scene
+        return Opened(made(), source.scene.intrinsics, count, scene)
     real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return _limited(real, request.seconds), lens, 0, None
+    return Opened(_limited(real, request.seconds), lens, 0, None)
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

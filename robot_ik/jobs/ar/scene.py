@@ -14,7 +14,6 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
-from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
@@ -125,7 +124,6 @@ def synthetic_scene(
     occluders: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
-    sensor: SensorModel = WEBCAM,
     quality: str = "fast",
     eye: tuple[float, float, float] = _EYE,
     look: tuple[float, float, float] = _LOOK,
@@ -140,7 +138,6 @@ def synthetic_scene(
         occluders: What stands on the table, in the world's frame.
         follow: Also show the marker that can be followed.
         seed: Of the noise.
-        sensor: What the camera makes of the light.
         quality: ``fast`` or ``full``.
         eye: Where the camera is; ``look`` where it looks.
         look: See ``eye``.
@@ -171,7 +168,6 @@ def synthetic_scene(
         scene,
         lambda: np.zeros(0),
         seed=seed,
-        sensor=sensor,
         clock=clock,
         quality="full" if quality == "full" else "fast",
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
-from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEye, Mount, Mounting, moved, solve_handeye
+from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, moved, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError
+from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs import JobReport, Progress
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stations
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
@@ -188,26 +189,29 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
 
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, eq=False)
-class HandEyeReport:
+# ------------------------------------------------------------------------------------------
+# The phases, and what came of them.
+
+
+@dataclass(eq=False)
+class HandEyeReport(JobReport):
     """What came out.
 
     Attributes:
-        stations: (nq,) planned, in order.
         samples: What was measured.
+        truth: Where camera and board really are; None where nobody knows.
+        stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
         result: None for a dry run.
-        truth: Where camera and board really are; None where nobody knows.
     """
 
-    stations: tuple[Array, ...]
     samples: SampleSet
-    unseen: tuple[int, ...]
-    result: HandEye | None
     truth: Mount | None
+    stations: tuple[Array, ...] = ()
+    unseen: tuple[int, ...] = ()
+    result: HandEye | None = None
 
     @property
     def parent(self) -> str:
@@ -256,22 +260,18 @@ def run_handeye(
         scene = open_scene(request, setup, stack)
         task = scene.task
         samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
+        report = HandEyeReport(samples, scene.truth)
+        phases = ViewPhases(request, setup, scene, progress)
         stack.enter_context(setup.connected())
-        progress("planning", 0.0)
-        stations = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
+        planned = report.keep(phases.plan(task))
         if dry_run:
-            return HandEyeReport(tuple(stations), samples, (), None, scene.truth)
+            return report
         setup.energise()
-        unseen = measure_stations(
-            setup, scene, stations, samples, speed=request.speed, keep=keep, progress=progress
-        )
-    if len(samples) < LEAST_VIEWS:
-        raise MarkerNotFoundError(
-            f"the board was seen at {len(samples)} of {len(stations)} stations; {LEAST_VIEWS} are the least",
-            hint="check board, dictionary and light, and say better where camera and board are",
-        )
+        report.keep(phases.measure(planned, samples, lambda: keep(samples)))
+    samples.require(len(planned.stations), "say better where camera and board are")
     progress("solving", 0.0)
-    return HandEyeReport(tuple(stations), samples, unseen, _solved(samples, setup), scene.truth)
+    report.keep(solve(samples, setup.robot))
+    return report
 
 
 def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
@@ -287,9 +287,9 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
         samples.intrinsics = intrinsics
-    robot = samples.load_robot()
-    result = solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
-    return HandEyeReport(tuple(samples.q), samples, (), result, None)
+    report = HandEyeReport(samples, None, tuple(samples.q))
+    report.keep(solve(samples, samples.load_robot()))
+    return report
 
 
 def samples_path(out: Path) -> Path:
@@ -297,47 +297,77 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-def measure_stations(
-    setup: RobotSetup,
-    scene: HandEyeScene,
-    stations: Sequence[Array],
-    samples: SampleSet,
-    *,
-    speed: float = 1.0,
-    keep: Callable[[SampleSet], None] = lambda samples: None,
-    progress: Progress = lambda phase, share: None,
-) -> tuple[int, ...]:
-    """Goes to all stations and looks at the board.
+@dataclass(frozen=True, eq=False)
+class PlannedViews:
+    """Stations to visit, (nq,) each, in order."""
 
-    Args:
-        setup: Connected and energised.
-        scene: Camera and board.
-        stations: (nq,) each, as ``plan_views`` gives them.
-        samples: Joint angles read and corners seen are added to it.
-        speed: Share of the joints' speed limits.
-        keep: Handed the samples after each station.
-        progress: Called with "view 3 of 15" and the share of all that is done.
+    stations: tuple[Array, ...]
 
-    Returns:
-        Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.
+
+@dataclass(frozen=True, eq=False)
+class MeasuredViews:
+    """Numbers, from 0, of the stations where the board was not found or the arm did not come to rest."""
+
+    unseen: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedMount:
+    """Where the camera is."""
+
+    result: HandEye
+
+
+def solve(samples: SampleSet, robot: Robot) -> SolvedMount:
+    """From samples of ``robot``; nothing moves.
 
     Raises:
-        HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+        CalibrationError: The views cannot tell where the camera is.
     """
-    unseen = []
-
-    def report(number: int, share: float) -> None:
-        progress(f"view {number + 1} of {len(stations)}", (number + share) / len(stations))
-
-    for station in visit_stations(setup, stations, scene.take, speed=speed, progress=report):
-        view = scene.board.see(station.frame, scene.task.intrinsics) if station.still else None
-        if view is None:
-            unseen.append(station.number)
-            continue
-        samples.add(station.q, view)
-        keep(samples)
-    return tuple(unseen)
+    return SolvedMount(solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting))
 
 
-def _solved(samples: SampleSet, setup: RobotSetup) -> HandEye:
-    return solve_handeye(samples.samples(setup.robot), samples.intrinsics, mounting=samples.mounting)
+@dataclass(frozen=True, eq=False)
+class ViewPhases:
+    """What hand-eye and verify do alike before a camera, and what it needs; ``setup`` is connected."""
+
+    request: ArmCameraRequest
+    setup: RobotSetup
+    scene: HandEyeScene
+    progress: Progress
+
+    def plan(self, task: ViewTask) -> PlannedViews:
+        """Views for a task.  Nothing moves."""
+        self.progress("planning", 0.0)
+        request, setup = self.request, self.setup
+        return PlannedViews(
+            tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
+        )
+
+    def measure(self, planned: PlannedViews, samples: SampleSet, keep: Callable[[], None]) -> MeasuredViews:
+        """Goes to all stations and looks at the board; the servos have torque.
+
+        Args:
+            planned: Where to.
+            samples: Joint angles read and corners seen are added to it.
+            keep: Called after each station.
+
+        Raises:
+            HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+        """
+        unseen, count, scene = [], len(planned.stations), self.scene
+
+        def show(number: int, share: float) -> None:
+            self.progress(f"view {number + 1} of {count}", (number + share) / count)
+
+        visits = visit_stations(
+            self.setup, planned.stations, scene.take, speed=self.request.speed, progress=show
+        )
+        for station in visits:
+            view = scene.board.see(station.frame, scene.task.intrinsics) if station.still else None
+            if view is None:
+                unseen.append(station.number)
+                continue
+            samples.add(station.q, view)
+            keep()
+        return MeasuredViews(tuple(unseen))

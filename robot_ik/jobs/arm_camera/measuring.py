@@ -14,11 +14,11 @@ from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.calibration.extrinsics import today
-from robot_ik.camera.calibration.handeye import HandEyeSample, Mounting
+from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame
-from robot_ik.errors import CameraError, ConfigError, RobotIkError
+from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
 from robot_ik.execution import execute
 from robot_ik.files import parse_json, plain, read_text, shown, write_atomically
 from robot_ik.geometry import Pose
@@ -193,6 +193,18 @@ class SampleSet:
         """One station more."""
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
+
+    def require(self, stations: int, hint: str) -> None:
+        """Nothing where there are samples enough of so many stations.
+
+        Raises:
+            MarkerNotFoundError: There are not; ``hint`` says what may help beside board and light.
+        """
+        if len(self) < LEAST_VIEWS:
+            raise MarkerNotFoundError(
+                f"the board was seen at {len(self)} of {stations} stations; {LEAST_VIEWS} are the least",
+                hint=f"check board, dictionary and light, and {hint}",
+            )
 
     def load_robot(self) -> Robot:
         """The robot with the joints that ``q`` is of."""

@@ -18,7 +18,6 @@ from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
 from robot_ik.camera.calibration.handeye import Mount
 from robot_ik.camera.calibration.kinematic import (
-    LEAST_VIEWS,
     CalibrationStation,
     KnownPose,
     PoseError,
@@ -30,11 +29,11 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, measure_stations, open_scene
+from robot_ik.jobs import JobReport, Progress
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, ViewPhases, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
-from robot_ik.jobs.arm_camera.view_planning import plan_views
 from robot_ik.jobs.reach import Rehearsal
-from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.robot import Robot
 
@@ -119,7 +118,6 @@ class VerifyRequest(ArmCameraRequest):
 
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
 
 # Pictures of the marker on the table by which the simulated camera is located.
 _LOCATE_PICTURES = 5
@@ -131,35 +129,27 @@ _UNSURE = 5.0
 _LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
 
 
-@dataclass(frozen=True, eq=False)
-class VerifyReport:
+@dataclass(eq=False)
+class VerifyReport(JobReport):
     """What came out.
 
     Attributes:
-        robot: Inside the limits that were used; ``frame``: what carries the board.
+        robot: Inside the limits that were used.
+        config: The servos.
+        known: What was measured, and what was known before of camera and board.
         stations: (nq,) planned, in order.
-        samples: What was measured.
         unseen: Numbers of the stations where the board was not found.
-        camera, board: Their poses as they were known, for all that follows.
-        by_arm: Whether the camera's place was found by moving the arm, so that only ``fit`` tells anything.
         errors: Of each view, with the joints as the servos say; empty for a dry run.
         fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
-        config: The servos.
-        true_offsets: (nv,) rad; None where nobody knows.
     """
 
     robot: Robot
-    frame: str
-    stations: tuple[Array, ...]
-    samples: SampleSet
-    unseen: tuple[int, ...]
-    camera: KnownPose
-    board: KnownPose
-    by_arm: bool
-    errors: tuple[PoseError, ...]
-    fit: ZeroOffsets | None
     config: ArmConfig | None
-    true_offsets: Array | None
+    known: VerifySamples
+    stations: tuple[Array, ...] = ()
+    unseen: tuple[int, ...] = ()
+    errors: tuple[PoseError, ...] = ()
+    fit: ZeroOffsets | None = None
 
     @property
     def unsure(self) -> tuple[int, ...]:
@@ -224,26 +214,18 @@ def run_verify(
         scene = open_scene(_scene_request(request), setup, stack)
         place = _given_place(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        if place is None:
-            progress("locating the camera", 0.0)
-            place = _located(setup, scene)
-        known = _known(request, setup, scene, place)
+        phases = _Phases(request, setup, scene, progress)
+        known = phases.locate(place)
+        report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
-        scene = replace(scene, task=replace(scene.task, mount=mount))
-        progress("planning", 0.0)
-        stations = plan_views(setup.robot, scene.task, request.views, start=setup.q, seed=request.seed)
-        unseen: tuple[int, ...] = ()
-        if not dry_run:
-            setup.energise()
-            unseen = measure_stations(
-                setup, scene, stations, known.samples, speed=request.speed,
-                keep=lambda samples: keep(known), progress=progress,
-            )  # fmt: skip
-    report = _report(known, setup.robot, setup.config, tuple(stations), unseen)
-    if dry_run:
-        return report
+        planned = report.keep(phases.plan(replace(scene.task, mount=mount)))
+        if dry_run:
+            return report
+        setup.energise()
+        report.keep(phases.measure(planned, known.samples, lambda: keep(known)))
     progress("comparing", 0.0)
-    return _judged(report, request.fit)
+    report.keep(compare(known, setup.robot, len(planned.stations), fit=request.fit))
+    return report
 
 
 def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
@@ -280,42 +262,37 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
         else KnownPose(pose, known.board.covariance)
     )
     config = None if request.arm_file is None else known.arm(request.arm_file)
-    report = _report(replace(known, board=board), samples.load_robot(), config, tuple(samples.q), ())
-    return _judged(report, request.fit)
+    known, robot = replace(known, board=board), samples.load_robot()
+    report = VerifyReport(robot, config, known, tuple(samples.q))
+    report.keep(compare(known, robot, len(samples), fit=request.fit))
+    return report
 
 
-def _report(
-    known: VerifySamples,
-    robot: Robot,
-    config: ArmConfig | None,
-    stations: tuple[Array, ...],
-    unseen: tuple[int, ...],
-) -> VerifyReport:
-    """Before anything is judged."""
-    return VerifyReport(
-        robot, known.samples.frame, stations, known.samples, unseen, known.camera, known.board,
-        known.by_arm, (), None, config, known.true_offsets,
-    )  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """How far the board is from where the joints say; both as in ``VerifyReport``."""
+
+    errors: tuple[PoseError, ...]
+    fit: ZeroOffsets | None
 
 
-def _judged(report: VerifyReport, fit: bool) -> VerifyReport:
-    """With the errors, and with the offsets where they are asked for."""
-    samples, robot = report.samples, report.robot
-    if len(samples) < LEAST_VIEWS:
-        raise MarkerNotFoundError(
-            f"the board was seen at {len(samples)} of {len(report.stations)} stations; "
-            f"{LEAST_VIEWS} are the least",
-            hint="check board, dictionary and light, and where camera and board are said to be",
-        )
+def compare(known: VerifySamples, robot: Robot, stations: int, *, fit: bool) -> Compared:
+    """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
+
+    Raises:
+        MarkerNotFoundError: The board was seen at too few of the ``stations``.
+    """
+    samples = known.samples
+    samples.require(stations, "where camera and board are said to be")
     views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
-    lens, frame = samples.intrinsics, report.frame
-    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=report.camera, board=report.board)
-    if report.by_arm:
+    lens, frame = samples.intrinsics, samples.frame
+    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=known.camera, board=known.board)
+    if known.by_arm:
         # The place as the arm's views have it: what is left are the errors that change from view to view.
         errors = fitted(hold=robot.joints).errors
     else:
-        errors = measure_errors(views, robot, frame, lens, camera=report.camera, board=report.board)
-    return replace(report, errors=errors, fit=fitted() if fit else None)
+        errors = measure_errors(views, robot, frame, lens, camera=known.camera, board=known.board)
+    return Compared(errors, fitted() if fit else None)
 
 
 def _scene_request(request: VerifyRequest) -> HandEyeRequest:
@@ -335,36 +312,43 @@ def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> Camera
     return place
 
 
-def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
-    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
-    around = scene_for(setup.robot, setup.frame)
-    marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
-    looks = [marker.see(scene.take(), scene.task.intrinsics) for _ in range(_LOCATE_PICTURES)]
-    seen = [view for view in looks if view is not None]
-    if not seen:
-        raise MarkerNotFoundError(
-            "the marker on the table is hidden, so the simulated camera does not know where it stands",
-            hint="give where it is: --camera-extrinsics FILE",
+@dataclass(frozen=True, eq=False)
+class _Phases(ViewPhases):
+    """What a check does before the camera, one thing after the other."""
+
+    request: VerifyRequest
+
+    def locate(self, place: CameraExtrinsics | None) -> VerifySamples:
+        """What is known before the first sample; no place: it is found by the marker on the table."""
+        if place is None:
+            self.progress("locating the camera", 0.0)
+            place = self._located()
+        request, task, config, truth = self.request, self.scene.task, self.setup.config, self.scene.truth
+        joints, pose = self.setup.robot.joints, request.pose_frame_board
+        if pose is None:
+            pose = Pose() if truth is None else truth.pose_other_board
+        ahead = [request.zero_offset_deg.get(name, 0.0) for name in joints]
+        return VerifySamples(
+            SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
+            _known_camera(place),
+            KnownPose.within(pose, *request.board_sigma),
+            _by_arm(place),
+            None if truth is None else np.deg2rad(ahead),
+            () if config is None else tuple(servo_values(joint) for joint in config.joints),
         )
-    return locate_camera(seen, around.pose_world_marker, scene.task.intrinsics)
 
-
-def _known(
-    request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene, place: CameraExtrinsics
-) -> VerifySamples:
-    """What is known before the first sample is taken."""
-    pose = request.pose_frame_board
-    if pose is None:
-        pose = Pose() if scene.truth is None else scene.truth.pose_other_board
-    task = scene.task
-    return VerifySamples(
-        SampleSet(request.robot, setup.robot.joints, task.frame, "eye_to_hand", task.intrinsics),
-        _known_camera(place),
-        KnownPose.within(pose, *request.board_sigma),
-        _by_arm(place),
-        _truth(request, setup, scene),
-        () if setup.config is None else tuple(servo_values(joint) for joint in setup.config.joints),
-    )
+    def _located(self) -> CameraExtrinsics:
+        """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+        around, lens = scene_for(self.setup.robot, self.setup.frame), self.scene.task.intrinsics
+        marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
+        looks = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
+        seen = [view for view in looks if view is not None]
+        if not seen:
+            raise MarkerNotFoundError(
+                "the marker on the table is hidden, so the simulated camera does not know where it stands",
+                hint="give where it is: --camera-extrinsics FILE",
+            )
+        return locate_camera(seen, around.pose_world_marker, lens)
 
 
 def _by_arm(place: CameraExtrinsics) -> bool:
@@ -375,10 +359,3 @@ def _known_camera(place: CameraExtrinsics) -> KnownPose:
     if _by_arm(place):
         return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM)
     return KnownPose(place.pose_parent_camera, place.covariance + _LEAST)
-
-
-def _truth(request: VerifyRequest, setup: RobotSetup, scene: HandEyeScene) -> Array | None:
-    """(nv,) rad by which the simulated shafts are ahead."""
-    if scene.truth is None:
-        return None
-    return np.deg2rad([request.zero_offset_deg.get(name, 0.0) for name in setup.robot.joints])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,6 +16,7 @@ from robot_ik.errors import RobotIkError, apart
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.inverse_kinematics import solve
+from robot_ik.jobs import Progress
 from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
@@ -105,9 +106,6 @@ def check_script(script: Script, setup: RobotSetup) -> None:
             step.check(context)
         except WrongKey as wrong:
             raise wrong.within(("steps", k)).in_file(script.file) from None
-
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

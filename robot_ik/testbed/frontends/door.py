@@ -5,17 +5,19 @@ It imports neither models nor solvers, so a browser loads the page while the pro
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import zipfile
 from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
-from viser import _icons
+from viser import ClientHandle, _icons
 
 from robot_ik.testbed.frontends.gate import open_server, quiet
 
 _BRAND = (37, 99, 235)
+_SHADOWS_AFTER = 4.0  # seconds of a browser with the page
 # Cell, section and plane of the ground.
 _LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
 _DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
@@ -58,8 +60,19 @@ class Door:
         with self.server.atomic():
             self.server.gui.set_panel_label("robot_ik testbed")
             self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
-            self.server.scene.configure_default_lights(cast_shadow=shadows)
+            self.server.scene.configure_default_lights(cast_shadow=False)
             self.theme(dark)
+        if shadows:
+            self.server.on_client_connect(self._cast_shadows)
+
+    async def _cast_shadows(self, client: ClientHandle) -> None:
+        """Shadows come when the robot is there: without a GPU they take a browser more than a second."""
+
+        def cast() -> None:
+            if client.client_id in self.server.get_clients():
+                client.scene.configure_default_lights(cast_shadow=True)
+
+        asyncio.get_running_loop().call_later(_SHADOWS_AFTER, cast)
 
     def theme(self, dark: bool) -> None:
         """Panels, ground and background."""

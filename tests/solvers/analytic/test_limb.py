@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_ik.batch import solve_batch
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.inverse_kinematics import solve, solve_all, solve_batch
+from robot_ik.inverse_kinematics import solve, solve_all
 from robot_ik.kernels.tree import BALL
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot

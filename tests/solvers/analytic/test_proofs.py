@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from robot_ik.batch import solve_batch
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.inverse_kinematics import solve, solve_batch
+from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status

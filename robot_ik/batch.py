@@ -1,0 +1,241 @@
+"""Many poses at once: arrays in, arrays out, all cores, no Python for each pose."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.errors import InvalidGoalError
+from robot_ik.geometry import Pose
+from robot_ik.goals import LARGEST, PoseGoal, PositionGoal, Tolerance, numbers
+from robot_ik.inverse_kinematics import ORIGIN, lent
+from robot_ik.model import pose_row
+from robot_ik.problem import Budget, Problem, require_options
+from robot_ik.robot import Robot
+from robot_ik.solution import Status
+from robot_ik.solvers.base import BatchResult, Solver
+
+Array = NDArray[np.float64]
+
+# How far a matrix may be from a rotation: what six written digits leave.
+_ROUNDING = 1e-5
+# So many matrices are checked one by one.
+_FEW = 8
+# Below this many poses for each thread, starting threads costs more than it gains.
+_LEAST_PER_THREAD = 256
+
+
+@dataclass(frozen=True, eq=False)
+class BatchSolution:
+    """Answers to many poses; row i belongs to pose i.
+
+    Attributes:
+        q: (n, nq) best found, inside the limits.
+        status: (n,) numbers of ``Status``.
+        position_miss, angle_miss: (n,) metres and radians, by the compiled forward pass (which the tests
+            hold to MuJoCo's); 0 for a part that was not asked for.
+        iterations, restarts: (n,) steps of all tries of each pose; random restarts used.
+        seconds: Wall-clock time of all.
+        solver: Name of the method.
+    """
+
+    q: Array
+    status: NDArray[np.int64]
+    position_miss: Array
+    angle_miss: Array
+    iterations: NDArray[np.int64]
+    restarts: NDArray[np.int64]
+    seconds: float
+    solver: str
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """(n,) whether each goal is within tolerance."""
+        return np.asarray(self.status == Status.CONVERGED)
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    def __repr__(self) -> str:
+        numbers, counts = np.unique(self.status, return_counts=True)
+        ends = ", ".join(f"{n} {Status(k).name}" for k, n in zip(numbers, counts, strict=True))
+        return f"BatchSolution({len(self)} poses: {ends or 'none'}; {self.solver!r}, {self.seconds:.2g} s)"
+
+
+def run_batch(
+    parts: Callable[[], AbstractContextManager[tuple[Solver, Problem]]],
+    targets: Array,
+    starts: Array,
+    threads: int | None,
+) -> BatchSolution:
+    """Solves each row of ``targets`` (n, 12) from its row of ``starts`` (n, nq), on so many threads.
+
+    Args:
+        parts: Lends a method and a problem of one goal to each thread.
+        targets: Pose rows (n, 12).
+        starts: (n, nq).
+        threads: None = one for each core this process may use.
+
+    Raises:
+        InvalidGoalError: No thread at all.
+    """
+    if threads is not None and threads < 1:
+        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
+    answers = BatchResult.empty(len(targets), starts.shape[1])
+    most = len(targets) // _LEAST_PER_THREAD
+    count = min(threads or usable_cores(), most) if most > 1 else 1
+
+    def part(targets: Array, starts: Array, answers: BatchResult) -> str:
+        with parts() as (method, problem):
+            method.solve_many(problem, targets, starts, answers)
+        return method.name
+
+    began = time.perf_counter()
+    if count == 1:
+        name = part(targets, starts, answers)
+    else:
+        edges = [len(targets) * k // count for k in range(count + 1)]
+        shares = [slice(first, last) for first, last in itertools.pairwise(edges)]
+        with ThreadPoolExecutor(count) as pool:
+            done = [pool.submit(part, targets[s], starts[s], answers.part(s)) for s in shares]
+            name, *_ = [one.result() for one in done]
+    miss, seconds = answers.miss, time.perf_counter() - began
+    return BatchSolution(
+        answers.q, answers.status, miss[:, 0], miss[:, 1], answers.iterations, answers.restarts, seconds, name
+    )
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity is not None else os.cpu_count() or 1
+
+
+def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
+    """Targets as pose rows (n, 12), and whether their orientation counts.
+
+    Raises:
+        InvalidGoalError: Wrong shape, a number that is not finite, a zero quaternion, a matrix that is no
+            rotation.
+    """
+    several: Any = [poses] if isinstance(poses, Pose) else poses
+    if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
+        return np.array([pose_row(pose) for pose in several]), True
+    array = numbers(several, "poses")
+    if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
+        bad = int((~(np.abs(array) <= LARGEST)).sum())
+        raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
+    rows = np.zeros((array.shape[0] if array.ndim else 0, 12))
+    if array.ndim == 2 and array.shape[1] == 3:
+        rows[:, :3] = array
+        rows[:, [3, 7, 11]] = 1.0
+        return rows, False
+    if array.ndim == 3 and array.shape[1:] == (4, 4):
+        rows[:, :3] = array[:, :3, 3]
+        rows[:, 3:] = array[:, :3, :3].reshape(-1, 9)
+        _require_rotations(rows)
+        return rows, True
+    if array.ndim == 2 and array.shape[1] == 7:
+        rows[:, :3] = array[:, :3]
+        norm = np.linalg.norm(array[:, 3:], axis=1)
+        if (norm < 1e-9).any():
+            raise InvalidGoalError(
+                f"pose {int(np.argmin(norm))} has a zero quaternion, which is no orientation"
+            )
+        w, x, y, z = (array[:, 3:] / norm[:, None]).T
+        rows[:, 3:] = np.stack(
+            [
+                1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+            ],
+            axis=1,
+        )  # fmt: skip
+        return rows, True
+    raise InvalidGoalError(
+        f"poses have shape {array.shape}",
+        hint="give poses, (n, 4, 4) matrices, (n, 7) position and wxyz, or (n, 3) positions",
+    )
+
+
+def _require_rotations(rows: Array) -> None:
+    """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) turn and do nothing else."""
+    turns = rows[:, 3:]
+    if len(rows) <= _FEW:  # Python's own numbers are quicker for so few
+        off: Any = [_from_rotation(*row) for row in turns.tolist()]
+    else:  # row by row; one copy, then quick sums
+        off = _from_rotation(*np.ascontiguousarray(turns.T))
+    if len(off) and np.max(off) > _ROUNDING:
+        raise InvalidGoalError(
+            f"the matrix of pose {int(np.argmax(off))} does not turn: it scales or mirrors"
+        )
+
+
+def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
+    """How far a matrix, row by row, is from unit columns of which the third is the others' cross product."""
+    off = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
+    return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
+
+
+def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
+    """Starts (n, nq); one start (nq,), or home, counts for all.
+
+    Raises:
+        InvalidGoalError: Wrong shape, or not finite.
+    """
+    array = robot.home if starts is None else numbers(starts, "starts")
+    if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
+        raise InvalidGoalError(
+            f"starts have shape {array.shape}",
+            hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
+        )
+    rows = np.empty((count, robot.nq))
+    rows[...] = array
+    return rows
+
+
+def solve_batch(
+    robot: Robot,
+    poses: ArrayLike | Pose | Sequence[Pose],
+    *,
+    frame: str | None = None,
+    starts: ArrayLike | None = None,
+    solver: str | Solver = "auto",
+    tolerance: Tolerance | None = None,
+    budget: Budget | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+) -> BatchSolution:
+    """Solves each pose on its own, the same answers as ``solve`` one by one.
+
+    Args:
+        robot: From ``load_robot``.
+        poses: ``Pose`` objects, (n, 4, 4) homogeneous matrices, (n, 7) position and quaternion wxyz, or
+            (n, 3) positions whose orientation is free.
+        frame: What shall get there; default the tool.
+        starts: (nq,) for all or (n, nq); default ``robot.home``.
+        solver: Name or instance; ``auto`` and ``lm`` run compiled from end to end.
+        tolerance: As in ``solve``.
+        budget: For each pose.
+        seed: Of the restarts, the same for each pose.
+        threads: Default: one for each core this process may use.
+
+    Raises:
+        InvalidGoalError: Wrong shape, a pose or start that is not finite, a matrix that is no rotation, or
+            no thread at all.
+        UnsupportedGoalError: As in ``solve``.
+    """
+    require_options(robot, tolerance, budget, seed)
+    targets, with_angle = target_rows(poses)
+    begin = start_rows(robot, starts, len(targets))
+    goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
+    return run_batch(lambda: lent(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads)

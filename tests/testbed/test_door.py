@@ -1,0 +1,40 @@
+"""The page before there is a robot."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+pytest.importorskip("viser", reason="needs the extra web")
+from viser._messages import EnableLightsMessage
+
+from robot_ik.bench.page import PageClient
+from robot_ik.testbed.frontends import door
+from robot_ik.testbed.frontends.door import Door
+from tests.testbed.conftest import PATIENCE
+
+
+def _lights(opened: Door) -> list[bool]:
+    """Whether lights cast shadows, in the order in which the browsers heard of it."""
+    server = opened.server._websock_server
+    buffers = [
+        server._broadcast_buffer, *(one.message_buffer for one in server._client_state_from_id.values())
+    ]  # fmt: skip
+    messages = [message for buffer in buffers for message in list(buffer.message_from_id.values())]
+    return [message.cast_shadow for message in messages if isinstance(message, EnableLightsMessage)]
+
+
+def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a GPU they take a browser more than a second, in which it would show nothing."""
+    monkeypatch.setattr(door, "_SHADOWS_AFTER", 0.5)
+    with Door(port=8790) as opened, PageClient(opened.url):
+        assert _lights(opened) == [False]
+        deadline = time.monotonic() + PATIENCE
+        while _lights(opened) == [False]:
+            assert time.monotonic() < deadline, "no shadows"
+            time.sleep(0.02)
+        assert _lights(opened) == [False, True]
+    with Door(port=8790, shadows=False) as opened, PageClient(opened.url):
+        time.sleep(0.7)
+        assert _lights(opened) == [False]
