@@ -487,6 +487,7 @@ class Walk:
     falls: tuple[tuple[tuple[Print, float, float], ...], ...]
 
 
+# The spine's two pitches are all but the same axis: against each other they would turn far for a little roll.
 _STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis_pitch": 10.0, "head*": 3.0}
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
