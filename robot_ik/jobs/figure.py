@@ -436,7 +436,7 @@ def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
 
 def record(
     robot: Robot, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle],
-    progress: Progress = lambda done, whole: None, **more: Any,
+    progress: PictureProgress = lambda done, whole: None, **more: Any,
 ) -> None:  # fmt: skip
     """A film, a GIF, a picture, or a folder of pictures (see ``jobs.ar_files``); 30 pictures a second."""
     painter = Painter(robot, obstacles)
