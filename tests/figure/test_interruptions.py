@@ -95,11 +95,11 @@ def test_an_action_that_is_interrupted_goes_over_smoothly(abilities: Abilities, 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_hundreds_of_interruptions_go_over_smoothly(abilities: Abilities) -> None:
-    """Of 475 at most two in a hundred are abrupt."""
+    """Of 475 at most two are abrupt: none was when this was written."""
     abrupt: list[str] = []
     for seed in range(25, 500):
         try:
             require_smooth(abilities, seed)
         except AssertionError as error:
             abrupt.append(str(error).splitlines()[0])
-    assert len(abrupt) <= 0.02 * 475, "\n".join(abrupt)
+    assert len(abrupt) <= 2, "\n".join(abrupt)
