@@ -301,7 +301,7 @@ class _Mistake:
         if found is None:
             return None
         value, name, listed = found.groups()
-        choices = re.findall(r"'([^']*)'", listed)
+        choices = [word for word in re.findall(r"'([^']*)'", listed) if word]  # the empty one: not asked
         close = close_matches(value, choices, 1)
         meant = f" (did you mean {close[0]!r}?)" if close else ""
         key = name if name.startswith("-") else ""

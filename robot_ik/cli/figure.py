@@ -15,6 +15,7 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, write_atomically
+from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.figure.abilities import Abilities
@@ -22,9 +23,11 @@ if TYPE_CHECKING:
     from robot_ik.figure.session import FigureFrame
     from robot_ik.jobs.ar.job import ArRequest
     from robot_ik.jobs.figure import FigureReport, FigureRequest
-    from robot_ik.robot import Robot
+    from robot_ik.robot import Array, Robot
 
 _LION_BALLS = (0.9, -0.2, 0.6), (0.7, 0.4, 0.5)
+# Pictures of the synthetic camera that nobody sees: the ball's place to 4 mm at a quarter of the time.
+_UNSEEN_SIZE = (640, 360)
 _SHOWN = (0.45, -0.25, 1.45), (0.5, -0.2, 0.2), (2.2, 0.8, 1.2), (2.6, 0.9, 2.35)
 
 
@@ -174,8 +177,13 @@ def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
     if options.record is not None and not options.ar:
         from robot_ik.jobs.figure import record
 
-        with console.busy(f"painting {options.record}"):
-            record(robot, report.frames, options.record, (), overwrite=options.overwrite)
+        with console.progress() as bar:
+            task = bar.add_task(f"painting {options.record}", total=None, note="")
+
+            def progress(done: int, whole: int) -> None:
+                bar.update(task, completed=done, total=whole, note=f"{done} pictures")
+
+            record(robot, report.frames, options.record, (), progress, overwrite=options.overwrite)
     _print(report, options)
     return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
 
@@ -238,6 +246,7 @@ def _camera(options: FigureOptions) -> ArRequest:
         scale=options.scale, motion="follow", marker=(options.marker, options.marker_size),
         out=options.record or default, overwrite=options.overwrite, seconds=options.seconds,
         seed=options.seed,
+        size=_UNSEEN_SIZE if options.camera == "synthetic" and not options.ar else None,
     )  # fmt: skip
 
 
@@ -266,20 +275,36 @@ def _on_camera(abilities: Abilities, options: FigureOptions) -> Iterator[FigureF
     return iter(frames)
 
 
+def _in_view(options: FigureOptions) -> Array:
+    """(n, 3) what the window shows beside the robot at home: where it stands at first, and its balls."""
+    balls = [options.ball] if options.ball is not None else [] if options.path else list(_SHOWN)
+    return np.array([(*options.place[:2], 0.0), *(ball for ball in balls if np.isfinite(ball).all())])
+
+
 def _watch(
     robot: Robot, hands: Mapping[str, str], frames: Iterator[FigureFrame], options: FigureOptions
 ) -> FigureReport:
-    from robot_ik.jobs.figure import watch
+    from robot_ik.jobs.figure import BALL_RADIUS, TILES, watch
 
     if not options.viewer:
-        return watch(robot, hands, frames, lambda frame: None)
-    from robot_ik.testbed.frontends.window import WindowSink
+        with console.progress() as bar:
+            task = bar.add_task("moving", total=options.seconds if options.path else None, note="")
+            return watch(
+                robot, hands, frames,
+                lambda frame: bar.update(task, completed=frame.t, note=f"{frame.t:.1f} s {frame.action}"),
+            )  # fmt: skip
+    from robot_ik.testbed.frontends.window import Solid, WindowSink
 
-    with WindowSink(robot, instead="run it without --viewer, or film it with --record") as window:
+    instead = "run it without --viewer, or film it with --record"
+    floor = [Solid(Pose(place), half, rgba) for place, half, rgba in TILES]
+    see = _in_view(options)
+    with WindowSink(robot, ball=BALL_RADIUS, see=see, solids=floor, instead=instead) as window:
         began = time.monotonic()
 
         def show(frame: FigureFrame) -> None:
             time.sleep(max(0.0, began + frame.t - time.monotonic()))
+            window.show_ball(frame.ball)
+            window.show_text(frame.action, frame.decision.reason)
             window.send(frame.q, frame.t)
 
         report = watch(robot, hands, frames, show)
@@ -299,7 +324,10 @@ def _print(report: FigureReport, options: FigureOptions) -> None:
         )
         return
     shown = console.table("s", "decision", "hand", "why")
+    last = None
     for t, decision in report.decisions:
+        if last == (last := (decision.action, decision.arm, decision.reason)):
+            continue  # a ball that moves is decided upon again and again
         shown.add_row(f"{t:.2f}", decision.action, decision.arm or "", decision.reason)
     console.out().print(shown)
     misses = ", ".join(f"{action} {1000 * miss:.2f} mm" for action, miss in report.misses)

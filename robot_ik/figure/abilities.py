@@ -50,6 +50,8 @@ _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
 _STARTS, _FEW = 12, 3
+# … and a ball that is decided upon.
+_ASKED = 8
 # Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
 # them is out of reach: half a diagonal of the grid, and as much for points that were not found.
 _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
@@ -138,7 +140,7 @@ class Abilities:
         """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
         return np.asarray(self.raised[arm][0][:2] + np.array([self.ahead, 0.0]))
 
-    def can(self, kind: str, ball: Array, arm: str, starts: int = _STARTS) -> FigurePose | None:
+    def can(self, kind: str, ball: Array, arm: str, starts: int = _ASKED) -> FigurePose | None:
         """An admissible pose, confirmed by a solve from so many poses; None where map or solve says no."""
         found = self.maps[kind, arm]
         if found.surely_out(ball):
@@ -157,6 +159,17 @@ class Abilities:
             palm = palm_over_center(self.figure, arm, self.raised[arm][0][:2], 1.25, 0.05)
             self.figure.workspace[key] = float(palm[2])
         return float(self.figure.workspace[key])
+
+    def _highest(self, arm: str, xy: Array) -> Array:
+        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest place is remembered.
+
+        All stand points from which a figure would jump see a ball at the same place.
+        """
+        key = f"highest {arm}"
+        known: tuple[Array, Array] | None = self.figure.workspace.get(key)
+        if known is None or not np.array_equal(known[0], xy):
+            known = self.figure.workspace[key] = xy, palm_over_center(self.figure, arm, xy, None)
+        return known[1]
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -184,7 +197,7 @@ class Abilities:
         As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
         the shoulder, and as low as a jump allows.
         """
-        palm = palm_over_center(self.figure, arm, over[:2], None)
+        palm = self._highest(arm, over[:2])
         low = palm[2] >= over[2] - _HOP  # no jump would do; a small one does
         yield palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP) if low else palm
         if np.linalg.norm(palm[:2] - over[:2]) > _RIM or palm[2] < least - _RIM:

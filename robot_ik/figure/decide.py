@@ -262,7 +262,9 @@ class Decider:
         comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - aside)
         cost = far + _PER_RADIAN * turn + 0.8 * comfort
         cost[~self.free(points[:, :2])] = np.inf
-        order = np.argsort(cost, kind="stable")[: 4 * _TRIES]
+        few = min(4 * _TRIES, len(cost))
+        least = np.sort(np.argpartition(cost, few - 1)[:few])
+        order = least[np.argsort(cost[least], kind="stable")]
         picks = [i for i in order if np.isfinite(cost[i])]
         # Alternatives that differ: the best, then those some way from it.
         spread = [i for n, i in enumerate(picks) if n < 2 or n % 4 == 0]

@@ -7,6 +7,7 @@ there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ModelError
 from robot_ik.kernels import whole_body
+from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.robot import Robot, load_robot
@@ -477,7 +479,7 @@ class FrameRows:
 
         Args:
             posture: (nq,) or (n, nq) wanted where the rows leave freedom.
-            stiffness: (nv,) weights of the posture.
+            stiffness: (nv,) or (n, nv) weights of the posture.
             start: (nq,) the frame before the first.
             second: (nq,) the frame before that; default: at rest.
             limits: (nv,) lower and upper limits inside the model's.
@@ -500,16 +502,19 @@ class FrameRows:
         steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
     ) -> Slices[Frames]:  # fmt: skip
         """As ``solve``, some frames at a time: the same bits."""
-        ready = self.prepare(posture, stiffness, limits=limits, speeds=speeds, dt=dt)
+        each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
+        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
         n, nq = self.frames, self.figure.robot.nq
+        changes = np.flatnonzero((np.diff(each, axis=0) != 0.0).any(axis=1)) + 1
         found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
         before, here = np.array(start if second is None else second), np.array(start)
         some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
-        for a in range(0, n, some):
-            b = min(n, a + some)
+        cuts = sorted({*range(0, n, some), *changes.tolist(), n})
+        for a, b in itertools.pairwise(cuts):
+            ready.stiffness[:] = each[a]
             ready.solve(found, a, b, here, before, steps, rest, close)
-            if b < n:
-                before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
+            before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
+            if b < n and b % some == 0:
                 yield
         return found
 
@@ -580,6 +585,10 @@ class PreparedRows:
     posture: Array
     stiffness: Array
     body: NDArray[np.int64] = field(init=False, repr=False)
+
+    def table(self, name: str) -> NDArray[Any]:
+        """An array of ``whole_body.WHOLE_BODY``: work space holds what the last gathering of rows left."""
+        return owned(self.body)[list(whole_body.WHOLE_BODY.fields).index(name)]
 
     def solve(
         self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float

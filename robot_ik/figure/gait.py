@@ -10,6 +10,7 @@ let it.  Human numbers: ``docs/theory/figure.md``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,8 +47,17 @@ CONTACTS = ("air", "heel", "flat", "toe")
 
 # Share of the cycle that a foot stands (Schwartz et al. 2008: 60 to 61 %).
 _STANCE = 0.61
+# A foot turns so far in a step at most, rad: legs do not cross, and the outer knee does not stretch.
+_STEP_TURN = np.radians(22.0)
 # Before the first step, and after the last strike, s: the body needs some e^{-ωt} to come to rest.
 _LEAN, _SETTLE = 0.75, 1.4
+# A knee bends so far at least, degrees, as its foot leaves the floor, within so long before and after, s: a
+# straight one would have to bend at once.
+_LEAVING_DEG, _LEAVING = 27.0, 0.08
+# Pitch of the sole as a foot leaves the floor for a step of no length, as a share of that for a whole one.
+_LEAST_OFF = 0.45
+# Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
+_EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,7 @@ class Gait:
             longer it is up than down.
         late: How much later than by a cosine the foot arrives: one that waits before its strike holds the
             hips down.
+        depart: How softly the foot leaves: 2.47 with no acceleration, 0 as a cosine.
         arrive: Speed of the foot at its strike as a share of its mean speed in the air: heels strike while
             they still move.
         turn_deg: Of the pelvis about the vertical, to the side of the foremost leg.
@@ -81,30 +92,31 @@ class Gait:
         swing_deg: Of the arms.
     """
 
-    length: float = 0.63813
-    width: float = 0.08294
-    time: float = 0.57573
-    double: float = 0.0924
-    strike_deg: float = 8.6989
-    off_deg: float = 43.18702
-    peak: float = 1.44593
-    flat: float = 0.11117
-    drop: float = -0.19027
-    rise: float = 0.42017
-    leveled: tuple[float, float] = (0.60345, 0.17079)
-    lift: float = 0.03709
-    arch: tuple[float, float] = (1.81038, 2.31921)
-    level_time: float = 0.40524
+    length: float = 0.62531
+    width: float = 0.08042
+    time: float = 0.56303
+    double: float = 0.09387
+    strike_deg: float = 11.63986
+    off_deg: float = 45.89719
+    peak: float = 1.41342
+    flat: float = 0.11029
+    drop: float = 0.27861
+    rise: float = 0.43639
+    leveled: tuple[float, float] = (0.5568, 0.15208)
+    lift: float = 0.02781
+    arch: tuple[float, float] = (2.35311, 2.22706)
+    level_time: float = 0.36806
     gap: float = 0.11
-    knee_deg: float = 10.44676
+    knee_deg: float = 12.15722
     toe_out_deg: float = 5.0
-    pressure: tuple[float, float] = (0.03042, 0.1683)
-    dip: float = -0.01004
-    bob: float = 0.03026
-    broad: float = 0.13557
-    late: float = -0.08768
-    arrive: float = 0.22283
-    turn_deg: float = 3.43162
+    pressure: tuple[float, float] = (0.04256, 0.1669)
+    dip: float = -0.02876
+    bob: float = 0.02804
+    broad: float = 0.23502
+    late: float = -0.29299
+    depart: float = 2.08331
+    arrive: float = 0.16313
+    turn_deg: float = 4.55665
     lean_deg: float = 3.0
     swing_deg: float = 15.0
 
@@ -115,7 +127,7 @@ SHUFFLE = replace(
     WALK, length=0.3, time=0.62, double=0.16, strike_deg=0.0, off_deg=14.0, peak=1.1, rise=0.5, lift=0.045,
     knee_deg=12.0, toe_out_deg=0.0, pressure=(0.03, 0.05), bob=0.0, swing_deg=4.0, width=0.095, flat=0.069,
     leveled=(0.6, 0.1), arch=(3.0, 3.0), level_time=0.3,
-    dip=0.006, broad=0.0, late=0.014, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
+    dip=0.006, broad=0.0, late=0.014, depart=0.0, arrive=0.0, turn_deg=4.5, lean_deg=-0.4,
 )  # fmt: skip
 """Small steps to any side, and turning on the spot."""
 
@@ -182,22 +194,26 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     yaw += a[2] - yaw[0] + round((yaw[0] - a[2]) / (2 * np.pi)) * 0.0
-    # Whole steps but for the first and the last, which make up the rest: 0.8 to 1.8 steps together.
-    n = max(2, int(np.ceil(s[-1] / gait.length + 0.2)))
+    # Whole steps, as long as they may be or as far turned, but for the first and the last, which make up the
+    # rest: 0.8 to 1.8 steps together.
+    paces = np.maximum(np.diff(s) / gait.length, np.abs(np.diff(yaw)) / _STEP_TURN)
+    pace = np.concatenate([[0.0], np.cumsum(paces)])
+    n = max(2, int(np.ceil(pace[-1] + 0.2)))
     share = np.ones(n)
-    rest = s[-1] / gait.length - (n - 2)
+    rest = pace[-1] - (n - 2)
     share[0], share[-1] = 0.55 * rest, 0.45 * rest
-    share = np.cumsum(share) / share.sum()
-    foot = 0 if np.interp(share[0] * s[-1], s, yaw) > yaw[0] else 1
+    share = np.cumsum(share) / share.sum() * pace[-1]
+    ways = np.diff(np.interp(share, pace, s), prepend=0.0)
+    foot = 0 if np.interp(share[0], pace, yaw) > yaw[0] else 1
     out = list(start)
     for k in range(n):
         last = k == n - 1
         middle = (
-            b
-            if last
-            else np.array([np.interp(share[k] * s[-1], s, v) for v in (curve[:, 0], curve[:, 1], yaw)])
+            b if last else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
         )
-        width, toes = (half, 0.0) if last else (gait.width / 2, np.radians(gait.toe_out_deg))
+        # Feet that hardly pass each other keep farther apart.
+        aside = half + (gait.width / 2 - half) * min(1.0, (ways[k] / gait.length) ** 2)
+        width, toes = (half, 0.0) if last else (aside, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))
         foot = 1 - foot
     out.append(print_of(b, foot, half))
@@ -213,7 +229,8 @@ def shuffle_prints(figure: Figure, start: tuple[Print, Print], goal: Array) -> l
     turn, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
     c, s = np.cos(a[2]), np.sin(a[2])
     ahead, aside = c * way[0] + s * way[1], -s * way[0] + c * way[1]
-    n = max(1, int(np.ceil(max(abs(turn) / np.radians(30.0), abs(ahead) / 0.3, abs(aside) / 0.2) - 1e-6)))
+    paces = max(abs(turn) / np.radians(30.0), float(np.hypot(ahead / 0.3, aside / 0.2)))
+    n = max(1, int(np.ceil(paces - 1e-6)))
     foot = 0 if (aside if abs(aside) > 0.03 else turn) > 0 else 1
     out = list(start)
     for k in range(1, n + 1):
@@ -229,6 +246,16 @@ class _Footfall:
     off: float
     first: bool
     last: bool
+    share: float  # of a whole step, of the one that led here
+
+    @property
+    def heel(self) -> float:
+        """Pitch of the sole as it strikes, as a share of that of a whole step: a short one lands flatter."""
+        return min(0.3 if self.last else 1.0, self.share)
+
+    def roll(self, after: _Footfall) -> float:
+        """Pitch of the sole as it leaves the floor for ``after``, as a share of that for a whole step."""
+        return min(0.75 if self.first else 1.0, _LEAST_OFF + (1.0 - _LEAST_OFF) * after.share)
 
 
 class _Plan:
@@ -248,7 +275,9 @@ class _Plan:
             if mine:
                 mine[-1].off = self.lifts[k - 2]
             strike = self.strikes[k - 2] if k > 1 else -9.0
-            mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2))
+            was = mine[-1].print if mine else at
+            share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
+            mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
         self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
         self.com, self.zmp = self.center.at(self.times)
         self.place = np.empty((2, len(self.times), 3))
@@ -293,17 +322,17 @@ class _Plan:
                 low = fall.strike + gait.flat * 2 * gait.time
                 u = np.clip((t - fall.strike) / (low - fall.strike), 0.0, 1.0)
                 left = 1 - minimum_jerk(u) - gait.drop * u * (1 - u) ** 3 * (1 + 3 * u)
-                pitch[here] = (on * (0.3 if fall.last else 1.0) * left)[here]
+                pitch[here] = (on * fall.heel * left)[here]
             if not np.isfinite(fall.off):
                 continue
             after = falls[i + 1]
             rise, swing = fall.off - (_STANCE - gait.rise) * 2 * gait.time, after.strike - fall.off
-            top = off_ * (0.75 if fall.first else 1.0)
+            top = off_ * fall.roll(after)
             settled, part = gait.leveled
             knots = np.array(
                 [rise, fall.off, fall.off + 0.14 * swing, fall.off + settled * swing, after.strike]
             )
-            values = np.array([0.0, top, top * gait.peak, part * top, on * (0.3 if after.last else 1.0)])
+            values = np.array([0.0, top, top * gait.peak, part * top, on * after.heel])
             rolling = (t > rise) & (t < after.strike)
             drop = -values[-1] * gait.drop / (gait.flat * 2 * gait.time)
             pitch[rolling] = clamped_curve(knots, values, t[rolling], drop)
@@ -319,18 +348,32 @@ class _Plan:
             offset = decay(around[1:2], np.array([ahead[0]]), gait.level_time, np.array([ahead[1]]))
             self.toes[side, loose] = np.maximum(offset(t[loose] - fall.off)[:, 0], 0.0)
         rolled, height = sole.stand(pitch)
+        up = self._eased(falls, height + clear)
         self.place[side] = np.column_stack(
-            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), height + clear]
+            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), up]
         )
         self.yaw[side], self.pitch[side] = yaw, pitch
         self.contact[side] = np.where(
             air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT))
         )
 
+    def _eased(self, falls: Sequence[_Footfall], up: Array) -> Array:
+        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt.
+
+        A level sole that turns on stands on its other end at once: on the floor it must, in the air the knee
+        need not follow.
+        """
+        soft, share = smooth(up, _EASE / (self.times[1] - self.times[0])), np.zeros(len(up))
+        for fall, after in itertools.pairwise(falls):
+            if np.isfinite(fall.off):
+                u = (self.times - fall.off) / (after.strike - fall.off)
+                share += minimum_jerk(u / _EASE_IN) * minimum_jerk((1 - u) / _EASE_OUT)
+        return up + share * (soft - up)
+
     def _swing(self, side: int, fall: _Footfall, after: _Footfall, s: Array) -> tuple[Array, Array]:
         """From print to print by a cosine, round the standing foot where the chord comes too near it."""
         share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
-        share = share - self.gait.arrive * s**5 * (1 - s)
+        share = share - self.gait.arrive * s**5 * (1 - s) - self.gait.depart * s**2 * (1 - s) ** 4
         start = np.array([fall.print.x, fall.print.y])
         way = np.array([after.print.x, after.print.y]) - start
         other = max(
@@ -371,6 +414,12 @@ class _Plan:
         )
         return pelvis, chest, heading
 
+    def _leaving(self, side: int) -> Array:
+        """(n,) how near in time a foot is to leaving the floor, 0 to 1."""
+        offs = [fall.off for fall in self.falls[side] if np.isfinite(fall.off)]
+        away = np.abs(self.times[:, None] - np.array([*offs, np.inf])).min(axis=1)
+        return minimum_jerk(1.0 - away / _LEAVING)
+
     def pelvis_height(self, pelvis: Array, place: Array, knee_deg: float) -> Array:
         """The highest pelvis that leaves the knees bent by that, as one wave a step.
 
@@ -380,7 +429,8 @@ class _Plan:
         top = np.full(len(t), np.inf)
         for side, name in enumerate(SIDES):
             foot = self.figure.feet[name]
-            leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(np.radians(knee_deg))
+            bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
+            leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
             turn = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
             ankle, hip = self.place[side] + turn @ foot.ankle, pelvis @ foot.hip
             flat = ((ankle[:, :2] - place - hip[:, :2]) ** 2).sum(axis=1)
@@ -437,7 +487,8 @@ class Walk:
     falls: tuple[tuple[tuple[Print, float, float], ...], ...]
 
 
-_STIFF = {"*": 0.02, "torso*": 0.05, "pelvis*": 0.05, "head*": 3.0}
+# The spine's two pitches are all but the same axis: against each other they would turn far for a little roll.
+_STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis_pitch": 10.0, "head*": 3.0}
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 

@@ -59,6 +59,10 @@ _PULL, _YIELD, _LEAN = 6.7, 3.0, 0.5
 way: a ball at the rim needs a body that leans."""
 _AFTER_TAKE_OFF, _BEFORE_LANDING = 0.08, 0.12
 """Parts of the flight in which the feet are held, s."""
+_SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
+"""What is free in a frame is tied to its neighbours, else legs and spine whip about the apex: rounds after
+the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
+more and more in so long before take-off, s, and less and less in so long before landing, s."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -316,7 +320,13 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float
+    plan: JumpPlan,
+    forward: _Forward,
+    top: Array,
+    t: Array,
+    start: Array,
+    dt: float,
+    before: Array | None = None,
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
@@ -373,8 +383,21 @@ def _frames(
     posture = _posture(plan, t, deep, top, pitch, contact)
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
+    if before is not None:
+        posture, stiff = _tied(plan, t, smooth(before, _SOFT / dt), posture, stiff)
     frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
     return frames, contact
+
+
+def _tied(plan: JumpPlan, t: Array, drawn: Array, posture: Array, stiff: Array) -> tuple[Array, Array]:
+    """(n, nq) posture and (n, nv) stiffness that give way in flight to a pull to frames ``drawn`` (n, nq)."""
+    share = minimum_jerk((t - plan.ends[2]) / _TYING + 1.0) * minimum_jerk((plan.ends[3] - t) / _LOOSING)
+    tied = plan.figure.stiffnesses({"*": _TIED, "*toe*": 0.0})
+    # Two springs at a joint are one, between where they pull to and as strong as both.
+    own = stiff * np.where(tied > 0.0, 1.0 - share[:, None], 1.0)
+    both = own + share[:, None] * tied
+    part = 1.0 - own[:, 6:] / both[:, 6:]
+    return np.concatenate([posture[:, :7], posture[:, 7:] + part * (drawn - posture)[:, 7:]], axis=1), both
 
 
 def _posture(
@@ -430,14 +453,16 @@ def jump_slices(
     t = np.arange(1, int((plan.ends[5] + 0.3) / dt) + 1) * dt
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
     error: tuple[Array, Array] | None = None
+    before: Array | None = None
     for k in range(corrections + 1):
         forward = _forward(plan, error)
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
             top = yield from _arm_at_apex(plan, _palm(plan, forward))
-        frames, contact = yield from _frames(plan, forward, top, t, start, dt)
+        frames, contact = yield from _frames(plan, forward, top, t, start, dt, before)
         if k == corrections:
             break
+        before = frames.q
         points, force = yield from zero_moment_slices(figure, frames.q, dt)
         held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
         off = np.where(held, np.clip(points[:, 0] - np.interp(t, forward.t, forward.p), -0.25, 0.25), 0.0)

@@ -220,20 +220,19 @@ class _Polish:
         self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
-        frames = [figure.robot.frame(figure.feet[side].frame) for side in figure.feet_at_home]
-        frames.append(figure.robot.frame(figure.hands[arm]))
-        self.bodies = [frame.body for frame in frames]
-        self.local = np.array([frame.local.position for frame in frames])[:, :, None]
-        self.turned = np.array([frame.local.rotation for frame in frames[:-1]])
-        self.places, self.turns = (np.array(part) for part in zip(*figure.feet_at_home.values(), strict=True))
+        # What the solver last stood at: place and rotation of each row's frame, and the centre of mass.
+        self.pose, self.center = self.ready.table("pose"), self.ready.table("center")
+        at_home = list(figure.feet_at_home.values())
+        self.feet = np.array([np.concatenate([place, turn.ravel()]) for place, turn in at_home])
 
     def __call__(self, start: Array, ball: Array, *, quick: bool = False) -> FigurePose:
         """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it."""
-        ready, center_row = self.ready, len(self.bodies) + len(self.places)
+        ready, center_row = self.ready, 2 * len(self.feet) + 1
         ready.target[0, center_row - 1, :3] = ball
         q, damping, gains, held = np.array(start, dtype=float), _DAMPING, [0.0], False
         q[self.flat] = self.figure.home[self.flat]
-        short, off, outside = self._short(q, ball)
+        ready.solve(self.found, 0, 1, q, q, 0, 0.0, 0.0)  # no step: where it stands
+        short, off, outside = self._short(ball)
         for tried in range(1, (_BRIEF if quick else _MOST) + 1):
             self.tried = tried
             ready.weight[0, center_row] = 0.0 if outside is None else _PULL
@@ -243,7 +242,7 @@ class _Polish:
             ready.posture[0] = q
             ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
             new = self.found.q[0].copy()
-            found = self._short(new, ball)
+            found = self._short(ball)
             if found[0] < short:
                 gains.append(found[0] / short)
                 q, (short, off, outside), held = new, found, False
@@ -260,23 +259,18 @@ class _Polish:
                 break
         return _judged(self.figure, q, ball, self.arm, off)
 
-    def _short(self, q: Array, ball: Array) -> tuple[float, float, Array | None]:
-        """What is short of the ball (with feet and balance), how far the feet are off, where balance is."""
+    def _short(self, ball: Array) -> tuple[float, float, Array | None]:
+        """What is short of the ball (with feet and balance), how far the feet are off, where balance is.
+
+        By the solver's own forward pass: MuJoCo judges the pose that is found.
+        """
         _, normal, offset = support(self.figure)
-        palm, center, off = self._measure(q)
+        center, n = self.center[:2], 2 * len(self.feet)
+        off = float(np.abs(self.pose[0:n:2] - self.feet).max())  # m, or about as much as the angle, rad
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
-        away = palm - ball
+        away = self.pose[n, :3] - ball
         short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2))
         return short, off, inset(normal, offset, center, BALANCED + 0.001) if missing else None
-
-    def _measure(self, q: Array) -> tuple[Array, Array, float]:
-        """Palm, centre of mass (2,), and how far the feet are from where they stand, m or (roughly) rad."""
-        center, data = self.figure.center(q), self.figure.data
-        turns = data.xmat[self.bodies].reshape(-1, 3, 3)
-        places = data.xpos[self.bodies] + (turns @ self.local)[:, :, 0]
-        shifted = np.abs(places[:-1] - self.places).max()
-        rotated = np.abs(turns[:-1] @ self.turned - self.turns).max()
-        return places[-1], center[:2], float(max(shifted, rotated))
 
 
 def _polish(figure: Figure, arm: str, kind: str) -> _Polish:

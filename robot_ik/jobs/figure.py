@@ -52,7 +52,14 @@ _PAPER = (236, 232, 226)
 _FILM_SIZE, _FOLLOW = (960, 720), 2.0
 # From where the camera looks, in heights of the robot.
 _FROM = np.array([1.5, -1.95, 0.52])
-_BALL_RADIUS = 0.05
+BALL_RADIUS = 0.05
+_SHADES = (0.87, 0.87, 0.85, 1.0), (0.80, 0.80, 0.78, 1.0)
+TILES = tuple(
+    ((float(i), float(j), -0.011), (0.5, 0.5, 0.01), _SHADES[(i + j) % 2])
+    for i in range(-8, 9)
+    for j in range(-8, 9)
+)
+"""A floor of square metres: middle, half sides, colour rgba."""
 # A marker that seems to move by less, m, is at rest: that much is noise of a drawing a quarter of life size.
 _NOISE = 0.03
 # A run ends when nothing has gone on for so long, s, or after so long in all.
@@ -411,13 +418,8 @@ def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
     for key in list(spec.keys):
         spec.delete(key)
     world, kinds = spec.worldbody, mujoco.mjtGeom
-    for i in range(-8, 9):
-        for j in range(-8, 9):
-            shade = 0.80 if (i + j) % 2 else 0.87
-            world.add_geom(
-                type=kinds.mjGEOM_BOX, pos=[i, j, -0.011], size=[0.5, 0.5, 0.01],
-                rgba=[shade, shade, shade - 0.02, 1], contype=0, conaffinity=0,
-            )  # fmt: skip
+    for place, half, rgba in TILES:
+        world.add_geom(type=kinds.mjGEOM_BOX, pos=place, size=half, rgba=rgba, contype=0, conaffinity=0)
     for one in obstacles:
         if isinstance(one, Box):
             half = np.radians(one.heading_deg) / 2
@@ -428,21 +430,29 @@ def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
     body = world.add_body(name="figure_ball")
     for axis in np.eye(3):
         body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    body.add_geom(type=kinds.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], rgba=[0.85, 0.2, 0.15, 1], mass=0.1)
+    body.add_geom(type=kinds.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=[0.85, 0.2, 0.15, 1], mass=0.1)
     return spec.compile()
 
 
 def record(
-    robot: Robot, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle], **more: Any
-) -> None:
+    robot: Robot, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle],
+    progress: PictureProgress = lambda done, whole: None, **more: Any,
+) -> None:  # fmt: skip
     """A film, a GIF, a picture, or a folder of pictures (see ``jobs.ar_files``); 30 pictures a second."""
     painter = Painter(robot, obstacles)
+    picked = frames[:: 4 if out.suffix.lower() == ".gif" else 2]
+
+    def painted() -> Iterator[tuple[FigureFrame, Image]]:
+        for done, frame in enumerate(picked, start=1):
+            yield frame, painter.paint(frame)
+            progress(done, len(picked))
+
     if out.suffix.lower() == ".gif":
-        write_atomically(out, _gif([painter.paint(frame) for frame in frames[::4]]))
+        write_atomically(out, _gif([picture for _, picture in painted()]))
         return
     with open_sink(out, RATE / 2, **more) as sink:
-        for frame in frames[::2]:
-            sink.write(painter.paint(frame), frame.t)
+        for frame, picture in painted():
+            sink.write(picture, frame.t)
 
 
 def _gif(images: Sequence[Image]) -> bytes:

@@ -159,6 +159,7 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("reach --speed fast", "--speed: 'fast' is no number"),
         ("reach --marker x", "--marker: 'x' is no whole number; allowed: ID"),
         ("reach --when-lost fall", "'fall' is none of its words; allowed: hold, park, stop"),
+        ("figure --path triangle", "'triangle' is none of its words; allowed: circle, random, marker"),
         ("experiments", "missing: {a00,s12} (Which thesis.)"),
         ("experiments b00", "'b00' is none of its words (did you mean 'a00'?); allowed: a00, s12"),
         ("bench cameras", "did you mean 'camera'?"),

@@ -23,8 +23,6 @@ PAIRS = list(itertools.product(KINDS, KINDS))
 # A motion that is left decays within this many frames (``actions.BLEND``).
 _WINDOW = 26
 _MOST = 2.0  # rad/s in a frame
-# A walk that nobody interrupts changes the speed of a knee by so much at its heel strikes (straight on: 2.5).
-_STRIKE = 2.7
 _LONGEST = 20.0  # s
 
 
@@ -80,7 +78,7 @@ def require_smooth(abilities: Abilities, seed: int) -> None:
     change = np.abs(np.diff(speed[cut - 2 : cut + _WINDOW, 6:], axis=0)).max()
     around = {f.action for f in frames[cut - 2 : cut + _WINDOW]}
     if "jump" not in around:
-        assert change <= (_STRIKE if "walk" in around else _MOST), f"{name}: {change:.2f} rad/s in a frame"
+        assert change <= _MOST, f"{name}: {change:.2f} rad/s in a frame"
     standing = [f for f in frames if f.action not in ("walk", "jump")]
     for foot in figure.feet.values():
         for a, b in itertools.pairwise(standing):
@@ -97,11 +95,11 @@ def test_an_action_that_is_interrupted_goes_over_smoothly(abilities: Abilities, 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_hundreds_of_interruptions_go_over_smoothly(abilities: Abilities) -> None:
-    """Of 475 at most two in a hundred are abrupt: walks of three steps along a sharp curve are (94, 68)."""
+    """Of 475 at most two are abrupt: none was when this was written."""
     abrupt: list[str] = []
     for seed in range(25, 500):
         try:
             require_smooth(abilities, seed)
         except AssertionError as error:
             abrupt.append(str(error).splitlines()[0])
-    assert len(abrupt) <= 0.02 * 475, "\n".join(abrupt)
+    assert len(abrupt) <= 2, "\n".join(abrupt)

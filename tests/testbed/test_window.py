@@ -34,7 +34,7 @@ def step(word):
 
 robot = load_robot("puma560")
 rest = np.array(robot.home)
-with WindowSink(robot, start=rest) as window:
+with WindowSink(robot, start=rest, ball=0.1) as window:
     assert isinstance(window, JointSink)
     step("open")
     window.send(rest, 0.01)
@@ -50,6 +50,14 @@ with WindowSink(robot, start=rest) as window:
     step("goal")
     window.clear_goals()
     step("cleared")
+    window.show_ball(robot.forward(rest).position)
+    window.send(rest, 0.05)
+    step("ball")
+    window.show_ball(np.full(3, np.nan))
+    window.send(rest, 0.06)
+    step("no ball")
+    window.show_text("reach", "the right hand reaches the ball standing")
+    step("text")
     assert window.data.time == 0.0
     assert np.array_equal(window.data.qpos, robot.qpos(rest))
 assert not window.is_running()
@@ -81,6 +89,16 @@ def test_the_arm_is_seen_to_move(screen: Screen, windows: Windows) -> None:
     windows.say()
     assert windows.line() == "cleared"
     assert changed(screen.settled(differs_from=with_goal), first) == 0
+    windows.say()
+    assert windows.line() == "ball"
+    with_ball = screen.settled(differs_from=first)
+    assert changed(with_ball, first) > 100
+    windows.say()
+    assert windows.line() == "no ball"
+    assert changed(screen.settled(differs_from=with_ball), first) == 0
+    windows.say()
+    assert windows.line() == "text"
+    assert changed(screen.settled(differs_from=first), first) > 100
     windows.say()
     assert windows.line() == "=== done"
 

@@ -47,6 +47,8 @@ CLOSE_LIMIT = 5.0
 _AXIS_WIDTH = 0.04
 #: Seconds between two looks whether the window is closed.
 _LOOK_AGAIN = 0.05
+# Where a ball is that nobody shall see, metres.
+_NOWHERE = np.array([0.0, 0.0, -99.0])
 # Of the light at the eye, where the model has none.
 _AMBIENT, _DIFFUSE = 0.35, 0.55
 _AXIS_COLOURS = ((0.9, 0.1, 0.1, 1.0), (0.1, 0.75, 0.1, 1.0), (0.15, 0.3, 1.0, 1.0))
@@ -147,6 +149,7 @@ class WindowSink:
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
         eye: From where to look; None: from the side that MuJoCo takes.
+        ball: Radius of the ball that ``show_ball`` moves, metres; 0: there is none.
         instead: What to run where there can be no window, for the hint of the error.
 
     Attributes:
@@ -167,6 +170,7 @@ class WindowSink:
         solids: Sequence[Solid] = (),
         see: Array | None = None,
         eye: Array | None = None,
+        ball: float = 0.0,
         instead: str = _WITHOUT_WINDOW,
     ) -> None:
         self._mujoco = import_mujoco()
@@ -184,6 +188,7 @@ class WindowSink:
             self._look(see, eye)
             for solid in solids:
                 self._add_box(solid)
+            self._ball = self._add_ball(ball) if ball > 0.0 else None
         self._fixed = int(self._viewer.user_scn.ngeom)
         self._viewer.sync()
 
@@ -218,6 +223,16 @@ class WindowSink:
                 np.array(solid.rgba, dtype=np.float32),
             )
             scene.ngeom += 1
+
+    def _add_ball(self, radius: float) -> Any | None:
+        mujoco, scene = self._mujoco, self._viewer.user_scn
+        if scene.ngeom == scene.maxgeom:
+            return None
+        size, colour = np.full(3, radius), np.array([*np.array(GOAL_COLOUR) / 255, 1.0], dtype=np.float32)
+        geom, sphere = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE
+        mujoco.mjv_initGeom(geom, sphere, size, _NOWHERE, np.eye(3).ravel(), colour)
+        scene.ngeom += 1
+        return geom
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
@@ -254,6 +269,18 @@ class WindowSink:
                 )
                 scene.ngeom += 1
         self._viewer.sync()
+
+    def show_ball(self, place: Array) -> None:
+        """Puts the ball at ``place`` (3,) in the world, seen from the next ``send`` on; NaN takes it away."""
+        if self._ball is not None:
+            with self._lock():
+                self._ball.pos[:] = place if np.isfinite(place).all() else _NOWHERE
+
+    def show_text(self, left: str, right: str) -> None:
+        """Writes two columns into the corner of the window, in place of what stood there."""
+        if self.is_running():
+            font, place = self._mujoco.mjtFontScale.mjFONTSCALE_100, self._mujoco.mjtGridPos.mjGRID_TOPLEFT
+            self._viewer.set_texts([(font, place, left, right)])
 
     def clear_goals(self) -> None:
         """Takes all drawn goals away."""
