@@ -35,7 +35,7 @@ dynamixel_sdk.port_handler.LATENCY_TIMER = 60
 
 # No deadline: the first example of a law compiles its kernel, and the machine may be busy.  The suite tries
 # the same examples every time: a change is judged by itself, not by luck.  `make explore` draws new ones.
-settings.register_profile("robot_ik", max_examples=50, deadline=None, print_blob=True, derandomize=True)
+settings.register_profile("robot_ik", max_examples=30, deadline=None, print_blob=True, derandomize=True)
 settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("ROBOT_IK_EXAMPLES", "robot_ik"))
 

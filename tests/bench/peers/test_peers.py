@@ -141,7 +141,7 @@ def test_roll_pitch_yaw_is_a_urdfs(pitch: float) -> None:
 def test_ours_solves_all_and_the_results_say_with_what(robots: list[str], tmp_path: Path) -> None:
     out = tmp_path / "results"
     arguments = ["--out", str(out), "--count", str(COUNT), "--rounds", "2", "--seed", "5"]
-    names = ["robot_ik", "robot_ik_analytic"] + ["robot_ik_lm"] * ("humanoid" in robots)
+    names = ["robot_ik_analytic"] + ["robot_ik", "robot_ik_lm"] * ("humanoid" in robots)
     assert main(["run", *arguments, "--libraries", *names, "--robots", *robots]) == 0
     said = json.loads((out / "peers.json").read_text(encoding="utf-8"))
     assert said["seed"] == 5 and said["rounds"] == 2 and said["machine"]["when"]
