@@ -110,13 +110,13 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
     session.send(SetArm("release"))
     view = until(session, lambda v: v.arm and v.arm.recorded > 0.1, "nothing was recorded")
     assert begin is not None and shown is not None and link.recording is not None
-    assert np.abs(link.recording.q[-1] - shown).max() < 0.01
+    assert np.abs(link.recording.q[-1] - shown).max() < 0.03  # so far it may still have been from its goal
     for servo in link._arm.config.servos:  # somewhere else meanwhile
         link._arm.virtual_bus.servo(servo.id).turn_by_hand(100.0)  # type: ignore[union-attr]
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
     until(session, lambda v: v.arm and v.arm.wish == "hold", "it does not end")
-    assert np.abs(link.view().q - shown).max() < 0.01
+    assert np.abs(link.view().q - link.recording.q[-1]).max() < 0.01
 
 
 def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
