@@ -41,6 +41,7 @@ def test_what_misses_its_target_or_was_not_measured_is_said(
     assert "--seconds" in capsys.readouterr().err
 
 
+@pytest.mark.timeout(300)
 def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
     stop = threading.Event()
     with Session(Start("tabletop_puma"), beside=False) as session, Page(session, port=8670) as page:
@@ -49,11 +50,12 @@ def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
         try:
             with bench.PageClient(page.url) as client:
                 client.drag_ball((0.2, 0.05, 0.1))
-                end, moved, received = time.monotonic() + 30.0, False, 0
+                # A machine that has no kernels yet compiles them first.
+                end, moved, received = time.monotonic() + 200.0, False, 0
                 while not (moved and np.allclose(session.ball.position, (0.2, 0.05, 0.1))):
                     assert time.monotonic() < end, "no packet has the arm"
-                    size, moved = client.receive(1.0)
-                    received += size
+                    size, moves = client.receive(1.0)
+                    received, moved = received + size, moved or moves
             assert received > 50_000, "meshes come with the first packets"
         finally:
             stop.set()
