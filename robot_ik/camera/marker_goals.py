@@ -6,8 +6,8 @@ in ``camera/motion_filter.py``.
 
 from __future__ import annotations
 
+import contextlib
 import logging
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -24,7 +24,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock
+from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_switch_interval
 
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -102,9 +102,6 @@ _log = logging.getLogger(__name__)
 
 # A goal older than this is history: then the arm holds.
 _MAX_AGE_S = 0.5
-# The interpreter changes threads every 5 ms by default, half a period of the loop: with pictures computed
-# in Python that cost a fifth of the loop's rate and answers of servos that came too late.
-_SWITCH_INTERVAL_S = 0.0005
 # How often a scene that exists only in numbers is looked at, Hz: as a cheap camera would.
 SYNTHETIC_RATE_HZ = 15.0
 
@@ -140,12 +137,11 @@ class LatestGoals:
         self.ended = False
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._switch_interval = sys.getswitchinterval()
+        self._prompt = contextlib.ExitStack()
 
     def __enter__(self) -> Self:
         if not self._virtual:
-            self._switch_interval = sys.getswitchinterval()
-            sys.setswitchinterval(min(_SWITCH_INTERVAL_S, self._switch_interval))
+            self._prompt.enter_context(short_switch_interval())
             self._thread = threading.Thread(target=self._run, daemon=True, name="looking")
             self._thread.start()
         return self
@@ -157,7 +153,7 @@ class LatestGoals:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
-            sys.setswitchinterval(self._switch_interval)
+        self._prompt.close()
 
     def poll(self, now: float) -> Any:
         """The newest goal; None, which means hold, when there is none or it is older than half a second.

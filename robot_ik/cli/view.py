@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.arm import ArmLink
     from robot_ik.testbed.commands import CommandLog, Start
-    from robot_ik.testbed.frontends.door import Door
+    from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
 _COUNTS = (1, 2, 4)
@@ -137,36 +137,36 @@ def _view(options: ViewOptions, viewer: str) -> int:
     find_robot(robot)
     start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
     with contextlib.ExitStack() as stack:
-        door = None
+        server = None
         if viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue():
-            door = stack.enter_context(_open_door(options))  # nothing that is asked for can be wrong
+            server = stack.enter_context(_open_server(options))  # nothing that is asked for can be wrong
         if viewer == "recorder":
             return _film(start, options)
-        return _run(start, options, viewer, door)
+        return _run(start, options, viewer, server)
 
 
-def _open_door(options: ViewOptions) -> Door:
+def _open_server(options: ViewOptions) -> PageServer:
     """The server; says where it is, and opens the browser, which then loads beside this program."""
-    from robot_ik.testbed.frontends.door import Door
+    from robot_ik.testbed.frontends.page_server import PageServer
 
     real = options.bus != NONE and not _is_virtual(options.bus)
-    door = Door(
+    server = PageServer(
         options.host, options.port, token=real, names=options.host_name, dark=options.dark,
         shadows=options.shadows,
     )  # fmt: skip
-    console.out().print(f"the testbed is at {door.url}", markup=False, highlight=False, soft_wrap=True)
+    console.out().print(f"the testbed is at {server.url}", markup=False, highlight=False, soft_wrap=True)
     if options.open:
-        webbrowser.open(door.url)
-    return door
+        webbrowser.open(server.url)
+    return server
 
 
-def _run(start: Start, options: ViewOptions, viewer: str, door: Door | None) -> int:
+def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | None) -> int:
     """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
     link = _arm(start, options)
     try:
-        with Session(start, arm=link) as session, _opened(viewer, session, options, door) as draw:
+        with Session(start, arm=link) as session, _opened(viewer, session, options, server) as draw:
             _loop(session, draw, options)
             if options.log is not None:
                 session.log().save(options.log)
@@ -188,7 +188,7 @@ def _arm(start: Start, options: ViewOptions) -> ArmLink | None:
 
 @contextlib.contextmanager
 def _opened(
-    viewer: str, session: Session, options: ViewOptions, door: Door | None
+    viewer: str, session: Session, options: ViewOptions, server: PageServer | None
 ) -> Iterator[Callable[[View], bool]]:
     """A front end's ``draw``; it says False once it is closed."""
     if viewer == "window":
@@ -201,7 +201,7 @@ def _opened(
     from robot_ik.testbed.frontends.browser import Page
 
     camera = _camera(session) if options.camera else None
-    with Page(session, door or _open_door(options), camera=camera) as page:
+    with Page(session, server or _open_server(options), camera=camera) as page:
 
         def draw(view: View) -> bool:
             page.draw(view)

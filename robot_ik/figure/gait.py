@@ -193,7 +193,7 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
-    yaw += a[2] - yaw[0] + round((yaw[0] - a[2]) / (2 * np.pi)) * 0.0
+    yaw += a[2] - yaw[0]
     # Whole steps, as long as they may be or as far turned, but for the first and the last, which make up the
     # rest: 0.8 to 1.8 steps together.
     paces = np.maximum(np.diff(s) / gait.length, np.abs(np.diff(yaw)) / _STEP_TURN)

@@ -14,7 +14,6 @@ import hashlib
 import json
 import logging
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +28,7 @@ from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
 from robot_ik.kernels.priorities import lm_levels
 from robot_ik.motion.sources import RandomSource
-from robot_ik.ports import Array
+from robot_ik.ports import Array, short_switch_interval
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import (
@@ -79,8 +78,6 @@ MESSAGE_SECONDS = 6.0
 _RANDOM_PERIOD = 2.0  # seconds of ball time at each random place
 _SLOW_TICKS = 6  # between two measurements of what is too dear for each tick
 _BRANCH_TICKS = 12
-# The threads of a page's server would keep the loop waiting for 5 ms, the interpreter's default, each time.
-_SWITCH_INTERVAL_S = 0.0005
 _REACH = 3.0  # extents of the model: farther away no ball is of use
 
 
@@ -635,9 +632,7 @@ def run(
         now: The clock, seconds.
     """
     step, due, count = 1.0 / session.start.rate, now(), 0
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(min(_SWITCH_INTERVAL_S, before))
-    try:
+    with short_switch_interval():
         while not stop.is_set():
             session.tick()
             if count % every == 0:
@@ -647,5 +642,3 @@ def run(
                 stop.wait(rest)
             else:
                 due = now()
-    finally:
-        sys.setswitchinterval(before)

@@ -1,4 +1,4 @@
-"""The door in front of the page, asked by raw sockets: who gets in, and which messages."""
+"""The gate in front of the page, asked by raw sockets: who gets in, and which messages."""
 
 from __future__ import annotations
 

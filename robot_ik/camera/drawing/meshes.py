@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import mujoco
@@ -31,7 +31,7 @@ MAX_EDGE = 0.13
 MAX_MESH_FACES = 1500
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class GeomMesh:
     """Faces of one geom, in the geom's own frame, metres.
 
@@ -42,6 +42,16 @@ class GeomMesh:
 
     vertices: Array
     faces: Index
+
+    @cached_property
+    def part(self) -> Part:
+        """What drawing wants to know of it, kept as long as the faces."""
+        corners = self.vertices[self.faces]
+        normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+        # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+        edges = _edges(self.faces, normals)
+        return Part(self.vertices, self.faces, normals, _corner_normals(self.faces, normals), *edges)
 
 
 def _weld(vertices: Array, faces: Index) -> GeomMesh:
@@ -364,16 +374,6 @@ def _corner_normals(faces: Index, normals: Array) -> Array:
     return np.asarray(total / length).reshape(-1, 4, 3)
 
 
-@lru_cache(maxsize=512)
-def _part(mesh: GeomMesh) -> Part:
-    corners = mesh.vertices[mesh.faces]
-    normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    edges = _edges(mesh.faces, normals)
-    return Part(mesh.vertices, mesh.faces, normals, _corner_normals(mesh.faces, normals), *edges)
-
-
 _NOTHING = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
 
 
@@ -387,8 +387,8 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
     geoms = visible_geoms(model, planes=planes)
     for g in geoms:
         if (g, counts_round[g]) not in known:
-            known[g, counts_round[g]] = _part(triangulate(model, g, counts_round[g]) or _NOTHING)
-    parts = [known[g, counts_round[g]] for g in geoms] or [_part(_NOTHING)]
+            known[g, counts_round[g]] = (triangulate(model, g, counts_round[g]) or _NOTHING).part
+    parts = [known[g, counts_round[g]] for g in geoms] or [_NOTHING.part]
     vertex_counts, face_counts = [len(p.vertices) for p in parts], [len(p.faces) for p in parts]
     first_vertex = np.cumsum([0, *vertex_counts[:-1]])
     first_face = np.cumsum([0, *face_counts[:-1]])

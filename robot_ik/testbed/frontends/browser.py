@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
-from robot_ik.testbed.frontends.door import Door, open_icons
+from robot_ik.testbed.frontends.page_server import PageServer, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
     Control,
@@ -56,28 +56,28 @@ class Page:
 
     Args:
         session: What is shown and driven.
-        door: What listens for browsers, where it is open already; the page closes it.
+        page_server: What listens for browsers, where it is open already; the page closes it.
         camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
-        options: Without ``door``: as ``Door`` takes them.
+        options: Without ``page_server``: as ``PageServer`` takes them.
 
     Attributes:
         url: Where a browser finds the page, with its token if it needs one.
 
     Raises:
-        ViewerError: As ``Door``.
+        ViewerError: As ``PageServer``.
     """
 
     def __init__(
         self,
         session: Session,
-        door: Door | None = None,
+        page_server: PageServer | None = None,
         *,
         camera: Callable[[], tuple[Image, str] | None] | None = None,
         **options: Any,
     ) -> None:
         self.session, self._view = session, session.view()
-        self._door = door = Door(**options) if door is None else door
-        self.server, self.gate, self.url = door.server, door.gate, door.url
+        self._page_server = opened = page_server or PageServer(**options)
+        self.server, self.gate, self.url = opened.server, opened.gate, opened.url
         self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
@@ -97,7 +97,7 @@ class Page:
         """Stops the server."""
         if self._camera is not None:
             self._camera.close()
-        self._door.close()
+        self._page_server.close()
 
     def __enter__(self) -> Self:
         return self
@@ -163,7 +163,8 @@ class Page:
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
         Control(self._reach, self._show_reach)
         Control(
-            gui.add_checkbox("Dark", self._door.dark, hint="For all browsers that look"), self._door.theme
+            gui.add_checkbox("Dark", self._page_server.dark, hint="For all browsers that look"),
+            self._page_server.theme,
         )
         if self._camera is not None:
             pictures = gui.add_checkbox("Camera pictures", False, hint="Four a second: a quarter of a core")

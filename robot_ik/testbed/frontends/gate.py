@@ -1,4 +1,4 @@
-"""A guarded door in front of viser's server: Host, Origin, token, headers, and a filter of every message.
+"""A gate in front of viser's server: Host, Origin, token, headers, and a filter of every message.
 
 viser 1.1 accepts a connection from any web page, and writes any attribute that a message names, so that one
 message can switch a stop button off for good.  It calls ``websockets.asyncio.server.serve`` once, by its

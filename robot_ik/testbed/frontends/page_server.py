@@ -1,4 +1,4 @@
-"""The page before there is a robot: a server behind its gate, an address, an empty stage.
+"""The page before there is a robot: a server behind its gate, an address, an empty scene.
 
 It imports neither models nor solvers, so a browser loads the page while the program does.
 """
@@ -23,7 +23,7 @@ _LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
 _DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
 
 
-class Door:
+class PageServer:
     """What listens for browsers; a context manager.
 
     Args:

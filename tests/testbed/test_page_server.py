@@ -10,12 +10,12 @@ pytest.importorskip("viser", reason="needs the extra web")
 from viser._messages import EnableLightsMessage
 
 from robot_ik.bench.page import PageClient
-from robot_ik.testbed.frontends import door
-from robot_ik.testbed.frontends.door import Door
+from robot_ik.testbed.frontends import page_server
+from robot_ik.testbed.frontends.page_server import PageServer
 from tests.testbed.conftest import PATIENCE
 
 
-def _lights(opened: Door) -> list[bool]:
+def _lights(opened: PageServer) -> list[bool]:
     """Whether lights cast shadows, in the order in which the browsers heard of it."""
     server = opened.server._websock_server
     buffers = [
@@ -27,14 +27,14 @@ def _lights(opened: Door) -> list[bool]:
 
 def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a GPU they take a browser more than a second, in which it would show nothing."""
-    monkeypatch.setattr(door, "_SHADOWS_AFTER", 0.5)
-    with Door(port=8790) as opened:
+    monkeypatch.setattr(page_server, "_SHADOWS_AFTER", 0.5)
+    with PageServer(port=8790) as opened:
         assert _lights(opened) == [False]
         with PageClient(opened.url):
             deadline = time.monotonic() + PATIENCE
             while _lights(opened) != [False, True]:
                 assert time.monotonic() < deadline, "no shadows"
                 time.sleep(0.02)
-    with Door(port=8790, shadows=False) as opened, PageClient(opened.url):
+    with PageServer(port=8790, shadows=False) as opened, PageClient(opened.url):
         time.sleep(0.7)
         assert _lights(opened) == [False]
