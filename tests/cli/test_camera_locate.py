@@ -23,16 +23,21 @@ BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
 GRID = ("--board", "grid:2x2:50:12.5", "--dictionary", "DICT_4X4_50")
 
 
-@pytest.fixture(autouse=True)
-def _photographs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("shots").mkdir()
+@pytest.fixture(scope="module")
+def images() -> list[Any]:
+    """Two pictures of a board of four."""
     rng = np.random.default_rng(0)
     markers = {
         id: (side, SEEN.compose(pose)) for id, (side, pose) in grid_body(2, 2, 0.05, 0.0125).markers.items()
     }
-    for number in range(2):
-        image = render_markers(STANDARD_CAMERA, markers, rng, margin=0.12)
+    return [render_markers(STANDARD_CAMERA, markers, rng, margin=0.12) for _ in range(2)]
+
+
+@pytest.fixture(autouse=True)
+def _photographs(images: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("shots").mkdir()
+    for number, image in enumerate(images):
         cv2.imwrite(f"shots/{number}.png", image)
     cv2.imwrite("shots/2.png", np.full((480, 640), 128, np.uint8))
     Path("shots/1a.png").write_text("no picture")

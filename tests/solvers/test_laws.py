@@ -125,7 +125,7 @@ def worth(problem, robot, q, goal):
 
 # Methods that come to rest on a target they cannot reach; the others are reported, not promised.
 RESTING = ("auto", "lm", "dls", "sdls", "bfgs")
-TICKS, SETTLING, STILL = 200, 100, 1e-3
+TICKS, SETTLING, STILL = 140, 100, 1e-3
 
 
 @pytest.mark.parametrize("name", RESTING)

@@ -47,11 +47,11 @@ class Bed:
 
 
 @pytest.fixture(scope="session")
-def bed() -> Iterator[Bed]:
+def _opened() -> Iterator[Bed]:
+    """A session with its page, whose loop does not run yet."""
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
 
-    stop = threading.Event()
     with Session(Start()) as session:
         bed = Bed(session, None)
         real = session.send
@@ -63,23 +63,30 @@ def bed() -> Iterator[Bed]:
         session.send = send  # type: ignore[method-assign]
         with Page(session, port=8610, shadows=False) as page:
             bed.page = page
-            loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
-                target=run, args=(session, page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
-            )
-            loop.start()
-            try:
-                yield bed
-            finally:
-                stop.set()
-                loop.join(PATIENCE)
+            yield bed
+
+
+@pytest.fixture(scope="module")
+def bed(_opened: Bed) -> Iterator[Bed]:
+    """The page with its loop, which stops at a file's end: it would take a tenth of all later tests' time."""
+    stop = threading.Event()
+    loop = threading.Thread(  # drawn at 15 Hz: a browser without a GPU is no quicker
+        target=run, args=(_opened.session, _opened.page.draw, stop), kwargs={"every": 4}, name="testbed-loop"
+    )
+    loop.start()
+    try:
+        yield _opened
+    finally:
+        stop.set()
+        loop.join(PATIENCE)
 
 
 @pytest.fixture(scope="session")
-def guarded(bed: Bed) -> Iterator[Any]:
+def guarded(_opened: Bed) -> Iterator[Any]:
     """Another page of the same session, which asks for its token."""
     from robot_ik.testbed.frontends.browser import Page
 
-    with Page(bed.session, port=8611, shadows=False, token=True) as page:
+    with Page(_opened.session, port=8611, shadows=False, token=True) as page:
         yield page
 
 

@@ -7,6 +7,7 @@ so the truth does not depend on any drawing routine.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,6 +26,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.kernels.jit import kernel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -42,8 +44,6 @@ _PAPER_MARGIN = 0.25
 # can be off by the same 1/100 px: a tenth of a degree in the tilt of a board that faces the camera.
 _RAYS = 233
 _LATTICE = np.stack([np.arange(_RAYS), np.arange(_RAYS) * 144 % _RAYS], axis=1) / _RAYS + 0.5 / _RAYS - 0.5
-# So many rays are traced at once.
-_TOGETHER = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,55 +199,74 @@ def _paint_paper(
     axes = paper.size * pose.rotation
     plane = np.column_stack([axes[:, 0], axes[:, 1], pose.position])
     to_paper = np.linalg.inv(plane)
-    levels = np.where(paper.bits > 0, look.white, look.black)
-    wall = canvas[y0:y1, x0:x1].copy()
-    bleed = paper.bleed / paper.size
+    # A ring of paper round the cells, so that every place on the paper is in the table.
+    table = np.pad(np.where(paper.bits > 0, look.white, look.black), 1, constant_values=look.white)
+    edge, bleed = 0.5 + paper.margin, paper.bleed / paper.size
     x, y = centres[..., 0], centres[..., 1]
-    rays = tuple(a * x + b * y + c for a, b, c in to_paper)
-    one_ray = _bled(rays, np.full(wall.shape, -1.0), levels, look.white, paper.margin, bleed)
+    rays = np.stack([a * x + b * y + c for a, b, c in to_paper], axis=-1)
+    wall = canvas[y0:y1, x0:x1].copy()
+    one_ray = np.empty(wall.shape)
+    still = np.zeros((wall.size, 3, 2))
+    paper_light(
+        rays.reshape(-1, 3),
+        still,
+        np.full(wall.size, -1.0),
+        table,
+        edge,
+        bleed,
+        _LATTICE[:1],
+        one_ray.ravel(),
+    )
     # Many rays only where two of them can differ; everywhere else the first one has said it all.
-    kernel = np.ones((5, 5), np.uint8)
-    mixed = cv2.dilate(one_ray, kernel) - cv2.erode(one_ray, kernel) > 0
+    around = np.ones((5, 5), np.uint8)
+    mixed = cv2.dilate(one_ray, around) - cv2.erode(one_ray, around) > 0
     one_ray = np.where(one_ray < 0, wall, one_ray)
-    some_wall, some_slopes = wall[mixed], slopes[mixed]
+    total = np.empty(int(mixed.sum()))
     # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-    some_rays = [
-        (ray[mixed], *(some_slopes[:, :, k] @ row[:2] for k in (0, 1)))
-        for ray, row in zip(rays, to_paper, strict=True)
-    ]
-    total = np.zeros(len(some_wall))
-    for k in range(0, _RAYS, _TOGETHER):
-        across, down = _LATTICE[k : k + _TOGETHER, :, None].transpose(1, 0, 2)
-        near = tuple(ray + across * by_x + down * by_y for ray, by_x, by_y in some_rays)
-        total += _bled(near, some_wall, levels, look.white, paper.margin, bleed).sum(axis=0)
-    one_ray[mixed] = total / _RAYS
+    paper_light(
+        rays[mixed], to_paper[:, :2] @ slopes[mixed], wall[mixed], table, edge, bleed, _LATTICE, total
+    )
+    one_ray[mixed] = total
     canvas[y0:y1, x0:x1] = one_ray
 
 
-def _bled(
-    rays: tuple[Array, ...], wall: Array, levels: Array, white: float, margin: float, bleed: float
-) -> Array:
-    """Light along ``rays``: three arrays, homogeneous coordinates in the marker's plane in marker sizes.
+@kernel
+def paper_light(rays, by_pixel, wall, table, edge, bleed, lattice, light):
+    """Mean light of n pixels over their rays, in place.
 
     Ink bleeds: what lies within ``bleed`` of a black cell, along either side, is as dark.
+
+    Args:
+        rays: (n, 3) of the pixels' centres, homogeneous coordinates in the marker's plane in marker sizes.
+        by_pixel: (n, 3, 2) their derivative by pixels.
+        wall: (n,) light of what is behind the paper.
+        table: (k, k) light of the cells with a ring of paper.
+        edge: Half the paper's side, marker sizes.
+        bleed: In marker sizes.
+        lattice: (m, 2) where in a pixel its rays are, pixels from its centre.
+        light: (n,) out.
     """
-    u, v = rays[0] / rays[2], rays[1] / rays[2]
-    # A ring of paper round the cells, so that every place on the paper is in the table.
-    table = np.pad(levels, 1, constant_values=white)
-    value = _paper_value(u, v, wall, table, margin)
-    if bleed > 0.0:
-        for du, dv in ((-bleed, -bleed), (bleed, -bleed), (bleed, bleed), (-bleed, bleed)):
-            value = np.minimum(value, _paper_value(u + du, v + dv, wall, table, margin))
-    return value
-
-
-def _paper_value(u: Array, v: Array, wall: Array, table: Array, margin: float) -> Array:
-    width, edge = len(table), 0.5 + margin
+    width = len(table)
     cells = width - 2
-    column = np.clip((u + 0.5) * cells + 1.0, 0.0, cells + 1.0).astype(np.intp)
-    row = np.clip((0.5 - v) * cells + 1.0, 0.0, cells + 1.0).astype(np.intp)
-    on_paper = (np.abs(u) <= edge) & (np.abs(v) <= edge)
-    return np.where(on_paper, table.take(row * width + column, mode="clip"), wall)
+    for n in range(len(rays)):
+        total = 0.0
+        for m in range(len(lattice)):
+            across, down = lattice[m, 0], lattice[m, 1]
+            scale = 1.0 / (rays[n, 2] + across * by_pixel[n, 2, 0] + down * by_pixel[n, 2, 1])
+            u = (rays[n, 0] + across * by_pixel[n, 0, 0] + down * by_pixel[n, 0, 1]) * scale
+            v = (rays[n, 1] + across * by_pixel[n, 1, 0] + down * by_pixel[n, 1, 1]) * scale
+            darkest = math.inf
+            for corner in range(5 if bleed > 0.0 else 1):  # the ray itself, then four beside it
+                du = 0.0 if corner == 0 else (bleed if corner % 2 else -bleed)
+                dv = 0.0 if corner == 0 else (bleed if corner < 3 else -bleed)
+                one = wall[n]
+                if abs(u + du) <= edge and abs(v + dv) <= edge:
+                    column = int(min(max((u + du + 0.5) * cells + 1.0, 0.0), cells + 1.0))
+                    row = int(min(max((0.5 - v - dv) * cells + 1.0, 0.0), cells + 1.0))
+                    one = table[row, column]
+                darkest = min(darkest, one)
+            total += darkest
+        light[n] = total / len(lattice)
 
 
 def random_pose(
