@@ -179,8 +179,13 @@ class Robot:
             raise ModelError(f"{what} must be finite, not {array.tolist()}")
         return array
 
-    def attachment(self, frame: str | None = None) -> tuple[int, Array]:
-        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,)."""
+    def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
+        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,).
+
+        A number is the id of a body in the model.
+        """
+        if isinstance(frame, int):
+            return self._bodies[frame].node, pose_row(self._bodies[frame].local)
         at = self.frame(frame)
         body = self._bodies[at.body]
         return body.node, pose_row(body.local.compose(at.local))

@@ -36,8 +36,8 @@ _HOPELESS = 0.3
 _MOST, _DAMPING = 60, 1.0
 # No progress: so many steps that each leave more than this share of what is short.
 _PATIENCE, _GAIN = 3, 0.97
-# So many poses that go under the floor have the hand held flat.
-_LOW = 3
+# A body that is lower than this is held there, m.
+_CLEAR = 0.003
 # From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
 _BRIEF, _BUDGET, _OUT = 45, 90, ((3, 0.12), (4, 0.06), (8, 0.02))
 _STAND, _PULL = 3e4, 300.0
@@ -142,14 +142,14 @@ def best_pose(
     nor is it told by how much.
     """
     best: FigurePose | None = None
-    polish, spent, low = _polish(figure, arm, kind), 0, 0
+    polish, spent = _polish(figure, arm, kind), 0
     for k, start in enumerate(starts):
         pose = polish(start, ball, quick=quick)
-        low += pose.flaw.endswith("floor")
-        if quick and low == _LOW:  # a flat hand is higher, and none of the map's poses has one
-            low, pose = low + 1, _attempt(figure, ball, arm, kind, flat=True)
-        best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
         spent += polish.tried
+        if pose.flaw.endswith("floor"):
+            pose = polish(pose.q, ball, quick=quick, above=True)
+            spent += polish.tried
+        best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
         hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
         if not pose.flaw or (quick and hopeless):
             break
@@ -205,7 +205,7 @@ class _Polish:
 
     The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3): a step
     that comes no nearer is taken back and tried shorter.  The centre of mass is free while it is far enough
-    inside the soles, and held at the border else.
+    inside the soles, and held at the border else; so is what goes under the floor, where that is asked for.
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
@@ -216,41 +216,51 @@ class _Polish:
             rows.turned(figure.feet[side].frame, turn, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
+        rows.position(figure.hands[arm], np.array([0.0, 0.0, _CLEAR]), 0.0, axes="z")  # of what is lowest
         self.flat = [foot.toes[0] for foot in figure.feet.values() if foot.toes is not None]
         self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
         # What the solver last stood at: place and rotation of each row's frame, and the centre of mass.
         self.pose, self.center = self.ready.table("pose"), self.ready.table("center")
+        self.node, self.local = self.ready.table("node"), self.ready.table("local")
         at_home = list(figure.feet_at_home.values())
         self.feet = np.array([np.concatenate([place, turn.ravel()]) for place, turn in at_home])
 
-    def __call__(self, start: Array, ball: Array, *, quick: bool = False) -> FigurePose:
-        """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it."""
+    def __call__(self, start: Array, ball: Array, *, quick: bool = False, above: bool = False) -> FigurePose:
+        """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it.
+
+        ``above``: with all bodies above the floor.
+        """
         ready, center_row = self.ready, 2 * len(self.feet) + 1
         ready.target[0, center_row - 1, :3] = ball
         q, damping, gains, held = np.array(start, dtype=float), _DAMPING, [0.0], False
         q[self.flat] = self.figure.home[self.flat]
         ready.solve(self.found, 0, 1, q, q, 0, 0.0, 0.0)  # no step: where it stands
-        short, off, outside = self._short(ball)
+        short, off, outside, low = self._short(ball, q, above)
         for tried in range(1, (_BRIEF if quick else _MOST) + 1):
             self.tried = tried
             ready.weight[0, center_row] = 0.0 if outside is None else _PULL
             if outside is not None:
                 ready.target[0, center_row, :2] = outside
+            ready.weight[0, -1] = 0.0 if low is None else _PULL
+            if low is not None:
+                self.node[-1], self.local[-1] = low
             ready.stiffness[:] = damping * self.even + self.toes
             ready.posture[0] = q
             ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
             new = self.found.q[0].copy()
-            found = self._short(ball)
+            found = self._short(ball, new, above)
             if found[0] < short:
                 gains.append(found[0] / short)
-                q, (short, off, outside), held = new, found, False
+                q, (short, off, outside, low), held = new, found, False
                 damping = max(0.2 * damping, 1e-4)
                 if short < 0.4 * AT_BALL and off < 3e-5 and outside is None:
                     break
-            elif found[2] is not None and not held:  # again, along the border that it went over
-                outside, held = found[2], True
+            elif not held and (
+                found[2] is not None or found[3] is not None
+            ):  # again, along the border that it went over
+                outside, low, held = *found[2:], True
             else:
                 damping *= 5.0
             stalled = len(gains) > _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
@@ -259,18 +269,31 @@ class _Polish:
                 break
         return _judged(self.figure, q, ball, self.arm, off)
 
-    def _short(self, ball: Array) -> tuple[float, float, Array | None]:
-        """What is short of the ball (with feet and balance), how far the feet are off, where balance is.
+    def _short(
+        self, ball: Array, q: Array, above: bool
+    ) -> tuple[float, float, Array | None, tuple[int, Array] | None]:
+        """What is short of the ball (with feet, balance and floor), how far the feet are off, what to hold.
 
-        By the solver's own forward pass: MuJoCo judges the pose that is found.
+        That is where balance is, and the node and place of what is under the floor.  By the solver's own
+        forward pass: MuJoCo judges the pose that is found.
         """
         _, normal, offset = support(self.figure)
         center, n = self.center[:2], 2 * len(self.feet)
         off = float(np.abs(self.pose[0:n:2] - self.feet).max())  # m, or about as much as the angle, rad
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
         away = self.pose[n, :3] - ball
-        short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2))
-        return short, off, inset(normal, offset, center, BALANCED + 0.001) if missing else None
+        body, point, height = _lowest(self.figure, q) if above else (0, center, np.inf)
+        under = 10.0 * min(height, 0.0)  # nobody takes a ball with a finger in the floor
+        short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2 + under**2))
+        outside = inset(normal, offset, center, BALANCED + 0.001) if missing else None
+        return short, off, outside, self._place(body, point) if height < _CLEAR else None
+
+    def _place(self, body: int, point: Array) -> tuple[int, Array]:
+        """The solver's node and place of a point of a body."""
+        node, local = self.figure.robot.attachment(body)
+        row = np.zeros(12)
+        row[:3] = local[:3] + local[3:].reshape(3, 3) @ point
+        return node, row
 
 
 def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
@@ -361,8 +384,9 @@ def _collision(figure: Figure) -> str:
                 model.body(model.geom_bodyid[g]).name.replace("_", " ") for g in data.contact[c].geom
             )
             return f"its {names[0]} would run into its {names[1]}"
-    low = _lowest(figure, data)
-    return f"the {low} would go under the floor" if low else ""
+    body, _, height = _lowest(figure)
+    low = str(model.body(body).name).replace("_", " ")
+    return f"the {low} would go under the floor" if height < 0.0 else ""
 
 
 def touches_itself(figure: Figure, q: Array) -> bool:
@@ -377,18 +401,26 @@ def touches_itself(figure: Figure, q: Array) -> bool:
     return False
 
 
-def _lowest(figure: Figure, data: mujoco.MjData) -> str:
-    """Name of a body that is under the floor; soles may touch it."""
-    model = figure.model
+def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
+    """The lowest body but for the soles, which point of it (3,) in its frame, and that point's height, m.
+
+    At ``q`` (nq,), or as the figure's ``data`` is.
+    """
+    model, data = figure.model, figure.data
+    if q is not None:
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
     may_not: NDArray[np.int64] | None = figure.robot.memory.get("figure.floor")
     if may_not is None:
         soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
         may_not = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, soles))
         figure.robot.memory["figure.floor"] = may_not
-    near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not]
+    least: tuple[int, Array, float] = 0, np.zeros(3), np.inf
+    near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():
         body = int(model.geom_bodyid[g])
-        low, _ = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
-        if low[0, 0] + data.xpos[body, 2] < 0.0:
-            return str(model.body(body).name).replace("_", " ")
-    return ""
+        low, place = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
+        height = float(low[0, 0] + data.xpos[body, 2])
+        if height < least[2]:
+            least = body, place[0, 0], height
+    return least
