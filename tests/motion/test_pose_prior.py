@@ -221,4 +221,4 @@ def test_the_figures_of_the_page_are_those_that_were_measured() -> None:
     assert f"Held out were {found['held out']} of {found['motions']} motions" in page
     assert f"themselves {found['held-out poses inside the contour']:.0%}".replace("%", " %") in page
     with_prior, plain = found["rows"]["with the prior"], found["rows"]["goals alone"]
-    assert with_prior["rms of elbows and spine, degrees"] < 0.5 * plain["rms of elbows and spine, degrees"]
+    assert with_prior["rms of elbows and spine, degrees"] < 0.6 * plain["rms of elbows and spine, degrees"]
