@@ -36,6 +36,8 @@ _HOPELESS = 0.3
 _MOST, _DAMPING = 60, 1.0
 # No progress: so many steps that each leave more than this share of what is short.
 _PATIENCE, _GAIN = 3, 0.97
+# Of the elbow from the body, rad.
+_ASIDE = 0.7
 # A body that is lower than this is held there, m.
 _CLEAR = 0.003
 # From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
@@ -113,8 +115,8 @@ class FigurePose:
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> FigurePose:
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
-    Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``).
-    Without those it searches: the natural one stretched as far as balance allows, another swivel of the arm,
+    Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``), if
+    possible one in which no bodies touch.  Without those it searches: the natural one stretched as far as balance allows, another swivel of the arm,
     and some poses that are far from it, which takes a hundred times as long.
 
     Args:
@@ -125,21 +127,27 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
         starts: (n, nq) poses that reach balls nearby, the nearest first (``abilities.Map.nearby``).
     """
     natural = _attempt(figure, ball, arm, kind)
-    if not natural.flaw:
-        return natural
     if starts is None:
-        return natural if natural.miss > _HOPELESS else _searched(figure, ball, arm, kind, natural)
-    best = best_pose(figure, ball, arm, kind, starts) or natural
+        done = not natural.flaw or natural.miss > _HOPELESS
+        return natural if done else _searched(figure, ball, arm, kind, natural)
+    if not natural.flaw:
+        if not touches_itself(figure, natural.q[None]):
+            return natural
+        wide = _attempt(figure, ball, arm, kind, aside=_ASIDE)
+        if not wide.flaw and not touches_itself(figure, wide.q[None]):
+            return wide
+    best = best_pose(figure, ball, arm, kind, starts, untouched=True) or natural
     return best if not best.flaw or best.miss < natural.miss else natural
 
 
 def best_pose(
-    figure: Figure, ball: Array, arm: str, kind: str, starts: Array, *, quick: bool = False
-) -> FigurePose | None:
+    figure: Figure, ball: Array, arm: str, kind: str, starts: Array, *, quick: bool = False,
+    untouched: bool = False,
+) -> FigurePose | None:  # fmt: skip
     """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
 
     Starts nearby agree on what is out of reach: ``quick``, a ball that is missed by far is not tried again,
-    nor is it told by how much.
+    nor is it told by how much.  ``untouched``: one in which no bodies touch is preferred.
     """
     best: FigurePose | None = None
     polish, spent = _polish(figure, arm, kind), 0
@@ -149,7 +157,12 @@ def best_pose(
         if pose.flaw.endswith("floor"):
             pose = polish(pose.q, ball, quick=quick, above=True)
             spent += polish.tried
-        best = pose if best is None or not pose.flaw or pose.miss < best.miss else best
+        if best is None or (best.flaw and (not pose.flaw or pose.miss < best.miss)):
+            best = pose
+        if untouched and not pose.flaw:
+            if touches_itself(figure, pose.q[None]):
+                continue
+            return pose
         hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
         if not pose.flaw or (quick and hopeless):
             break
