@@ -61,7 +61,8 @@ GRID = [
 BENDS = [(x, y, z) for z in (0.15, 0.35, 0.55) for y in (-0.35, -0.1, 0.1) for x in (0.4, 0.55)]
 # Where it walks to: x, y in metres and the heading in degrees, from where it stands.
 GOALS = [
-    (2.5, 0.0, 0.0), (2.0, 0.5, 30.0), (2.0, 1.0, 60.0), (2.0, 1.5, 80.0), (2.0, -0.5, -30.0), (2.0, -1.0, -60.0)
+    (2.5, 0.0, 0.0), (2.0, 0.5, 30.0), (2.0, 1.0, 60.0), (2.0, 1.5, 80.0), (2.0, -0.5, -30.0),
+    (2.0, -1.0, -60.0),
 ]  # fmt: skip
 SPEEDS = {"slowly": (0.8, 1.2), "as usual": (1.0, 1.0), "fast": (1.1, 0.92)}  # length and time of a step
 # Balls overhead, and the speed at take-off in m/s.

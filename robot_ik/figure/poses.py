@@ -116,8 +116,9 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
     """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
 
     Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``), if
-    possible one in which no bodies touch.  Without those it searches: the natural one stretched as far as balance allows, another swivel of the arm,
-    and some poses that are far from it, which takes a hundred times as long.
+    possible one in which no bodies touch.  Without those it searches: the natural one stretched as far as
+    balance allows, another swivel of the arm, and some poses that are far from it, which takes a hundred
+    times as long.
 
     Args:
         figure: Who.
