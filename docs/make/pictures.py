@@ -32,8 +32,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pat
 from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
-from robot_ik.jobs.arm_camera.error_picture import error_picture
-from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
 
 Image = NDArray[np.uint8]

@@ -77,7 +77,7 @@ class CameraVerifyOptions(ArmCameraOptions):
 def run(options: CameraVerifyOptions) -> int:
     """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
     import_mujoco()
-    from robot_ik.jobs.arm_camera.error_picture import require_plots
+    from robot_ik.jobs.arm_camera.verify import require_plots
 
     request = make_request(options)
     if options.picture:
@@ -91,8 +91,7 @@ def run(options: CameraVerifyOptions) -> int:
 
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
-    from robot_ik.jobs.arm_camera.error_picture import error_picture
-    from robot_ik.jobs.arm_camera.verify import run_verify
+    from robot_ik.jobs.arm_camera.verify import error_picture, run_verify
 
     if options.samples:
         report = _again(options, request)

@@ -22,8 +22,14 @@ from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import vision
 from robot_ik.jobs.arm_camera import handeye, verify
-from robot_ik.jobs.arm_camera.error_picture import error_picture
-from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, regions, run_verify, summary
+from robot_ik.jobs.arm_camera.verify import (
+    VerifyReport,
+    VerifyRequest,
+    error_picture,
+    regions,
+    run_verify,
+    summary,
+)
 
 HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5": 2.0, "joint6": 1.0}
 
