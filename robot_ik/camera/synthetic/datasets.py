@@ -231,7 +231,9 @@ def _paint_paper(
 
 
 @kernel
-def paper_light(rays, by_pixel, wall, table, edge, bleed, lattice, light):
+def paper_light(
+    rays: Any, by_pixel: Any, wall: Any, table: Any, edge: float, bleed: float, lattice: Any, light: Any
+) -> None:
     """Mean light of n pixels over their rays, in place.
 
     Ink bleeds: what lies within ``bleed`` of a black cell, along either side, is as dark.
