@@ -7,7 +7,7 @@ zero-moment point from mid foot to the toes and back.  In flight the angular mom
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from robot_ik.figure.figure import (
     rotation,
 )
 from robot_ik.figure.gait import AIR, FLAT, TOE
-from robot_ik.figure.poses import STIFF
+from robot_ik.figure.poses import STIFF, touches_itself
 from robot_ik.kernels.whole_body import HARD
 
 Array = NDArray[np.float64]
@@ -63,6 +63,9 @@ _SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
 """What is free in a frame is tied to its neighbours, else legs and spine whip about the apex: rounds after
 the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
 more and more in so long before take-off, s, and less and less in so long before landing, s."""
+_WAYS, _LOOK_EACH = ((0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9)), 2
+"""How far the other arm is held aside, rad, and by how much faster it jumps, m/s, so that the acting arm need
+not stretch over the head: the next of these where bodies touch in one of so many frames."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -79,6 +82,7 @@ class JumpPlan:
         ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
         rising: From when on before take-off the heels rise, s.
         palm: (3,) the ball seen from the centre of mass at the apex.
+        aside: Of the other arm from the trunk in flight, rad.
     """
 
     figure: Figure = field(repr=False)
@@ -92,6 +96,7 @@ class JumpPlan:
     landed: float
     ends: Array
     rising: float
+    aside: float = 0.0
 
     @property
     def flight(self) -> float:
@@ -293,6 +298,9 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     }.items():
         if joint in figure.robot.joints:
             out[joint] = curve(values)
+    roll = f"{other}_shoulder_roll"
+    if plan.aside and roll in figure.robot.joints:
+        out[roll] = figure.home[figure.place(roll)[0]] + curve([0.0, 0.0, *[plan.aside] * 5, 0.0])
     return out
 
 
@@ -448,7 +456,22 @@ def jump_slices(
     """``jump``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
     ball = seen_from(stance, np.asarray(ball, dtype=float))
-    plan = plan_jump(figure, ball, arm, speed)
+    found: Motion | None = None
+    for aside, more in _WAYS:
+        plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
+        motion = yield from _motion(replace(plan, aside=aside), start, dt, corrections)
+        found = found or motion
+        if not touches_itself(figure, motion.q[::_LOOK_EACH]):
+            found = motion
+            break
+        yield
+    assert found is not None
+    return placed_motion(figure, found, stance)
+
+
+def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices[Motion]:
+    """The jump from a stance at the origin."""
+    figure = plan.figure
     # A frame at the apex: the moment of the touch.
     t = np.arange(1, int((plan.ends[5] + 0.3) / dt) + 1) * dt
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
@@ -472,5 +495,4 @@ def jump_slices(
     zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
     both = np.column_stack([contact, contact])
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
-    motion = Motion("jump", frames.q, both, frames.miss, zmp, free, arm, ball, "jump")
-    return placed_motion(figure, motion, stance)
+    return Motion("jump", frames.q, both, frames.miss, zmp, free, plan.arm, plan.ball, "jump")
