@@ -518,7 +518,9 @@ def walk_slices(
     second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
 ) -> Slices[Walk]:  # fmt: skip
     """``walk``, a few milliseconds at a time."""
+    yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
     plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
+    yield
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
     offset = -0.012 * rotation("z", heading)[:, :2, 0]
