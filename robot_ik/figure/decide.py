@@ -94,7 +94,7 @@ class Decision:
         stand_point: (x, y, heading) to walk to.
         way: Stand points on the way there, the last is ``stand_point``.
         then: What it will do there.
-        speed: At take-off of a jump, m/s.
+        speed: At take-off of a jump, at least, m/s.
     """
 
     action: str
@@ -194,7 +194,9 @@ class Decider:
         for arm in arms:
             speed = able.take_off(local, arm)
             if speed is not None:
-                reason = f"the ball is overhead: a jump of {speed:.1f} m/s brings the {arm} hand to it"
+                reason = (
+                    f"the ball is overhead: a jump of {speed:.1f} m/s or more brings the {arm} hand to it"
+                )
                 return Decision("jump", arm, reason, speed=speed)
         return None
 

@@ -63,9 +63,9 @@ _SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
 """What is free in a frame is tied to its neighbours, else legs and spine whip about the apex: rounds after
 the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
 more and more in so long before take-off, s, and less and less in so long before landing, s."""
-_WAYS, _LOOK_EACH = ((0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9)), 2
+_WAYS = (0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9)
 """How far the other arm is held aside, rad, and by how much faster it jumps, m/s, so that the acting arm need
-not stretch over the head: the next of these where bodies touch in one of so many frames."""
+not stretch over the head: the next of these where bodies touch."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
 crouch."""
@@ -439,7 +439,7 @@ def jump(
         q: (nq,) standing near home.
         ball: (3,) in the world.
         arm: Which hand.
-        speed: At take-off, m/s (``Abilities.take_off`` knows it).
+        speed: At take-off, m/s (``Abilities.take_off`` knows it); more where bodies would touch.
         dt: Time between frames, s.
         corrections: Rounds of the dynamics filter.
 
@@ -461,7 +461,7 @@ def jump_slices(
         plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
         motion = yield from _motion(replace(plan, aside=aside), start, dt, corrections)
         found = found or motion
-        if not touches_itself(figure, motion.q[::_LOOK_EACH]):
+        if not touches_itself(figure, motion.q):
             found = motion
             break
         yield

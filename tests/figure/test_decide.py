@@ -15,7 +15,7 @@ from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
 from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
 from robot_ik.figure.figure import Figure, Frames, PreparedRows, load_figure, rotation
-from robot_ik.figure.poses import BEND, REACH, best_pose
+from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
 from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
@@ -140,15 +140,41 @@ def test_the_map_that_ships_is_of_this_model(figure: Figure, abilities: Abilitie
             assert found.miss >= SHARE * flat[i] - SLACK
 
 
-@pytest.mark.parametrize("ball", [(0.241, -0.3098, 0.0777), (0.0944, -0.1579, 0.0902)])
-def test_a_ball_just_over_the_floor_is_taken_with_a_flat_hand(
+@pytest.mark.parametrize(
+    "ball",
+    [
+        (0.241, -0.3098, 0.0777), (0.0944, -0.1579, 0.0902),
+        (0.5238, 0.0222, 0.0622), (0.268, 0.5217, 0.058), (0.6074, -0.587, 0.0501),
+    ],
+)  # fmt: skip
+def test_a_ball_just_over_the_floor_is_taken_with_the_hand_over_the_floor(
     figure: Figure, decider: Decider, ball: tuple[float, float, float]
 ) -> None:
     found = decider.decide(ball)
-    assert found.action == BEND and found.arm == "right", found.reason
-    pose = decider.abilities.can(BEND, np.array(ball), "right")
+    assert found.action == BEND and found.arm is not None, found.reason
+    pose = decider.abilities.can(BEND, np.array(ball), found.arm)
     assert pose is not None
-    assert _judge.Judge(figure).admissible(pose.q, np.array(ball), "right", BEND)
+    assert _judge.Judge(figure).admissible(pose.q, np.array(ball), found.arm, BEND)
+
+
+@pytest.mark.parametrize("ball", [(0.9574, 0.6945, 0.0822), (0.93, -0.758, 0.0617)])
+def test_a_ball_on_the_floor_out_of_reach_is_walked_to(
+    decider: Decider, ball: tuple[float, float, float]
+) -> None:
+    found = decider.decide(ball)
+    assert found.action == "walk" and found.then == BEND, found.reason
+
+
+@pytest.mark.parametrize(
+    "ball",
+    [(0.3, 0.04, 0.26), (0.22, 0.01, 0.22), (0.33, 0.0, 0.24), (0.24, 0.15, 0.31), (0.43, -0.06, 0.15)],
+)
+def test_a_pose_in_which_no_bodies_touch_is_preferred(
+    figure: Figure, abilities: Abilities, ball: tuple[float, float, float]
+) -> None:
+    arm = "right" if ball[1] <= 0.0 else "left"
+    pose = abilities.pose(BEND, np.array(ball), arm)
+    assert not pose.flaw and not touches_itself(figure, pose.q[None])
 
 
 # Judged by 64 random starts a ball, some seconds each:

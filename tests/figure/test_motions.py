@@ -145,6 +145,23 @@ def test_a_jump_flies_by_its_own_momentum(
     assert whip <= 9.0, "a joint's speed changes about the apex"
 
 
+@pytest.mark.parametrize(
+    "ball",
+    [(0.51, -0.01, 2.47), (0.08, -0.02, 2.39)],
+    ids=["other arm at the belly", "acting arm at the head"],
+)
+def test_a_jump_in_which_bodies_would_touch_is_made_another_way(
+    figure: Figure, abilities: Abilities, ball: tuple[float, ...]
+) -> None:
+    speed = abilities.take_off(np.array(ball), "right")
+    assert speed is not None
+    motion = jump(figure, figure.home, np.array(ball), "right", speed)
+    near = min(float(np.linalg.norm(figure.pose(row, "right_hand")[0] - ball)) for row in motion.q)
+    measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")
+    require_feet(measure)
+    assert near <= 0.005 and measure.self_contact == 0
+
+
 def test_a_jump_too_high_is_refused(figure: Figure) -> None:
     with pytest.raises(InvalidGoalError, match=r"more than 2\.6 m/s"):
         jump(figure, figure.home, np.array([0.2, 0.0, 3.0]), "right", 3.5)
