@@ -25,7 +25,7 @@ import numpy as np
 
 from robot_ik.camera.edge_fit import median_of
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel
-from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.linalg import eliminate
 
 # Unknowns: eight of the homography, ln blur (px), edge shift, three each of dark and contrast; then halo, and
@@ -37,18 +37,24 @@ PLAIN, HALOED, UNKNOWNS = 16, 17, 23
 PIXEL_ROWS = 8
 # What is kept of a residual: its size in grey levels, u and v, what it was before the first step, work space.
 MISS_ROWS = 5
-# Of a fit: noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels that
-# tell nothing are left out; blur that sharpening subtracts, px (0: no halo).  Out: how many were used,
-# whether steps became small.
-NOISE, EVERY, TO_DROP, HALO_WIDTH, USED, AT_REST = 0, 1, 2, 3, 4, 5
-FIT_NUMBERS = 6
 # Trust in what stays as it is.
 HELD = 1e15
-# Rows of the work space: those of some pixels, so many at a time; equations; system; shares of cells along u
-# and v; the print with and without the halo's blur; (1, u, v, uu, uv, vv); step.
+# A fit is one table of numbers.  Its rows: equations of some pixels, so many at a time; the system and its
+# right side; shares of cells along u and v; the print with and without the halo's blur; (1, u, v, uu, uv,
+# vv); the step.
 BLOCK = 64
-_SYSTEM, _CELLS, _PRINT, _WIDER, _BASIS, _STEP = 24, 48, 54, 55, 56, 57
-SPACE_ROWS = 58
+SYSTEM, _CELLS, _PRINT, _WIDER, _BASIS, STEP = 24, 48, 54, 55, 56, 57
+# The unknowns (the first eight are not read: TO_PRINT has them); one over the variance of what is believed of
+# them beforehand, and what is believed; (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth; the
+# numbers of NOISE.
+X, TRUST, EXPECTED, TO_PRINT, NUMBERS = 58, 59, 60, 61, 62
+# (8, 8) how the corners move, px, by the unknowns of the homography; (24, 24) sums: lower triangle, and the
+# right side in the row after the unknowns.
+BY_UNKNOWN, NORMAL, EQUATION_ROWS = 63, 71, 95
+# Noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels that tell
+# nothing are left out; blur that sharpening subtracts, px (0: no halo); how many unknowns there are.  Out:
+# how many pixels were used, whether steps became small.
+NOISE, EVERY, TO_DROP, HALO_WIDTH, SIZE, USED, AT_REST = 0, 1, 2, 3, 4, 5, 6
 # Beyond so many standard deviations an edge is no longer felt.
 _FAR = 3.2
 # Residuals beyond this many standard deviations lose weight (Cauchy's function).
@@ -191,20 +197,20 @@ def toned_print(u, v, wide, high, r, k, black, least, space, seen):
     return True
 
 
-@kernel
-def take_print(gray, lens, box, every, to_print, reach, pixels):
-    """Collects the pixels of a box (x0, y0, x1, y1) that see the print; how many.
+@outlined
+def take_print(gray, lens, box, reach, fit, pixels):
+    """Collects the pixels of a box that see the print; how many.
 
     Args:
         gray: (h, w) uint8.
         lens: ``lens_vector``.
-        box: Of whole pixels.
-        every: 2 or odd: one pixel in so many is taken, on a lattice.
-        to_print: (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth.
+        box: (5,) whole pixels x0, y0, x1, y1; 2 or odd: one pixel in so many is taken, on a lattice.
         reach: Pixels beyond ± this (u and v) are not taken.
+        fit: With TO_PRINT.
         pixels: (8, k) out; what finds no room is left out.
     """
-    h, count, fx, fy, lattice = to_print, 0, 1.0 / lens[FX], 1.0 / lens[FY], 1 if every == 2 else 2
+    h, count, fx, fy, every = fit[TO_PRINT], 0, 1.0 / lens[FX], 1.0 / lens[FY], box[4]
+    lattice = 1 if every == 2 else 2
     for py in range(box[1], box[3]):
         by, first = (py - lens[CY]) * fy, box[0] + (-box[0] - lattice * py) % every
         x, y = from_pixel(lens, first, py)
@@ -227,34 +233,20 @@ def take_print(gray, lens, box, every, to_print, reach, pixels):
     return count
 
 
-@kernel
-def see_points(lens, normalized, pixels, slopes):
-    """Pixels (n, 2) of undistorted coordinates (n, 2), and their derivative (n, 2, 2)."""
-    for k in range(len(normalized)):
-        x, y, xx, xy, yy = distort_point(lens, normalized[k, 0], normalized[k, 1])
-        pixels[k, 0], pixels[k, 1] = lens[FX] * x + lens[CX], lens[FY] * y + lens[CY]
-        slopes[k, 0, 0], slopes[k, 0, 1] = lens[FX] * xx, lens[FX] * xy
-        slopes[k, 1, 0], slopes[k, 1, 1] = lens[FY] * xy, lens[FY] * yy
-
-
 @outlined
-def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal, space, misses):
+def print_equations(pixels, count, black, fit, misses):
     """Sums the normal equations of one marker; how many pixels were used.
 
     Args:
         pixels: (8, k) of ``take_print``.  With TO_DROP those that tell nothing are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
-        to_print: As in ``take_print``.
-        x: (23,) unknowns; the first eight are not read.
-        unknowns: How many the model has.
-        numbers: Of the fit, see NOISE.
-        normal: (24, 24) out: lower triangle, and the right side in the row after the unknowns.
-        space: Work space.
+        fit: Its table; NORMAL out.
         misses: (5, k) out: residuals of the pixels that were used, and where on the print these are.
     """
-    n, h, noise, every = unknowns, to_print, numbers[NOISE], int(numbers[EVERY])
-    seen, wider, basis = space[_PRINT], space[_WIDER], space[_BASIS]
+    x, h, numbers, normal = fit[X], fit[TO_PRINT], fit[NUMBERS], fit[NORMAL:]
+    n, noise, every = int(numbers[SIZE]), numbers[NOISE], int(numbers[EVERY])
+    seen, wider, basis = fit[_PRINT], fit[_WIDER], fit[_BASIS]
     cauchy = 1.0 / (CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
     blur, k, alpha, halo = math.exp(x[BLUR]), x[SHIFT], x[HALO], numbers[HALO_WIDTH]
     blur2 = math.sqrt(blur * blur + halo * halo)
@@ -275,7 +267,7 @@ def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal
         wide, high = math.sqrt(gux * gux + guy * guy), math.sqrt(gvx * gvx + gvy * gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
         least = flat if dropping and p % _FLAT else 0.0
-        if not toned_print(u, v, wide * blur, high * blur, r, k, black, least, space, seen):
+        if not toned_print(u, v, wide * blur, high * blur, r, k, black, least, fit, seen):
             continue
         if dropping:
             for i in range(PIXEL_ROWS - 1):
@@ -283,7 +275,7 @@ def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal
             pixels[7, used] = _FLAT if seen[5] < flat else 1.0
         white, by_u, by_v, by_blur, by_shift, by_halo = seen[0], seen[1], seen[2], seen[3], seen[4], 0.0
         if halo > 0.0:
-            toned_print(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, space, wider)
+            toned_print(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, fit, wider)
             by_halo = white - wider[0]
             white += alpha * by_halo
             by_u += alpha * (by_u - wider[1])
@@ -308,21 +300,21 @@ def print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal
         along_way = gu * u + gv * v
         for i in range(3):
             b = basis[i]
-            space[i, at], space[3 + i, at] = gu * b, gv * b
-            space[DARK + i, at], space[CONTRAST + i, at] = root * b, pale * b
+            fit[i, at], fit[3 + i, at] = gu * b, gv * b
+            fit[DARK + i, at], fit[CONTRAST + i, at] = root * b, pale * b
             if n > HALOED:
                 b = basis[3 + i]
-                space[CURVED + i, at], space[CURVED + 3 + i, at] = root * b, pale * b
-        space[6, at], space[7, at] = along_way * u, along_way * v
-        space[BLUR, at], space[SHIFT, at] = light * by_blur, light * by_shift
+                fit[CURVED + i, at], fit[CURVED + 3 + i, at] = root * b, pale * b
+        fit[6, at], fit[7, at] = along_way * u, along_way * v
+        fit[BLUR, at], fit[SHIFT, at] = light * by_blur, light * by_shift
         if n > PLAIN:
-            space[HALO, at] = light * by_halo
-        space[n, at] = root * miss
+            fit[HALO, at] = light * by_halo
+        fit[n, at] = root * miss
         misses[0, used], misses[1, used], misses[2, used] = miss, u, v
         used += 1
         if used % BLOCK == 0:
-            add_products(space, first, n, BLOCK, normal)
-    add_products(space, first, n, used % BLOCK, normal)
+            add_products(fit, first, n, BLOCK, normal)
+    add_products(fit, first, n, used % BLOCK, normal)
     return used
 
 
@@ -339,32 +331,39 @@ def add_products(rows, first, n, length, normal):
 
 
 @outlined
-def take_step(normal, noise, x, unknowns, trust, expected, by_unknown, to_print, matrix, step):
+def system(fit):
+    """Fills SYSTEM, the equations with what is known beforehand (lower triangle); STEP is the right side."""
+    n, noise, x = int(fit[NUMBERS, SIZE]), fit[NUMBERS, NOISE], fit[X]
+    for i in range(n):
+        weight = noise * noise * fit[TRUST, i]
+        right = fit[NORMAL + n, i] + weight * (fit[EXPECTED, i] - x[i])
+        if i == BLUR and x[i] <= LEAST_LN_BLUR and right < 0.0:
+            weight = HELD
+        for j in range(i):
+            fit[SYSTEM + i, j] = fit[NORMAL + i, j]
+        fit[SYSTEM + i, i] = fit[NORMAL + i, i] * (1.0 + 1e-10) + 1e-12 + weight
+        fit[SYSTEM + n, i] = fit[STEP, i] = right
+
+
+@outlined
+def take_step(fit):
     """Moves the unknowns, a corner never far at once.
 
     Returns:
         By how much that lessens the sum of squares, infinity where there is no step; and how far the
         unknowns moved, in parts of what is hardly any way.
     """
-    n, h = unknowns, to_print
-    for i in range(n):
-        weight = noise * noise * trust[i]
-        right = normal[n, i] + weight * (expected[i] - x[i])
-        if i == BLUR and x[i] <= LEAST_LN_BLUR and right < 0.0:
-            weight = HELD
-        for j in range(i):
-            matrix[i, j] = normal[i, j]
-        matrix[i, i] = normal[i, i] * (1.0 + 1e-10) + 1e-12 + weight
-        matrix[n, i], step[i] = right, right
-    if not eliminate(matrix, step, n):
+    n, x, h, step = int(fit[NUMBERS, SIZE]), fit[X], fit[TO_PRINT], fit[STEP]
+    system(fit)
+    if not eliminate(fit[SYSTEM:_CELLS], step, n):
         return math.inf, math.inf
     gain, farthest = 0.0, 1e-12
     for i in range(n):
-        gain += matrix[n, i] * step[i]
+        gain += fit[SYSTEM + n, i] * step[i]
     for i in range(8):
         way = 0.0
         for j in range(HOMOGRAPHY):
-            way += by_unknown[i, j] * step[j]
+            way += fit[BY_UNKNOWN + i, j] * step[j]
         farthest = max(farthest, abs(way))
     part = min(1.0, _CORNER_STEP / farthest)
     for i in range(3):
@@ -385,44 +384,21 @@ def take_step(normal, noise, x, unknowns, trust, expected, by_unknown, to_print,
     return gain, max(farthest / _NEAR, far / _ALIKE)
 
 
-@kernel
-def settle(
-    pixels,
-    count,
-    black,
-    to_print,
-    x,
-    unknowns,
-    trust,
-    expected,
-    by_unknown,
-    numbers,
-    normal,
-    space,
-    misses,
-    steps,
-):
-    """Gauss and Newton's steps until they are small: AT_REST says whether they became so.
+@outlined
+def settle(pixels, count, black, fit, misses, steps):
+    """Gauss and Newton's steps, so many at most, until they are small: AT_REST says whether they became so.
 
     Args:
-        pixels: As in ``print_equations``, like all that is not named here.
+        pixels: As in ``print_equations``, like ``count`` and ``black``.
         count: See ``pixels``.
         black: See ``pixels``.
-        to_print: In and out.
-        x: In and out.
-        unknowns: See ``pixels``.
-        trust: (23,) one over the variance of what is believed of an unknown beforehand; HELD: it stays.
-        expected: (23,) what is believed.
-        by_unknown: (8, 8) how the corners move, px, by the unknowns of the homography.
-        numbers: In and out.
-        normal: Out: the equations before the last step.
-        space: (58, k) work space.
+        fit: In and out; NORMAL has the equations before the last step.
         misses: (5, k) out: residuals before the last step, places, residuals before the first one.
-        steps: At most; 0: the equations alone are wanted.
+        steps: See above.
     """
-    matrix, step, sizes = space[_SYSTEM:_CELLS], space[_STEP], misses[4]
+    numbers, sizes = fit[NUMBERS], misses[4]
     for turn in range(steps + 1):
-        used = print_equations(pixels, count, black, to_print, x, unknowns, numbers, normal, space, misses)
+        used = print_equations(pixels, count, black, fit, misses)
         numbers[USED] = used
         if turn == steps or used == 0:
             return
@@ -435,11 +411,9 @@ def settle(
                 misses[3, p] = misses[0, p]
         if turn < _NOISE_ROUNDS:
             numbers[NOISE] = max(1.4826 * median_of(sizes, used), LEAST_NOISE)
-        gain, way = take_step(
-            normal, numbers[NOISE], x, unknowns, trust, expected, by_unknown, to_print, matrix, step
-        )
+        gain, way = take_step(fit)
         size = math.sqrt(max(gain, 0.0)) / numbers[NOISE]
-        if not size + x[BLUR] + abs(to_print[0]) < math.inf:
+        if not size + fit[X, BLUR] + abs(fit[TO_PRINT, 0]) < math.inf:
             numbers[AT_REST] = 0.0
             return
         numbers[AT_REST] = 1.0 if size < _RESTLESS else 0.0
