@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from robot_ik.cli import console
 from robot_ik.errors import ConfigError
 from robot_ik.hardware import open_arm, open_bus
 from robot_ik.hardware.config import ArmConfig
+from tests.waiting import wait_for
 
 ROBOT_IK = [sys.executable, "-m", "robot_ik"]
 
@@ -24,7 +24,7 @@ ROBOT_IK = [sys.executable, "-m", "robot_ik"]
 def with_closed(stream: int, *words: str) -> subprocess.CompletedProcess[str]:
     """A run whose standard stream of that number is closed."""
     command = ["sh", "-c", f'exec "$@" {stream}>&-', "sh", *ROBOT_IK, *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_without_standard_output_nothing_begins() -> None:
@@ -170,13 +170,8 @@ def test_silence_is_broken_after_a_while(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(console, "SILENCE", 0.05)
-    said = ""
     with console.busy("moving", 7.2):
-        for _ in range(200):
-            said += capsys.readouterr().err
-            if said:
-                break
-            time.sleep(0.02)
+        said = wait_for(lambda: capsys.readouterr().err)
     assert said == "moving, about 7 s …\n"
     monkeypatch.setattr(console, "SILENCE", 30.0)
     with console.busy("moving"):
