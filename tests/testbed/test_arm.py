@@ -36,6 +36,7 @@ def until(session: Session, holds: Callable[[View], object], what: str) -> View:
     def tick() -> View | None:
         session.tick()
         view = session.view()
+        assert view.arm is None or view.arm.state != "fault", f"{what}: {view.arm}"
         return view if holds(view) else None
 
     return wait_for(tick, lambda: f"{what}: {session.view().arm}")

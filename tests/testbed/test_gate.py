@@ -22,7 +22,7 @@ import pytest
 from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.session import Session, View, run
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG, wait_for
 
@@ -313,15 +313,23 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
                 if lose is not browser.close:
                     browser = Browser(int(page.server.get_port())).look()
                 browser.send(update(buttons, value="Follow"))
-                bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
+                bed.until(lambda view: arm_is("enabled", view), "it does not follow")
                 lose()
                 bed.until(
-                    lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"),
+                    lambda view: arm_is("hold", view) and view.arm.wish == "hold",
                     "it goes on following a page that is gone",
                 )
         finally:
             stop.set()
             loop.join()
+
+
+def arm_is(state: str, view: View) -> bool:
+    """Whether it is so; a fault ends the waiting."""
+    if view.arm is None:
+        return False
+    assert view.arm.state != "fault", view.arm
+    return view.arm.state == state
 
 
 def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:
