@@ -120,8 +120,10 @@ def _demanded() -> set[str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuses a misspelt demand, which would otherwise demand nothing; watches what arms send."""
-    config.pluginmanager.register(_beside("goal_recorder"), "goal_recorder")
+    """Refuses a misspelt demand, which would otherwise demand nothing; watches what arms send, and how late
+    threads are woken in tests of real time."""
+    for name in ("goal_recorder", "real_time"):
+        config.pluginmanager.register(_beside(name), name)
     if unknown := _demanded() - PROBES.keys():
         raise pytest.UsageError(f"{DEMANDED} names {sorted(unknown)}; known are {sorted(PROBES)}")
 

@@ -55,9 +55,10 @@ FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
 # ------------------------------------------------------------------------------- blocks are run
 
 
-@pytest.mark.timeout(300)  # a cold cache compiles the solvers first
 @pytest.mark.parametrize("page", PAGES, ids=named)
-def test_what_a_page_shows_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_page_shows_runs(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, real_time: None
+) -> None:
     monkeypatch.chdir(tmp_path)
     give(page, tmp_path)
     module = types.ModuleType(f"docs_{page.stem}")
@@ -84,7 +85,7 @@ def test_what_a_page_shows_runs(page: Path, tmp_path: Path, monkeypatch: pytest.
     finally:
         for process in beside:
             process.send_signal(signal.SIGTERM)
-    assert [process.wait(timeout=20) for process in beside] == [0] * len(beside)
+    assert [process.wait() for process in beside] == [0] * len(beside)
 
 
 def give(page: Path, folder: Path) -> None:

@@ -55,7 +55,6 @@ def test_the_first_screen_has_one_picture_and_two_commands() -> None:
     assert 20_000 < (ROOT / picture).stat().st_size < 400 * 1024
 
 
-@pytest.mark.timeout(300)
 def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (shown,) = [block for block in blocks(ROOT / "README.md") if block.text.startswith("reach ")]
     assert cli.main(["reach", "--out", str(tmp_path / "run")]) == 0

@@ -199,7 +199,7 @@ def test_the_real_clock_is_the_default_and_keeps_order():
     assert done.duration >= 0.05 * 0.99 and (np.diff(done.times) > 0.0).all()
 
 
-def test_the_arms_own_clock_is_taken_so_that_a_simulated_one_moves():
+def test_the_arms_own_clock_is_taken_so_that_a_simulated_one_moves(real_time):
     arm = LaggingArm(VirtualClock(), [0.0, 0.0])
     began = time.monotonic()
     by_source = execute(ramp(301), [arm], source=arm)

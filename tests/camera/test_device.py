@@ -14,6 +14,7 @@ from robot_ik.camera import device as device_list
 from robot_ik.camera import device as device_module
 from robot_ik.camera.device import DeviceSource, find_cameras
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameTimeoutError
+from tests.waiting import LONG
 
 linux_only = pytest.mark.skipif(not device_list.CAN_LIST, reason="cameras are only listed on Linux")
 
@@ -129,7 +130,7 @@ class _Switch:
 
 @linux_only
 def test_an_unplugged_camera_is_named_and_opens_again(camera: list[FilmCapture]) -> None:
-    with DeviceSource(0, timeout=5.0) as source:
+    with DeviceSource(0, timeout=LONG) as source:
         assert source.read().size == (64, 48)
         camera[0].plugged = False
         with pytest.raises(
@@ -139,7 +140,7 @@ def test_an_unplugged_camera_is_named_and_opens_again(camera: list[FilmCapture])
                 source.read()
         assert "Plug it in" in caught.value.hint
     # The same process, the same number: a new source works, and counts from the start.
-    with DeviceSource(0, timeout=5.0) as again:
+    with DeviceSource(0, timeout=LONG) as again:
         assert again.read().sequence >= 0
         assert len(camera) == 2
 

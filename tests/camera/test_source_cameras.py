@@ -12,6 +12,7 @@ import pytest
 
 from robot_ik.camera.device import DeviceSource
 from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from tests.waiting import LONG, wait_for
 
 
 def picture(value: int, size: tuple[int, int] = (64, 48)) -> np.ndarray:
@@ -60,15 +61,8 @@ def capture() -> Iterator[FakeCapture]:
     wait_for(lambda: fake.released)
 
 
-def wait_for(condition: object, limit: float = 10.0) -> None:
-    end = time.monotonic() + limit
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.005)
-
-
 def test_a_slow_reader_gets_the_newest_picture(capture: FakeCapture) -> None:
-    with DeviceSource(0, opener=lambda: capture, timeout=5.0) as source:
+    with DeviceSource(0, opener=lambda: capture, timeout=LONG) as source:
         assert source.read().sequence == 0
         assert source.newest() is None
         capture.put(5)
@@ -89,7 +83,7 @@ def test_pictures_are_stamped_when_they_are_grabbed(capture: FakeCapture) -> Non
         assert source.read().time <= after
 
 
-def test_a_silent_camera_times_out(capture: FakeCapture) -> None:
+def test_a_silent_camera_times_out(capture: FakeCapture, real_time: None) -> None:
     with DeviceSource("/dev/cam", opener=lambda: capture, timeout=0.1) as source:
         source.read()
         with pytest.raises(FrameTimeoutError, match=r"no new picture from camera /dev/cam for 0.1 s"):
@@ -97,7 +91,7 @@ def test_a_silent_camera_times_out(capture: FakeCapture) -> None:
 
 
 def test_a_pulled_plug_is_reported(capture: FakeCapture) -> None:
-    with DeviceSource(0, opener=lambda: capture, timeout=5.0) as source:
+    with DeviceSource(0, opener=lambda: capture, timeout=LONG) as source:
         source.read()
         capture.dead = True
         with pytest.raises(FrameTimeoutError, match="stopped delivering"):

@@ -73,7 +73,6 @@ def robot_ik_child() -> Callable[..., Run]:
             text=True,
             env={**os.environ, **variables},
             stdin=subprocess.DEVNULL,
-            timeout=120,
             check=False,
         )
         return Run(done.returncode, done.stdout, done.stderr)
@@ -160,7 +159,7 @@ def arm_file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def desk(arm_file: Path) -> Iterator[Desk]:
+def desk(arm_file: Path, real_time: None) -> Iterator[Desk]:
     """The servos of ``arm_file`` at q = 0 on a pty."""
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
+from subprocess import PIPE
 from typing import Any
 
 import cv2
@@ -18,7 +17,9 @@ import pytest
 
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.jobs import vision as vision_module
+from robot_ik.ports import RealClock
 from robot_ik.robot import load_robot
+from tests.waiting import wait_for
 
 GOAL = ("--goal", "-0.42", "-0.08", "0.80")
 SIM = ("--bus", "sim")
@@ -38,7 +39,9 @@ def left(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def test_the_whole_product_through_a_real_serial_line(robot_ik_child: Any, tmp_path: Path) -> None:
+def test_the_whole_product_through_a_real_serial_line(
+    robot_ik_child: Any, tmp_path: Path, real_time: None
+) -> None:
     run = robot_ik_child("reach", "--out", tmp_path / "run")
     assert run.code == 0, run
     for text in (
@@ -208,49 +211,33 @@ def test_the_limits_name_the_side_that_gave_way(robot_ik: Any, tmp_path: Path) -
     ("number", "code"), [pytest.param(signal.SIGINT, 130, marks=pytest.mark.soak), (signal.SIGTERM, 143)]
 )
 def test_a_signal_in_mid_motion_leaves_the_arm_without_torque(
-    number: int, code: int, robot_ik_child: Any, tmp_path: Path
+    number: int, code: int, tmp_path: Path, real_time: None
 ) -> None:
-    """Asked of the servos themselves, which live in another process."""
-    from robot_ik.hardware import open_bus
-    from robot_ik.hardware.bus import shared_register
+    """Asked of the servos themselves, which live in this process."""
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.pty import PtyPort
 
-    program = [sys.executable, "-m", "robot_ik"]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    port, slowly = tmp_path / "arm", ["--robot", "puma560", *GOAL, "--speed", "0.01"]
-    servos = subprocess.Popen([*program, "sim-bus", "--arm", "puma560", "--link", str(port)], **pipes)
-    try:
-        wait_for(port.exists)
-        run = subprocess.Popen([*program, "reach", *slowly, "--bus", str(port)], **pipes)
-        runs = tmp_path / "runs"
-        wait_for(runs.exists)
-        time.sleep(6.0)  # the motion takes a minute at this speed
-        assert run.poll() is None
-        run.send_signal(number)
-        out, err = run.communicate(timeout=60)
+    file = load_robot("puma560").arm_file
+    assert file is not None
+    servos = VirtualBus.from_config(config := ArmConfig.load(file), RealClock())
+    with PtyPort(servos) as port:
+        begin = servos.true_angles(config)
+        # The motion takes a minute at this speed.
+        words = ["reach", "--robot", "puma560", *GOAL, "--speed", "0.01", "--bus", port.path]
+        command = [sys.executable, "-m", "robot_ik", *words]
+        with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as run:
+            try:
+                wait_for(lambda: np.abs(servos.true_angles(config) - begin).max() > 0.02, "it does not move")
+                assert [servo.torque for servo in servos.servos] == [True] * 6
+                run.send_signal(number)
+                out, err = run.communicate()
+            finally:
+                run.kill()
         assert run.returncode == code, err
         assert out == "" and len(err.splitlines()) <= 1 and "Traceback" not in err
-        assert not runs.exists()
-        file = load_robot("puma560").arm_file
-        assert file is not None
-        config = ArmConfig.load(file)
-        bus = open_bus(str(port), config)
-        reported = bus.sync_read(
-            [joint.id for joint in config.joints], shared_register(config, "torque_enable")
-        )
-        bus.close()
-        assert [status.data for status in reported.values()] == [0] * 6
-    finally:
-        servos.send_signal(signal.SIGINT)
-        servos.communicate(timeout=60)
-    assert os.path.basename(port) not in os.listdir(tmp_path)
-
-
-def wait_for(happened: Any, patience: float = 60.0) -> None:
-    end = time.monotonic() + patience
-    while not happened():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
+        assert [servo.torque for servo in servos.servos] == [False] * 6
+    assert not (tmp_path / "runs").exists()
 
 
 def test_the_help_names_every_option(robot_ik: Any) -> None:
@@ -274,7 +261,9 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
         assert make_request(ReachOptions(bus=bus, arm=str(other))).robot == "panda"
 
 
-def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(robot_ik: Any, tmp_path: Path) -> None:
+def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(
+    robot_ik: Any, tmp_path: Path, real_time: None
+) -> None:
     port = tmp_path / "arm"
     program = [sys.executable, "-m", "robot_ik", "sim-bus", "--link", str(port)]
     servos = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -286,4 +275,4 @@ def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(robot_ik: 
         assert facts["reached"] and facts["by_camera"] is None
     finally:
         servos.send_signal(signal.SIGINT)
-        servos.communicate(timeout=60)
+        servos.communicate()

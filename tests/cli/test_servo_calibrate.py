@@ -177,7 +177,7 @@ def test_steps_end_with_enter_and_are_repeated_at_a_terminal(
                     hand(line, lambda: time.sleep(0.03))
                 forgetful = forgetful and not line.startswith("3.2")
                 os.write(keys, b"\n")
-        assert child.wait(timeout=30) == 0
+        assert child.wait() == 0
     finally:
         child.kill()
         child.communicate()

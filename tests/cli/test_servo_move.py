@@ -8,11 +8,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 
@@ -20,13 +21,6 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 def degrees(desk: Any) -> list[float]:
     """Where the joints really are."""
     return np.degrees(desk.bus.true_angles(desk.config)).tolist()
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    end = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 # --------------------------------------------------------------------------------------- monitor
@@ -144,7 +138,7 @@ def test_ctrl_c_leaves_the_arm_as_asked(desk: Any) -> None:
     try:
         wait_for(lambda: desk.servo(1).reading > 2050)  # it is on its way
         child.send_signal(signal.SIGINT)
-        _, err = child.communicate(timeout=30)
+        _, err = child.communicate()
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err and "torque is off" in err

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ import pytest
 
 from robot_ik.cli import sim_bus
 from robot_ik.robot_file import catalogue
+from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
 sdk = pytest.importorskip("dynamixel_sdk")
@@ -26,7 +26,7 @@ Serve = Callable[..., AbstractContextManager["subprocess.Popen[str]"]]
 
 
 @pytest.fixture
-def serve(tmp_path: Path) -> Serve:
+def serve(tmp_path: Path, real_time: None) -> Serve:
     """``with serve("--match-baud") as child``: a served bus with the link ``tmp_path / "arm"``."""
 
     @contextmanager
@@ -73,7 +73,7 @@ def test_the_official_sdk_can_use_it_and_a_signal_ends_it(
         port.closePort()
         assert (result, error) == (sdk.COMM_SUCCESS, 0) and 0 <= ticks < 4096
         child.send_signal(number)
-        out, err = child.communicate(timeout=60)
+        out, err = child.communicate()
         assert child.returncode == 0
         assert out == "" and "Traceback" not in err
         assert "joint1" in err and "closed" in err
@@ -105,9 +105,7 @@ def test_with_physics_an_arm_that_is_too_heavy_feels_it(serve: Serve, tmp_path: 
         handler, port = sdk.PacketHandler(2.0), sdk.PortHandler(str(tmp_path / "arm"))
         assert port.openPort()
         assert handler.write1ByteTxRx(port, 2, 64, 1) == (sdk.COMM_SUCCESS, 0)
-        end = time.monotonic() + 20.0
-        while not handler.read2ByteTxRx(port, 2, 126)[0]:  # a real PUMA on servos of 4 N m
-            assert time.monotonic() < end
+        wait_for(lambda: handler.read2ByteTxRx(port, 2, 126)[0])  # a real PUMA on servos of 4 N m
         port.closePort()
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from robot_ik.cli import console
 from robot_ik.errors import ConfigError
 from robot_ik.hardware import open_arm, open_bus
 from robot_ik.hardware.config import ArmConfig
+from tests.waiting import wait_for
 
 ROBOT_IK = [sys.executable, "-m", "robot_ik"]
 
@@ -24,7 +24,7 @@ ROBOT_IK = [sys.executable, "-m", "robot_ik"]
 def with_closed(stream: int, *words: str) -> subprocess.CompletedProcess[str]:
     """A run whose standard stream of that number is closed."""
     command = ["sh", "-c", f'exec "$@" {stream}>&-', "sh", *ROBOT_IK, *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def test_without_standard_output_nothing_begins() -> None:
@@ -40,11 +40,13 @@ def test_without_standard_error_the_exit_code_speaks() -> None:
 
 
 @pytest.mark.parametrize(
-    "variables",
-    [{"PYTHONIOENCODING": "ascii"}, {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}],
+    ("words", "variables"),
+    [
+        (["robots", "puma560"], {"PYTHONIOENCODING": "ascii"}),
+        (["reach", "--help"], {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}),
+    ],
     ids=["ascii", "C"],
 )
-@pytest.mark.parametrize("words", [["robots", "puma560"], ["reach", "--help"]])
 def test_signs_that_a_stream_lacks_are_spelled(
     variables: dict[str, str], words: list[str], robot_ik_child: Any
 ) -> None:
@@ -52,24 +54,25 @@ def test_signs_that_a_stream_lacks_are_spelled(
     assert run.code == 0 and run.out.isascii() and run.err.isascii()
 
 
-def test_json_is_json_in_any_encoding(robot_ik_child: Any) -> None:
+def test_json_is_json_in_any_encoding(robot_ik: Any, robot_ik_child: Any) -> None:
     poor = robot_ik_child("solvers", "dls", "--json", PYTHONIOENCODING="ascii")
-    rich = robot_ik_child("solvers", "dls", "--json", PYTHONIOENCODING="utf-8")
+    rich = robot_ik("solvers", "dls", "--json")
     assert poor.out.isascii() and not rich.out.isascii()
     assert json.loads(poor.out) == json.loads(rich.out)
 
 
 @pytest.mark.parametrize("columns", ["0", "1", "60"])
 def test_tables_can_be_read_however_narrow_the_terminal_claims_to_be(
-    columns: str, robot_ik_child: Any
+    columns: str, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = robot_ik_child("robots", COLUMNS=columns)
+    monkeypatch.setenv("COLUMNS", columns)
+    run = robot_ik("robots")
     assert run.code == 0
     for name in rik.catalogue():
         assert any(line.startswith(name) for line in run.out.splitlines()), run.out
     widest = max(map(len, run.out.splitlines()))
     assert widest <= {"0": console.PIPE_WIDTH, "1": console.NARROWEST, "60": 60}[columns]
-    assert robot_ik_child("robots", "--help", COLUMNS=columns).code == 0
+    assert robot_ik("robots", "--help").code == 0
 
 
 def test_a_narrow_table_breaks_no_word(
@@ -170,13 +173,8 @@ def test_silence_is_broken_after_a_while(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(console, "SILENCE", 0.05)
-    said = ""
     with console.busy("moving", 7.2):
-        for _ in range(200):
-            said += capsys.readouterr().err
-            if said:
-                break
-            time.sleep(0.02)
+        said = wait_for(lambda: capsys.readouterr().err)
     assert said == "moving, about 7 s …\n"
     monkeypatch.setattr(console, "SILENCE", 30.0)
     with console.busy("moving"):

@@ -99,7 +99,9 @@ def start() -> Array:
 
 
 @pytest.fixture(params=[row.name for row in BUSES.values() if row.virtual])
-def any_arm(request: pytest.FixtureRequest, arm_config: ArmConfig, start: Array) -> Iterator[Arm]:
+def any_arm(
+    request: pytest.FixtureRequest, arm_config: ArmConfig, start: Array, real_time: None
+) -> Iterator[Arm]:
     """On each of the buses that need no hardware."""
     with open_arm(arm_config, request.param, start=start) as arm:
         yield arm
@@ -219,7 +221,7 @@ def sim(arm_bus: VirtualBus) -> SimBus:
 
 
 @pytest.fixture
-def pty(arm_bus: VirtualBus) -> Iterator[PtyPort]:
+def pty(arm_bus: VirtualBus, real_time: None) -> Iterator[PtyPort]:
     """The same servos behind a serial port."""
     with PtyPort(arm_bus) as port:
         yield port

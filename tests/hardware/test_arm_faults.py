@@ -36,7 +36,7 @@ def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(arm
     assert [s.memory.get("torque_enable") for s in arm.virtual_bus.servos] == [0, 0, 1, 0, 0, 0]
 
 
-def test_a_silent_servo_on_the_wire_is_named_and_leaving_is_quick(arm_config, stream, start):
+def test_a_silent_servo_on_the_wire_is_named_and_leaving_is_quick(arm_config, stream, start, real_time):
     with open_arm(arm_config, "pty", start=start) as arm:
         arm.enable()
         stream(arm, [start] * 5)
@@ -112,7 +112,7 @@ def test_a_stuck_servo_shows_as_tracking_error(arm, stream, smooth, start):
     assert arm.read().q[3] == pytest.approx(start[3], abs=0.002)
 
 
-def test_a_pulled_cable_is_a_fault_and_leaving_does_not_raise(arm_config, stream, start):
+def test_a_pulled_cable_is_a_fault_and_leaving_does_not_raise(arm_config, stream, start, real_time):
     with open_arm(arm_config, "pty", start=start) as arm:
         arm.enable()
         arm.bus._pty.close()

@@ -418,7 +418,7 @@ def test_robot_ik_reach_on_the_command_line(
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_robot_ik_servo_on_a_pty(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_robot_ik_servo_on_a_pty(name: str, capsys: pytest.CaptureFixture[str], real_time: None) -> None:
     joint = arm_file(name).joints[0].name
     assert main(["servo", "move", f"{joint}=5", "--arm", name, "--bus", "pty"]) == 0
     assert main(["servo", "monitor", "--arm", name, "--bus", "pty", "--count", "1"]) == 0

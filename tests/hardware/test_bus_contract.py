@@ -24,7 +24,7 @@ def servos(arm_config):
 
 
 @pytest.fixture(params=VIRTUAL)
-def bus(request, arm_config, servos):
+def bus(request, arm_config, servos, real_time):
     bus = open_bus(request.param, arm_config, virtual_bus=servos)
     yield bus
     bus.close()

@@ -91,11 +91,11 @@ def stays_up(way: str, seconds: float, **bus) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_held_arm_does_not_sink(way):
+def test_a_held_arm_does_not_sink(way, real_time):
     stays_up(way, 2.5)
 
 
-def test_nor_with_the_shortest_watchdog_that_is_allowed():
+def test_nor_with_the_shortest_watchdog_that_is_allowed(real_time):
     stale = 40
     stays_up("one pose, then silence", 2.5, stale_ms=stale, watchdog_ms=least_watchdog_ms(stale, 0.01))
 
@@ -103,7 +103,7 @@ def test_nor_with_the_shortest_watchdog_that_is_allowed():
 @pytest.mark.soak
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_held_arm_does_not_sink_in_a_minute(way):
+def test_a_held_arm_does_not_sink_in_a_minute(way, real_time):
     stays_up(way, 61.0)
 
 

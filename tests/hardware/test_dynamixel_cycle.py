@@ -31,7 +31,7 @@ def mixed():
 
 
 @pytest.fixture(params=[row.name for row in BUSES.values() if row.virtual])
-def any_bus(request, arm_config, mixed):
+def any_bus(request, arm_config, mixed, real_time):
     bus = open_bus(request.param, arm_config, virtual_bus=mixed)
     yield bus
     bus.close()
@@ -200,7 +200,7 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
 
 
 @pytest.fixture
-def served(arm_config):
+def served(arm_config, real_time):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock())) as port:
         bus = DynamixelBus(port.path)
         bus.open()

@@ -60,7 +60,7 @@ SLOWER = ("no header", "headers that are no status", "another servo's answers")
 
 
 @pytest.fixture(params=[pytest.param(k, marks=pytest.mark.soak) if k in SLOWER else k for k in STREAMS])
-def talking(request: pytest.FixtureRequest) -> Iterator[str]:
+def talking(request: pytest.FixtureRequest, real_time: None) -> Iterator[str]:
     """A port on which another process writes as fast as it can."""
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -156,7 +156,7 @@ def test_a_parser_keeps_no_more_than_a_packet(
     assert sum(trace.size for trace in own.traces) < 3000, "what was fed is kept"
 
 
-def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile() -> None:
+def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile(real_time: None) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     port = QuietPortHandler(os.ttyname(slave), 1_000_000, Counters())
@@ -176,7 +176,7 @@ def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile() -> 
         os.close(slave)
 
 
-def test_a_port_that_takes_bytes_one_by_one_is_given_up() -> None:
+def test_a_port_that_takes_bytes_one_by_one_is_given_up(real_time: None) -> None:
     class Slow(QuietPortHandler):
         def _write(self, data: bytes) -> int:
             time.sleep(0.05)

@@ -70,7 +70,7 @@ print("handlers", signal.getsignal(signal.SIGINT) is signal.default_int_handler,
 
 
 @pytest.fixture
-def served(arm_config, goal_recorder):
+def served(arm_config, goal_recorder, real_time):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=START)) as port:
         goal_recorder.watch(port.bus, arm_config)
         yield port
@@ -94,7 +94,7 @@ def child(served, arm_path):
     yield start
     for process in started:
         process.kill()
-        process.wait(timeout=20)
+        process.wait()
         for pipe in (process.stdin, process.stdout, process.stderr):
             pipe.close()
 
@@ -110,7 +110,7 @@ def wait_for(process, line: str) -> None:
 @pytest.mark.parametrize("end", ["normal", "raise", "forgotten"])
 def test_without_a_signal_every_servo_is_off_at_the_end(served, child, end):
     process = child("torque_off", end)
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate()
     assert process.returncode == (0 if end == "normal" else 1), err
     assert "moving" in out
     assert torque(served) == [False] * 6
@@ -128,7 +128,7 @@ def test_a_signal_switches_every_servo_off_and_keeps_its_exit_code(served, child
     wait_for(process, "moving")
     assert torque(served) == [True] * 6
     process.send_signal(number)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate()
     assert process.returncode == code, err
     assert torque(served) == [False] * 6
 
@@ -137,7 +137,7 @@ def test_hold_keeps_torque_and_pose_when_killed_softly(served, child, arm_config
     process = child("hold", "signal")
     wait_for(process, "moving")
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate()
     assert torque(served) == [True] * 6
     here = served.bus.true_angles(arm_config)
     assert np.abs(here - START).max() < 0.15
@@ -150,7 +150,7 @@ def test_park_returns_to_the_start_first(served, child, arm_config):
     process = child("park", "signal")
     wait_for(process, "moving")
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate()
     assert torque(served) == [False] * 6
     assert np.abs(served.bus.true_angles(arm_config) - START).max() < 0.02
 
@@ -159,7 +159,7 @@ def test_after_sigkill_the_bus_watchdog_stops_the_arm(served, child, arm_config)
     process = child("torque_off", "signal")
     wait_for(process, "moving")
     process.kill()
-    process.communicate(timeout=30)
+    process.communicate()
     time.sleep(0.4)
     here = served.bus.true_angles(arm_config)
     assert torque(served) == [True] * 6  # it holds and does not release: nobody was left to ask
@@ -194,7 +194,7 @@ def kill_at_random(served, child, config, policy: str, rounds: int, seed: int) -
         if policy == "park" and not k % 2:  # an impatient second signal ends the parking
             assert np.abs(here - stood).max() < 0.02
     process.stdin.close()
-    assert process.wait(timeout=30) == 0
+    assert process.wait() == 0
 
 
 @pytest.mark.parametrize(("policy", "rounds"), [("torque_off", 10), ("park", 4), ("hold", 4)])
@@ -217,7 +217,7 @@ def test_a_servo_that_dies_with_the_signal_keeps_nobody_else_on(served, child, p
     wait_for(process, "moving")
     served.bus.servo(3).silent = True
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate()
     assert torque(served) == [False, False, True, False, False, False]
 
 
@@ -226,5 +226,5 @@ def test_a_cable_pulled_with_the_signal_does_not_hang_the_program(served, child)
     wait_for(process, "moving")
     served.bus.inject(Fault("port_unplugged"))
     process.send_signal(signal.SIGTERM)
-    _, err = process.communicate(timeout=30)
+    _, err = process.communicate()
     assert process.returncode in (1, 143), err

@@ -78,7 +78,7 @@ def test_row_17(lab):
         assert arm.state is ArmState.CONNECTED and not lab.torque(arm)[1]
 
 
-def test_row_18(lab):
+def test_row_18(lab, real_time):
     """a second program on the port"""
     with (
         PtyPort(VirtualBus.from_config(lab.config, RealClock())) as port,
@@ -200,7 +200,7 @@ def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
         lab.drive(arm)
 
 
-def test_row_23(lab):
+def test_row_23(lab, real_time):
     """FF FF FD within data"""
     for on in ("sim", "pty"):
         with lab.arm(on=on) as arm:
@@ -221,7 +221,7 @@ def test_row_24(lab):
         assert lab.registers(arm, "bus_watchdog") == [10] * 6
 
 
-def test_row_25(lab, monkeypatch):
+def test_row_25(lab, real_time, monkeypatch):
     """the computer's clock set"""
     jumps = iter(range(10**9))
     with lab.arm(on="pty") as arm:

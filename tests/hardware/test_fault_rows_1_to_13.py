@@ -96,7 +96,7 @@ def test_row_07(lab):
     assert lab.follows_a_bad_wire(late=0.02).bus.counters.late > 0
 
 
-def test_row_08(lab):
+def test_row_08(lab, real_time):
     """an adapter that keeps bytes, servos that wait"""
     with lab.arm(Fault("return_delay", value=250), Fault("latency", value=4.0), on="pty") as arm:
         assert lab.registers(arm, "return_delay_time") == [0] * 6  # set at connect
@@ -110,7 +110,7 @@ def test_row_08(lab):
 # -------------------------------------------------------------------------- other servos than said
 
 
-def test_row_09(lab):
+def test_row_09(lab, real_time):
     """another baud rate"""
     discovery.listening_time, waits = (lambda baud: 0.05), discovery.listening_time
     bus = VirtualBus.from_config(lab.config, RealClock())

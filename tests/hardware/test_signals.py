@@ -9,7 +9,6 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,6 +24,7 @@ from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import ExitGuard, uninterrupted
 from robot_ik.ports import VirtualClock
+from tests.waiting import wait_for
 
 HARDWARE = str(Path(robot_ik.hardware.__file__).parent)
 LIFE_CYCLE = {"arm.py", "torque.py", "watchdogs.py", "stop_file.py"}
@@ -239,14 +239,6 @@ def handlers() -> list[object]:
     return [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]
 
 
-def soon(condition: Callable[[], bool]) -> bool:
-    """What another thread asks of the main one comes between two of its next instructions."""
-    end = time.monotonic() + 10.0
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.001)
-    return condition()
-
-
 def test_the_first_signal_raises_and_the_next_are_only_counted(guards):
     guards[0].install()
     with pytest.raises(SystemExit) as caught:
@@ -294,7 +286,7 @@ def test_the_handlers_from_before_are_restored_in_every_order_of_closing(guards,
             thread.join()
         else:
             guards[k].remove()
-    assert soon(lambda: handlers() == before)
+    wait_for(lambda: handlers() == before)
     signal.raise_signal(signal.SIGTERM)
     assert calls == [signal.SIGTERM]
 
@@ -341,4 +333,4 @@ def test_an_arm_closed_by_another_thread_leaves_the_signal_to_the_programs_own_h
     thread.start()
     thread.join()
     assert arm.exit_report.ok and arm.exit_report.done == "torque_off"
-    assert soon(lambda: calls == [signal.SIGTERM])
+    wait_for(lambda: calls == [signal.SIGTERM])

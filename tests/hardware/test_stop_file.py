@@ -22,6 +22,7 @@ from robot_ik.hardware.stop_file import running_arms, runtime_folder
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
+from tests.waiting import wait_for
 
 CHILD = """
 import itertools, signal, sys, time
@@ -41,7 +42,7 @@ try:
             if k == 20:
                 print("moving", flush=True)
                 if way == "idle":
-                    time.sleep(60.0)
+                    time.sleep(600.0)
 except StopRequestedError as error:
     print(error, flush=True)
     print(arm.exit_report.done, flush=True)
@@ -54,7 +55,7 @@ def private_runtime_folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def served(arm_config, start):
+def served(arm_config, start, real_time):
     with PtyPort(VirtualBus.from_config(arm_config, RealClock(), start=start)) as port:
         yield port
 
@@ -73,13 +74,13 @@ def child(served, arm_path):
     yield begin
     for process in started:
         process.kill()
-        process.wait(timeout=20)
+        process.wait()
         process.stdout.close()
 
 
 def stop(*words: str) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "robot_ik", "stop", *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, stdin=subprocess.DEVNULL)
+    return subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
 
 
 def torque(served) -> list[bool]:
@@ -96,7 +97,7 @@ def test_a_running_arm_stops_holds_and_is_left_holding(served, child, arm_config
     time.sleep(0.3)
     assert np.abs(served.bus.true_angles(arm_config) - here).max() < 2e-3 and torque(served) == [True] * 6
     if way == "busy":
-        said, _ = process.communicate(timeout=30)
+        said, _ = process.communicate()
         assert "stopped on request" in said and said.splitlines()[-1] == "hold"
         assert torque(served) == [True] * 6  # on_exit is torque_off; a person asked to hold
 
@@ -116,7 +117,7 @@ def test_without_a_running_arm_the_exit_code_is_1(served, child):
     assert stop("--bus", "/dev/null").returncode == 1  # another port
     assert process.poll() is None
     process.kill()
-    process.wait(timeout=20)
+    process.wait()
     assert running_arms() == [] and stop().returncode == 1
     assert [path.name for path in runtime_folder().iterdir()] == []  # what the dead program left is gone
 
@@ -148,7 +149,7 @@ def test_the_runtime_folder_is_this_users_alone(tmp_path):
         runtime_folder()
 
 
-def test_whatever_a_request_says_the_arm_stops(arm_config, start):
+def test_whatever_a_request_says_the_arm_stops(arm_config, start, real_time):
     with open_arm(arm_config, "pty", start=start) as arm:
         arm.enable()
         (running,) = running_arms()
@@ -210,11 +211,9 @@ def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, st
     )
     try:
         moved = served.bus.true_angles(arm_config)[0] + 0.02
-        end = time.monotonic() + 60.0
-        while served.bus.true_angles(arm_config)[0] < moved and time.monotonic() < end:
-            time.sleep(0.01)
+        wait_for(lambda: served.bus.true_angles(arm_config)[0] >= moved, "it does not move")
         os.write(master, b"x ")
-        said, _ = process.communicate(timeout=60)
+        said, _ = process.communicate()
     finally:
         process.kill()
         os.close(master)

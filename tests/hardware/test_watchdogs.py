@@ -12,19 +12,15 @@ from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.watchdogs import Heartbeat
+from tests.waiting import wait_for
+
+pytestmark = pytest.mark.usefixtures("real_time")
 
 
 @pytest.fixture
 def arm(arm_config, start):
     with open_arm(arm_config, "pty", start=start) as arm:
         yield arm
-
-
-def wait_until(condition, seconds=10.0):
-    end = time.monotonic() + seconds
-    while not condition() and time.monotonic() < end:
-        time.sleep(0.01)
-    assert condition()
 
 
 def bus_watchdogs(arm):
@@ -35,7 +31,7 @@ def bus_watchdogs(arm):
 def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm, stream, smooth, start):
     arm.enable()
     stream(arm, smooth(start, start + 0.3, 0.6)[:30])
-    wait_until(lambda: arm.state is ArmState.HOLD)
+    wait_for(lambda: arm.state is ArmState.HOLD)
     assert arm.reports.stale == 1
     time.sleep(0.4)
     assert bus_watchdogs(arm) == [10] * 6
@@ -49,7 +45,7 @@ def test_a_fault_in_the_meantime_is_raised_by_the_next_command(arm, stream, star
     arm.enable()
     stream(arm, [start] * 3)
     arm.virtual_bus.servo(2).inject_error("overheating")
-    wait_until(lambda: arm.state is ArmState.FAULT)
+    wait_for(lambda: arm.state is ArmState.FAULT)
     with pytest.raises(MotorFaultError, match=r"joint2.*overheating"):
         arm.send(start, 0.0)
 
@@ -63,7 +59,7 @@ def test_a_program_that_hangs_is_replaced_by_the_policy_of_the_file(
     with open_arm(config, "pty", start=start) as arm:
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.4))
-        wait_until(lambda: arm.state is ArmState.FAULT)
+        wait_for(lambda: arm.state is ArmState.FAULT)
         assert not any(servo.torque for servo in arm.virtual_bus.servos)
         off = np.abs(arm.virtual_bus.true_angles(config) - start).max()
         assert off < 0.02 if policy == "park" else off > 0.1
@@ -96,7 +92,7 @@ def test_no_look_begins_after_stop(monkeypatch):
     beat = Heartbeat(lambda: looks.append(time.monotonic()))
     beat.start()
     beat.start()  # not twice
-    wait_until(lambda: len(looks) > 3)
+    wait_for(lambda: len(looks) > 3)
     beat.stop()
     beat.stop()
     count = len(looks)
@@ -111,5 +107,5 @@ def test_one_that_is_dismissed_can_be_started_at_once():
     beat.start()
     beat.dismiss()
     beat.start()
-    wait_until(lambda: len(looks) >= 2)
+    wait_for(lambda: len(looks) >= 2)
     beat.stop()

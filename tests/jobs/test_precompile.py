@@ -43,7 +43,7 @@ def test_one_that_is_slow_is_not_left_behind(due: None, monkeypatch: pytest.Monk
     with CompiledAhead.solver("puma560", "lm") as compiling:
         process = compiling._process
     assert process is not None and process.poll() is not None
-    assert time.monotonic() - began < 60.0
+    assert time.monotonic() - began < 300.0
 
 
 def test_one_that_fails_costs_nothing(due: None, monkeypatch: pytest.MonkeyPatch) -> None:

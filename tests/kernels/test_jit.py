@@ -61,7 +61,7 @@ def run(code: str, **environment: str | Path) -> subprocess.CompletedProcess[str
     env = os.environ | {name: str(value) for name, value in environment.items()}
     if "COPY" in environment:
         code = USE_COPY + code
-    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=100)
+    return subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
 
 
 @pytest.fixture

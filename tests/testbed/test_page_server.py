@@ -12,7 +12,7 @@ from viser._messages import EnableLightsMessage
 from robot_ik.bench.page import PageClient
 from robot_ik.testbed.frontends import page_server
 from robot_ik.testbed.frontends.page_server import PageServer
-from tests.testbed.conftest import PATIENCE
+from tests.waiting import wait_for
 
 
 def _lights(opened: PageServer) -> list[bool]:
@@ -31,10 +31,7 @@ def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     with PageServer(port=8790) as opened:
         assert _lights(opened) == [False]
         with PageClient(opened.url):
-            deadline = time.monotonic() + PATIENCE
-            while _lights(opened) != [False, True]:
-                assert time.monotonic() < deadline, "no shadows"
-                time.sleep(0.02)
+            wait_for(lambda: _lights(opened) == [False, True], "no shadows")
     with PageServer(port=8790, shadows=False) as opened, PageClient(opened.url):
         time.sleep(0.7)
         assert _lights(opened) == [False]

@@ -209,10 +209,18 @@ def act(*words, rest=0.0):
     time.sleep(rest)
 
 def until(holds, what):
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + 300.0
     while not holds():
         assert time.monotonic() < end, what
         time.sleep(0.05)
+
+def dragged(before):
+    # The viewer looks at the mouse once a frame, and a frame may take long: until one has seen it.
+    act("mousemove", 240, 180, "keydown", "ctrl", "mousedown", 3, rest=0.4)
+    act("mousemove_relative", "--", 30, -20, rest=0.4)
+    act("mousemove_relative", "--", 10, -10, rest=0.4)
+    act("mouseup", 3, "keyup", "ctrl", rest=0.1)
+    return np.linalg.norm(window._view.ball.position - before) > 0.005
 
 session = Session(Start("tabletop_puma"), beside=False)
 stop, failed = threading.Event(), []
@@ -233,11 +241,7 @@ def person():
         flags = window._viewer.opt.flags.copy()
         assert (flags == window._kept[0]).all(), "W switched a flag of MuJoCo, too"
         before = window._view.ball.position
-        act("keydown", "ctrl", "mousedown", 3, rest=0.4)  # the viewer looks at the mouse once a frame
-        act("mousemove_relative", "--", 30, -20, rest=0.4)
-        act("mousemove_relative", "--", 10, -10, rest=0.4)
-        act("mouseup", 3, "keyup", "ctrl")
-        until(lambda: np.linalg.norm(window._view.ball.position - before) > 0.005, "Ctrl-drag did nothing")
+        until(lambda: dragged(before), "Ctrl-drag did nothing")
         until(lambda: window._view.instances[0].miss < 0.5, "the arm did not follow")
         act("key", "r")
         until(lambda: window._view.motion == "curve", "R did not reset")

@@ -22,9 +22,11 @@ from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.protocol import Instruction, build
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock, VirtualClock
+from tests.waiting import LONG, wait_for
 
 SDK = PacketHandler(2.0)
 TORQUE, GOAL, PRESENT, ERROR_STATUS, WATCHDOG = 64, 116, 132, 70, 98
+pytestmark = pytest.mark.usefixtures("real_time")
 
 
 def _open(pty: PtyPort, baud: int = 1_000_000) -> Iterator[PortHandler]:
@@ -146,14 +148,11 @@ def test_every_servo_keeps_its_own_rate(arm_bus: VirtualBus) -> None:
 
 def test_a_client_that_never_reads_does_not_stop_the_bus(pty: PtyPort, arm_bus: VirtualBus) -> None:
     arm_bus.servo(1).memory.set("return_delay_time", 0)  # or it takes half a millisecond an answer
-    with serial.Serial(pty.path, 1_000_000, write_timeout=10.0) as deaf:
+    with serial.Serial(pty.path, 1_000_000, write_timeout=LONG) as deaf:
         for _ in range(3000):
             deaf.write(build(1, Instruction.PING))
         deaf.write(build(254, Instruction.WRITE, b"\x41\x00\x01"))  # LED of all
-        end = time.monotonic() + 10.0
-        while not arm_bus.servo(1).memory.get("led") and time.monotonic() < end:
-            time.sleep(0.01)
-        assert arm_bus.servo(1).memory.get("led") == 1
+        wait_for(lambda: arm_bus.servo(1).memory.get("led") == 1)
     for port in _open(pty):
         assert SDK.ping(port, 1)[1] == COMM_SUCCESS
 

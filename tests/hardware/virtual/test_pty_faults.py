@@ -18,9 +18,11 @@ from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.ports import RealClock
+from tests.waiting import wait_for
 
 SDK = PacketHandler(2.0)
 PRESENT = 132
+pytestmark = pytest.mark.usefixtures("real_time")
 
 
 @contextmanager
@@ -33,29 +35,22 @@ def opened(path: str) -> Iterator[PortHandler]:
         port.closePort()
 
 
-def until(condition: object, seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.01)
-
-
 def test_the_port_is_pulled_and_comes_back_under_its_link(arm_bus: VirtualBus, tmp_path: Path) -> None:
     link = tmp_path / "arm"
     with PtyPort(arm_bus, link) as pty:
         before = pty.path
         with opened(str(link)) as port:
-            until(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)  # a busy machine may be late once
+            wait_for(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)  # a busy machine may be late once
             arm_bus.inject(Fault("port_unplugged"))  # while the port sleeps
-            until(lambda: not os.path.lexists(link))
+            wait_for(lambda: not os.path.lexists(link))
             with pytest.raises((serial.SerialException, OSError, termios.error)):
                 for _ in range(10):
                     SDK.ping(port, 1)
                     port.is_using = False
         arm_bus.unplugged = False
-        until(lambda: os.path.lexists(link))
+        wait_for(lambda: os.path.lexists(link))
         with opened(str(link)) as port:
-            until(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)
+            wait_for(lambda: SDK.ping(port, 1)[1] == COMM_SUCCESS)
         assert before  # the name of the new one may be another; the link is the same
     assert not os.path.lexists(link)
 
@@ -65,8 +60,8 @@ def test_a_booked_unplugging_happens_though_nobody_asks(arm_config: ArmConfig, t
     link = tmp_path / "arm"
     with PtyPort(bus, link):
         bus.inject(Fault("port_unplugged", at_s=0.2, for_s=0.2))
-        until(lambda: not os.path.lexists(link))
-        until(lambda: os.path.lexists(link))
+        wait_for(lambda: not os.path.lexists(link))
+        wait_for(lambda: os.path.lexists(link))
 
 
 def test_two_servos_with_one_id_are_corrupt_to_the_sdk(pty: PtyPort, arm_bus: VirtualBus) -> None:

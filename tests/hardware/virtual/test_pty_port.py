@@ -15,6 +15,7 @@ from robot_ik.errors import OutputError
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.protocol import Instruction, build, build_status
 from robot_ik.hardware.virtual.pty import PtyPort
+from tests.waiting import LONG
 
 
 def _opens(path: str) -> bool:
@@ -33,7 +34,7 @@ def test_a_rate_without_a_terminal_constant_is_reported_too(pty: PtyPort) -> Non
 def test_wire_time_and_latency_are_spent(arm_bus: VirtualBus) -> None:
     request = build(1, Instruction.PING)
     for kind, expected in (({"wire_baud": 9600}, 24 * 10 / 9600), ({"latency_ms": 30.0}, 0.030)):
-        with PtyPort(arm_bus, **kind) as pty, serial.Serial(pty.path, 1_000_000, timeout=5.0) as client:
+        with PtyPort(arm_bus, **kind) as pty, serial.Serial(pty.path, 1_000_000, timeout=LONG) as client:
             start = time.monotonic()
             client.write(request)
             assert len(client.read(14)) == 14
@@ -45,7 +46,7 @@ def test_a_client_that_sets_nothing_gets_its_bytes_unchanged(pty: PtyPort) -> No
     try:
         os.write(client, build(1, Instruction.PING))
         reply = b""
-        while len(reply) < 14 and select.select([client], [], [], 5.0)[0]:
+        while len(reply) < 14 and select.select([client], [], [], LONG)[0]:
             reply += os.read(client, 100)
         assert reply == build_status(1, 0, b"\xfc\x03\x30")
     finally:
@@ -58,7 +59,7 @@ def test_a_packet_in_pieces_is_answered_when_whole(pty: PtyPort) -> None:
         client.write(request[:5])
         assert client.read(1) == b""
         client.write(request[5:])  # the servos' clock stands still: no gap for them
-        client.timeout = 5.0
+        client.timeout = LONG
         assert len(client.read(14)) == 14
 
 

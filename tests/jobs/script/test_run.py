@@ -248,7 +248,9 @@ def test_physics_bends_the_arm_under_its_weight(play: Run) -> None:
     assert off[0] < 0.1 < off[1]
 
 
-def test_the_same_script_in_process_and_on_a_wire(play: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_script_in_process_and_on_a_wire(
+    play: Run, monkeypatch: pytest.MonkeyPatch, real_time: None
+) -> None:
     """Plans are equal to the bit; the limiter lets the same through wherever it does not intervene."""
     ticks: dict[bytes, tuple[np.ndarray, bool]] = {}
     step = SafetyLimiter.step

@@ -1,0 +1,67 @@
+"""Tests on real time are judged where the machine ran them in time: a pytest plugin.
+
+A serial line, a heartbeat and a servo's watchdog have milliseconds.  On a machine that halts for longer
+they rightly fail, and so does their test.  While a test runs that uses the fixture ``real_time``, a thread
+looks how late it is woken: a test that fails after a halt is tried again, one that fails without has failed.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+from _pytest.runner import runtestprotocol
+
+HALT = 0.02
+"""s; the tightest of these tests, a fast read of six servos, waits 34 ms for an answer."""
+
+TRIES = 6
+
+
+@pytest.fixture(scope="session")
+def real_time() -> None:
+    """Used by fixtures that put servos behind a serial line, and by tests that time something."""
+
+
+class Halts:
+    """The longest time for which this process did not run when it should have, in s."""
+
+    PERIOD = 0.005
+
+    def __init__(self) -> None:
+        self.longest = 0.0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="halts", daemon=True)
+
+    def _look(self) -> None:
+        while not self._over.is_set():
+            begin = time.monotonic()
+            time.sleep(self.PERIOD)
+            self.longest = max(self.longest, time.monotonic() - begin - self.PERIOD)
+
+    def __enter__(self) -> Halts:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+def pytest_runtest_protocol(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
+    """As pytest's own, with several tries."""
+    if "real_time" not in getattr(item, "fixturenames", ()):
+        return None
+    hook = item.ihook
+    hook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for left in reversed(range(TRIES)):
+        with Halts() as halts:
+            reports = runtestprotocol(item, log=False, nextitem=nextitem)
+        if left == 0 or halts.longest < HALT or not any(report.failed for report in reports):
+            break
+        item.warn(pytest.PytestWarning(f"tried again: the machine halted for {halts.longest:.3f} s"))
+    for report in reports:
+        hook.pytest_runtest_logreport(report=report)
+    hook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True

@@ -1,0 +1,21 @@
+"""Waiting for what a thread, a process or a browser does: for the condition, never for a time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TypeVar
+
+LONG = 300.0
+"""s; no machine takes so long, slow, busy and without compiled kernels as it may be: something hangs."""
+
+T = TypeVar("T")
+
+
+def wait_for(holds: Callable[[], T], what: str | Callable[[], str] = "waited in vain") -> T:
+    """Waits until ``holds()`` is true, and gives what it gave; after ``LONG`` s it fails with ``what``."""
+    end = time.monotonic() + LONG
+    while not (found := holds()):
+        assert time.monotonic() < end, what if isinstance(what, str) else what()
+        time.sleep(0.005)
+    return found
