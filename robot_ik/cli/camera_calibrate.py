@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,7 +13,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.errors import CalibrationError
-from robot_ik.files import claimed
+from robot_ik.files import claimed, timestamp
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.intrinsic import CalibrationResult
@@ -101,8 +100,7 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
         result = calibrate(
             gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
         )
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    intrinsics = dataclasses.replace(result.intrinsics, date=now)
+    intrinsics = dataclasses.replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
     picture = _draw_coverage(result, options.out)
     if options.json:

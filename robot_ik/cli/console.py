@@ -197,6 +197,32 @@ def say(text: str, style: str = "") -> None:
     talk().print(Text(text, style=style), soft_wrap=True)
 
 
+def result(text: str) -> None:
+    """One line of result on stdout; never folded, never read as markup."""
+    out().print(Text(text), soft_wrap=True)
+
+
+def refused(problem: str, hint: str = "") -> int:
+    """Says what was not achieved, and what to try.
+
+    Returns:
+        ``NOT_ACHIEVED``, the exit code of the command.
+    """
+    say(f"error: {problem}", "bold red")
+    if hint:
+        say(hint, "cyan")
+    return NOT_ACHIEVED
+
+
+def agreed(question: str) -> bool:
+    """Asks on stderr for a yes; the end of the input is a no."""
+    talk().print(Text(f"{question} [y/N] "), end="")
+    answer = sys.stdin.readline()
+    if not answer:
+        say("")
+    return answer.strip().lower() in ("y", "yes")
+
+
 class _Table(Table):
     """A table that breaks no word: where that needs more columns than there are, each row is a list."""
 
@@ -221,8 +247,7 @@ class _Table(Table):
     def _rows_as_lists(self) -> Iterator[Table]:
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
-            made = table(names[0], "")
-            made.show_header = False
+            made = facts()
             made.add_row(Text(_plain(row[0]), style="bold"), "")
             for name, cell in zip(names[1:], row[1:], strict=True):
                 if _plain(cell):
@@ -240,6 +265,15 @@ def table(*columns: str, title: str | None = None) -> Table:
     made.pad_edge = False
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")
+    return made
+
+
+def facts(*rows: tuple[str, str]) -> Table:
+    """Rows of a name and its value, without a header."""
+    made = table("", "")
+    made.show_header = False
+    for name, value in rows:
+        made.add_row(name, value)
     return made
 
 
@@ -266,6 +300,18 @@ def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], 
     """
     task = bar.add_task(before, total=1.0, note="")
     return lambda phase, share: bar.update(task, description=phase, completed=share)
+
+
+def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
+    """As ``phases_on``, for a bar that keeps its name: the phase stands behind it."""
+    task = bar.add_task(what, total=1.0, note="")
+    return lambda phase, share: bar.update(task, completed=share, note=phase)
+
+
+def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
+    """A job's count of pictures on a bar: how many are done, and of how many (0: nobody knows)."""
+    task = bar.add_task(what, total=None, note="")
+    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
 
 
 @contextlib.contextmanager

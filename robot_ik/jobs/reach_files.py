@@ -27,7 +27,7 @@ from robot_ik.camera.drawing.overlay import (
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import MissingExtraError, apart
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
@@ -164,7 +164,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "job": "reach",
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "created": timestamp(),
         "reached": report.reached,
         "problem": None if report.problem is None else str(report.problem),
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
