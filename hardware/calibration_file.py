@@ -114,7 +114,7 @@ def calibration_beside(arm_file: Path) -> Path:
 _Row = Annotated[JointCalibration, keys_of(JointCalibration)]
 
 
-class _Bus(Table):
+class _BusTable(Table):
     baud: int
 
 
@@ -123,7 +123,7 @@ class _CalibrationFile(Table):
     arm: str
     robot: str
     created: str
-    bus: _Bus
+    bus: _BusTable
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
 

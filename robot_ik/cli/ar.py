@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import Lens, optional_path, robot_argument, several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
@@ -32,14 +31,10 @@ class ArOptions:
     needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
     """
 
-    robot: Annotated[
-        str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: the motion's, else {SHOWN_ROBOT})")
-    ] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument(f"the motion's, else {SHOWN_ROBOT}")] = ""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
-    """Calibration of a real camera: OpenCV or ROS YAML."""
+    intrinsics: Lens = ""
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
@@ -63,7 +58,7 @@ class ArOptions:
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
     """Real objects that hide the robot."""
-    occluder_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
+    occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
     """Geoms of the model that do."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
@@ -104,12 +99,7 @@ def run(options: ArOptions) -> int:
     from robot_ik.jobs.ar.job import run_ar
 
     with console.progress() as bar:
-        task = bar.add_task("drawing", total=None, note="")
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
-
-        report = run_ar(request, progress)
+        report = run_ar(request, console.counted_on(bar, "drawing"))
     if report.notice:
         console.say(report.notice, style="yellow")
     if options.json:
@@ -137,16 +127,16 @@ def _print(report: ArReport) -> None:
     if report.file is None:
         console.say("there was no picture: nothing is written", "yellow")
         return
-    lines = console.table("", "")
-    lines.show_header = False
-    lines.add_row("pictures", f"{report.pictures}, the robot in {report.drawn}")
-    lines.add_row("drawn", f"by {report.backend} at {report.scale:.3g} of its size")
+    lines = console.facts(
+        ("pictures", f"{report.pictures}, the robot in {report.drawn}"),
+        ("drawn", f"by {report.backend} at {report.scale:.3g} of its size"),
+    )
     if np.isfinite(report.reprojection_px):
         lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
     speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
     lines.add_row("speed", f"{speed} pictures/s tracked and drawn")
     console.out().print(lines)
-    console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
+    console.result(f"written: {report.file}")
 
 
 def _default_out() -> str:
@@ -188,16 +178,16 @@ def make_request(options: ArOptions) -> ArRequest:
     return ArRequest(
         robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
         camera=options.camera,
-        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        intrinsics=optional_path(options.intrinsics),
         board=options.board,
         dictionary=options.dictionary,
-        extrinsics=Path(options.extrinsics) if options.extrinsics else None,
+        extrinsics=optional_path(options.extrinsics),
         base=(x, y, z, yaw),
         scale=options.scale,
         motion=options.motion,
         marker=(options.marker, options.marker_size),
         backend=options.backend,
-        occluders=Path(options.occluders) if options.occluders else None,
+        occluders=optional_path(options.occluders),
         occluder_geoms=options.occluder_geoms,
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,

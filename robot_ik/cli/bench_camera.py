@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, Quantity, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import RobotIkError, unknown_name_text
 from robot_ik.files import claimed, plain, write_atomically
@@ -40,9 +40,9 @@ class BenchCameraOptions:
     Exit code 0 where every row was measured and is as wanted, else 1.
     """
 
-    rows: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
+    rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """Which rows of the table: corners, marker, board, …"""
-    skip: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False
     """A tenth of the pictures: for a look, not for the record."""
@@ -93,7 +93,7 @@ class MeasuredRows:
         }
 
 
-def run_camera(options: BenchCameraOptions) -> int:
+def run(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
     rows = chosen_rows(options.rows, options.skip)

@@ -223,7 +223,7 @@ def agreed(question: str) -> bool:
     return answer.strip().lower() in ("y", "yes")
 
 
-class _Table(Table):
+class _FoldedTable(Table):
     """A table that breaks no word: where that needs more columns than there are, each row is a list."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -261,7 +261,7 @@ def _plain(cell: object) -> str:
 
 def table(*columns: str, title: str | None = None) -> Table:
     """An empty table in the one style of all commands; the first column is never broken."""
-    made = _Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
+    made = _FoldedTable(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
     made.pad_edge = False
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")

@@ -178,11 +178,7 @@ def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
         from robot_ik.jobs.figure import record
 
         with console.progress() as bar:
-            task = bar.add_task(f"painting {options.record}", total=None, note="")
-
-            def progress(done: int, whole: int) -> None:
-                bar.update(task, completed=done, total=whole, note=f"{done} pictures")
-
+            progress = console.counted_on(bar, f"painting {options.record}")
             record(robot, report.frames, options.record, (), progress, overwrite=options.overwrite)
     _print(report, options)
     return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
@@ -232,7 +228,7 @@ def _tour(abilities: Abilities, folder: Path) -> int:
 
     make_folder(folder)
     for file in tour(abilities, folder, console.say):
-        console.out().print(str(file), markup=False)
+        console.result(str(file))
     return console.DONE
 
 
@@ -263,11 +259,7 @@ def _on_camera(abilities: Abilities, options: FigureOptions) -> Iterator[FigureF
     from robot_ik.jobs.figure import draw_on_camera
 
     with console.progress() as bar:
-        task = bar.add_task("drawing", total=None, note="")
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
-
+        progress = console.counted_on(bar, "drawing")
         report, frames = draw_on_camera(abilities, _request(options), _camera(options), progress)
     if report.notice:
         console.say(report.notice, style="yellow")

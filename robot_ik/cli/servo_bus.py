@@ -17,7 +17,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
 from robot_ik.environment import named_users_of
 from robot_ik.files import claimed, plain
@@ -33,7 +33,7 @@ BY_ID = "/dev/serial/by-id"
 
 
 @dataclass(frozen=True)
-class PortsOptions:
+class ServoPortsOptions:
     """Lists serial ports: which adapter, how late it answers, who uses it. Opens none of them.
 
     Exit code 1 when there is no port at all.
@@ -65,7 +65,7 @@ class PortRow:
     do: str
 
 
-def run_ports(options: PortsOptions) -> int:
+def run_ports(options: ServoPortsOptions) -> int:
     """Prints the ports; 1 when there is none."""
     from robot_ik.cli.connection import serial_ports
 
@@ -80,8 +80,10 @@ def run_ports(options: PortsOptions) -> int:
             shown.add_row(row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do)
         console.out().print(shown)
     else:
-        console.say("error: there is no USB serial port on this machine", "bold red")
-        console.say("plug the adapter in; without servos: robot-ik sim-bus --link PATH", "cyan")
+        console.refused(
+            "there is no USB serial port on this machine",
+            "plug the adapter in; without servos: robot-ik sim-bus --link PATH",
+        )
     return console.DONE if rows else console.NOT_ACHIEVED
 
 
@@ -114,19 +116,19 @@ def stable_name(device: str, folder: str = BY_ID) -> str:
 
 
 @dataclass(frozen=True)
-class ScanOptions(BusOptions):
+class ServoScanOptions(BusOptions):
     """Asks at every baud rate which servos are there: id, model, firmware, supply, errors. Writes nothing.
 
     Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when nobody answers.
     """
 
-    baud: Annotated[tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")] = ()
+    baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Only these rates, bits/s."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
 
-def run_scan(options: ScanOptions) -> int:
+def run_scan(options: ServoScanOptions) -> int:
     """Prints who answers; 1 when nobody does."""
     from robot_ik.hardware.discovery import LIKELY, nobody_hint
 
@@ -139,8 +141,7 @@ def run_scan(options: ScanOptions) -> int:
     elif found:
         print_found(found)
     if not found:
-        console.say(f"error: no servo answers on {port}", "bold red")
-        console.say(nobody_hint(bauds), "cyan")
+        console.refused(f"no servo answers on {port}", nobody_hint(bauds))
     for note in _notes(found):
         console.say(note, "yellow")
     return console.DONE if found else console.NOT_ACHIEVED
@@ -188,8 +189,7 @@ def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
     from robot_ik.hardware.discovery import scan
 
     with console.progress() as bar:
-        task = bar.add_task("scan", total=1.0, note="")
-        return scan(port, bauds, progress=lambda what, share: bar.update(task, completed=share, note=what))
+        return scan(port, bauds, progress=console.shares_on(bar, "scan"))
 
 
 def _state(servo: FoundServo) -> str:
@@ -223,7 +223,7 @@ def print_found(found: Sequence[FoundServo]) -> None:
 
 
 @dataclass(frozen=True)
-class SetupOptions(BusOptions):
+class ServoSetupOptions(BusOptions):
     """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
 
         robot-ik servo setup --joint joint3    (id and rate of the arm file)
@@ -238,13 +238,11 @@ class SetupOptions(BusOptions):
     """New id, 0 to 252."""
     baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
     """New rate, bits/s."""
-    from_baud: Annotated[
-        tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")
-    ] = ()
+    from_baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Look for the servo at these rates only."""
 
 
-def run_setup(options: SetupOptions) -> int:
+def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
     from robot_ik.hardware.discovery import LIKELY, nobody_hint, set_up, the_only_one
 
@@ -262,17 +260,13 @@ def run_setup(options: SetupOptions) -> int:
     with served_or_real(options.bus, options.arm) as port:
         found = scanned(port, bauds)
         if not found:
-            console.say(f"error: no servo answers on {port}", "bold red")
-            console.say(nobody_hint(bauds), "cyan")
-            return console.NOT_ACHIEVED
+            return console.refused(f"no servo answers on {port}", nobody_hint(bauds))
         servo = the_only_one(found)
         if joint and servo.model != joint.model:
             raise wrong("--joint", f"{joint.name} has a {joint.model}, this is a {servo.model}", joint.model)
         set_up(port, servo, id, baud)
     print_found([servo])
-    console.out().print(
-        f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done", markup=False
-    )
+    console.result(f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done")
     return console.DONE
 
 
@@ -281,7 +275,7 @@ def run_setup(options: SetupOptions) -> int:
 
 
 @dataclass(frozen=True)
-class BackupOptions(BusOptions):
+class ServoBackupOptions(BusOptions):
     """Saves the whole control table of every servo of the arm as JSON. Writes nothing to any servo."""
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
@@ -290,7 +284,7 @@ class BackupOptions(BusOptions):
     """An older file of that name may go."""
 
 
-def run_backup(options: BackupOptions) -> int:
+def run_backup(options: ServoBackupOptions) -> int:
     """Reads all registers, writes the file."""
     from robot_ik.hardware.backup import read_tables, save_backup
 
@@ -299,14 +293,12 @@ def run_backup(options: BackupOptions) -> int:
             servos = read_tables(link.bus, link.config)
         save_backup(options.file, link.config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
-    console.out().print(
-        f"{options.file}: {len(servos)} servos, {count} registers", markup=False, soft_wrap=True
-    )
+    console.result(f"{options.file}: {len(servos)} servos, {count} registers")
     return console.DONE
 
 
 @dataclass(frozen=True)
-class RestoreOptions(BusOptions):
+class ServoRestoreOptions(BusOptions):
     """Puts the EEPROM of servos back as a backup has it: modes, limits, offsets, shutdown. Needs torque off.
 
     Only what differs is written, and read back. Ids, baud rates and RAM stay as they are. Another model
@@ -315,13 +307,13 @@ class RestoreOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
     """A file of backup."""
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints of the file; all if none is named."""
     dry_run: bool = False
     """Only show what differs."""
 
 
-def run_restore(options: RestoreOptions) -> int:
+def run_restore(options: ServoRestoreOptions) -> int:
     """Writes what differs; shows it."""
     from robot_ik.hardware.backup import differences, load_backup, restore
 
@@ -356,7 +348,7 @@ FASTEST = 200.0
 
 
 @dataclass(frozen=True)
-class MonitorOptions(BusOptions):
+class ServoMonitorOptions(BusOptions):
     """Watches the servos: position, velocity, current, voltage, temperature, torque, errors. Moves nothing.
 
     Runs until Ctrl-C, or --count samples. Exit code 1 when a servo did not answer in the last one.
@@ -370,7 +362,7 @@ class MonitorOptions(BusOptions):
     """Print one JSON object a line for each sample."""
 
 
-def run_monitor(options: MonitorOptions) -> int:
+def run_monitor(options: ServoMonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
     if not 0.0 < options.rate <= FASTEST:
         raise wrong("--rate", f"{options.rate:g} Hz", f"above 0, at most {FASTEST:g}")
@@ -386,7 +378,7 @@ def run_monitor(options: MonitorOptions) -> int:
             return _watch(link, options, lambda states: live.update(states_table(states), refresh=True))
 
 
-def _lines(link: Link, options: MonitorOptions) -> int:
+def _lines(link: Link, options: ServoMonitorOptions) -> int:
     begin = link.clock.now()
 
     def show(states: Sequence[ServoState]) -> None:
@@ -398,7 +390,7 @@ def _lines(link: Link, options: MonitorOptions) -> int:
     return _watch(link, options, show)
 
 
-def _watch(link: Link, options: MonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
+def _watch(link: Link, options: ServoMonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
     from robot_ik.hardware.health import read_states
 
     due, done = link.clock.now(), 0

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import OnExit, RecordFile, several, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Limits,
@@ -115,7 +115,7 @@ class Prompts:
 
 
 @dataclass(frozen=True)
-class CalibrateOptions(BusOptions):
+class ServoCalibrateOptions(BusOptions):
     """Calibrates an arm by hand, torque off: sweep every joint, hold the zero pose, turn each joint a little.
 
     --arm gives names, ids, models, modes and limits. OUT.toml becomes the calibrated arm file, and
@@ -125,9 +125,7 @@ class CalibrateOptions(BusOptions):
 
     out: Positional[Annotated[Path, arg(metavar="OUT.toml")]]
     """The calibrated arm file."""
-    pose: Annotated[
-        tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="(default: all joints at 0)")
-    ] = ()
+    pose: Annotated[tuple[str, ...], several("JOINT=DEG", "all joints at 0")] = ()
     """Another pose than zero in which the zeros are taken."""
     seconds: Annotated[
         float | None, arg(metavar="S", help_behavior_hint="(default: each step until Enter)")
@@ -143,7 +141,7 @@ class CalibrateOptions(BusOptions):
     """Older files of these names may go."""
 
 
-def run_calibrate(options: CalibrateOptions) -> int:
+def run_calibrate(options: ServoCalibrateOptions) -> int:
     """Measures, checks, writes; 1 when a step was not done as asked."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
@@ -163,7 +161,9 @@ def run_calibrate(options: CalibrateOptions) -> int:
         return _calibrate(options, config, pose, beside)
 
 
-def _calibrate(options: CalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path) -> int:
+def _calibrate(
+    options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
+) -> int:
     from robot_ik.jobs.hand_calibration import calibrate_by_hand, calibration_from_lerobot, require_limp
 
     limits = model_limits(config)
@@ -182,7 +182,7 @@ def _calibrate(options: CalibrateOptions, config: ArmConfig, pose: Mapping[str, 
         return tried(measure)
 
 
-def _write(options: CalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
+def _write(options: ServoCalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
     """Checks against the servos first; then both files, the arm file last: it is the one that is used."""
     from robot_ik.hardware.calibration import calibrated, check_calibration
     from robot_ik.hardware.calibration_file import save_lerobot
@@ -198,7 +198,7 @@ def _write(options: CalibrateOptions, arm: Arm, found: Calibration, limits: Limi
     console.say(f"wrote {options.out} and {found.file}; from here on: --arm {options.out}", "green")
 
 
-def _check(options: CalibrateOptions) -> int:
+def _check(options: ServoCalibrateOptions) -> int:
     from robot_ik.hardware.calibration import check_calibration
     from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
 
@@ -230,7 +230,7 @@ def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
 
 
 @dataclass(frozen=True)
-class TeachOptions(BusOptions):
+class ServoTeachOptions(BusOptions):
     """Records the arm while a hand guides it, torque off, until Enter or for --seconds.
 
     Ctrl-C ends it too: what was recorded is kept, and the exit code is 130.
@@ -246,7 +246,7 @@ class TeachOptions(BusOptions):
     """An older file of that name may go."""
 
 
-def run_teach(options: TeachOptions) -> int:
+def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
     from robot_ik.jobs.teach import require_suffix
 
@@ -261,7 +261,7 @@ def run_teach(options: TeachOptions) -> int:
         return _record(options, arm)
 
 
-def _record(options: TeachOptions, arm: Arm) -> int:
+def _record(options: ServoTeachOptions, arm: Arm) -> int:
     from robot_ik.jobs.teach import TaughtMotion
 
     taught = TaughtMotion(arm)
@@ -293,7 +293,7 @@ def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
 
 
 @dataclass(frozen=True)
-class PlayOptions(BusOptions):
+class ServoPlayOptions(BusOptions):
     """Repeats a recording: slowly to where it begins, then as it was, within limits and caps of the arm file.
 
     A recording that leaves the limits is refused; one that is too fast is played slower.
@@ -304,17 +304,11 @@ class PlayOptions(BusOptions):
     """A file of teach."""
     speed: float = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
-    record: Annotated[
-        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
-    ] = None
-    """Write every command and measurement while it happens (.mcap: extra `record`)."""
-    on_exit: Annotated[
-        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
-    ] = ""
-    """How to leave the arm; park: back to where it was first."""
+    record: RecordFile = None
+    on_exit: OnExit = ""
 
 
-def run_play(options: PlayOptions) -> int:
+def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
     from robot_ik.jobs.teach import load_playable
 

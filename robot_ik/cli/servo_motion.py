@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import OnExit, require_share, several, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Link,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class MoveOptions(BusOptions):
+class ServoMoveOptions(BusOptions):
     """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
 
         robot-ik servo move joint1=30 joint3=-45
@@ -43,19 +43,16 @@ class MoveOptions(BusOptions):
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG|MM …|DEG|MM …", help_behavior_hint="")]]
+    to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG|MM …|DEG|MM")]]
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
     speed: Annotated[float, arg(metavar="SHARE")] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
-    on_exit: Annotated[
-        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
-    ] = ""
-    """How to leave the arm; park: back to where it was first."""
+    on_exit: OnExit = ""
 
 
-def run_move(options: MoveOptions) -> int:
+def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
     config = slowed(load_arm(options.arm), options.speed)
     require_model(config)
@@ -87,8 +84,7 @@ def slowed(config: ArmConfig, speed: float) -> ArmConfig:
     Raises:
         ConfigError: Not above 0 and up to 1.
     """
-    if not 0.0 < speed <= 1.0:
-        raise wrong("--speed", f"{speed:g} is no share of the speed caps", "above 0, at most 1")
+    require_share("--speed", speed, "speed caps")
     joints, auxiliary = (
         tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
         for row in (config.joints, config.auxiliary)
@@ -170,7 +166,7 @@ _ATTEMPTS = 3  # writes before a servo is given up
 
 
 @dataclass(frozen=True)
-class TorqueOptions(BusOptions):
+class ServoTorqueOptions(BusOptions):
     """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
 
     on checks the servos as any start of the arm does, and leaves them holding, with no watchdog armed.
@@ -179,15 +175,15 @@ class TorqueOptions(BusOptions):
 
     to: Positional[Annotated[Literal["on", "off"], arg(metavar="on|off")]]
     """What to do."""
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
-    ids: Annotated[tuple[int, ...], arg(metavar="N …", help_behavior_hint="")] = ()
+    ids: Annotated[tuple[int, ...], several("N")] = ()
     """For off: these servo ids, whatever the arm file says."""
     baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
     """For --ids: the rate of these servos, bits/s."""
 
 
-def run_torque(options: TorqueOptions) -> int:
+def run_torque(options: ServoTorqueOptions) -> int:
     """1 when a servo did not confirm it."""
     if options.ids and (options.joints or options.to == "on"):
         raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
@@ -237,7 +233,7 @@ def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, ev
         else:
             console.say(f"error: {name}: {reason.args[0]}; its torque may be ON", "bold red")
     if limp:
-        console.out().print(f"torque off, read back: {', '.join(limp)}", markup=False)
+        console.result(f"torque off, read back: {', '.join(limp)}")
     return console.DONE if len(limp) == len(servos) else console.NOT_ACHIEVED
 
 
@@ -245,18 +241,18 @@ def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, ev
 
 
 @dataclass(frozen=True)
-class ResetFaultOptions(BusOptions):
+class ServoResetFaultOptions(BusOptions):
     """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
 
     Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched on.
     Exit code 1 when an error is still there, or a servo has forgotten whole turns.
     """
 
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
 
 
-def run_reset_fault(options: ResetFaultOptions) -> int:
+def run_reset_fault(options: ServoResetFaultOptions) -> int:
     """1 when something is still wrong."""
     from robot_ik.hardware.recovery import reset_servos
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, wrong
+from robot_ik.cli.arguments import joint_degrees, several, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.errors import RobotIkError
 from robot_ik.hardware.virtual.faults import FAULTS
@@ -71,7 +71,7 @@ class SimBusOptions:
     silent: Annotated[
         tuple[str, ...], arg(metavar="JOINT …", help=_help("silent"), help_behavior_hint="")
     ] = ()
-    zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Joints whose zero is off by so many degrees, unknown to their registers."""
     corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt"))] = 0.0
     drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0

@@ -125,10 +125,10 @@ def _left_and_said(arm: Arm) -> Iterator[None]:
 
 
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
-    from robot_ik.jobs.teleop import JOINT_KEYS, Keys
+    from robot_ik.jobs.teleop import JOINT_KEYS, KeyboardJog
 
     typed = stack.enter_context(_typed(endless=options.seconds is not None))
-    keys = Keys(file, typed, stop=follower.request_stop, hand=options.by == "hand")
+    keys = KeyboardJog(file, typed, stop=follower.request_stop, hand=options.by == "hand")
     pairs = zip(keys.jog.joints, JOINT_KEYS, strict=False)
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")

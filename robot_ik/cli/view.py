@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import robot_argument, several, wrong
 from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import MissingExtraError
@@ -44,13 +44,12 @@ class ViewOptions:
     Exit code 0: done. 1: a replay differs from what its log says. 2: wrong input or environment.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: {SHOWN_ROBOT})")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument(f"{SHOWN_ROBOT}")] = ""
     viewer: Literal["auto", "browser", "window", "recorder"] = "auto"
     """auto: the browser; without the extra `web` the window; without a display the recorder."""
     count: int = 1
     """Robots side by side: 1, 2 or 4, each with its own method."""
-    method: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: usual ones)")] = ()
+    method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
     arm: Annotated[
@@ -67,7 +66,7 @@ class ViewOptions:
     """Write the command log at the end."""
     host: str = "127.0.0.1"
     """Address to listen at. One that others can reach asks every browser for a token."""
-    host_name: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    host_name: Annotated[tuple[str, ...], several("NAME")] = ()
     """Further names under which browsers may call this machine."""
     port: int = 8080
     """The next free one is taken where it is busy."""
@@ -154,7 +153,7 @@ def _open_server(options: ViewOptions) -> PageServer:
         options.host, options.port, token=real, names=options.host_name, dark=options.dark,
         shadows=options.shadows,
     )  # fmt: skip
-    console.out().print(f"the testbed is at {server.url}", markup=False, highlight=False, soft_wrap=True)
+    console.result(f"the testbed is at {server.url}")
     if options.open:
         webbrowser.open(server.url)
     return server

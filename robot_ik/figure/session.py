@@ -74,7 +74,7 @@ class ResetFigure:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceFigure:
     """Puts the figure somewhere, at rest: m, m, rad."""
 
     x: float
@@ -89,7 +89,7 @@ class SetObstacles:
     obstacles: tuple[Obstacle, ...]
 
 
-Command = SetBall | SetMode | StartPassive | ResetFigure | Place | SetObstacles
+Command = SetBall | SetMode | StartPassive | ResetFigure | PlaceFigure | SetObstacles
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +266,7 @@ class FigureSession:
                 self._served = None
             case ResetFigure():
                 self._reset(self._began)
-            case Place(x, y, heading):
+            case PlaceFigure(x, y, heading):
                 self._began = (x, y, heading)
                 self._reset(self._began)
             case SetObstacles(obstacles):

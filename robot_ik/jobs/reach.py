@@ -266,7 +266,7 @@ def run_reach(
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
         with setup.connected():
             try:
-                _run_phases(report, _Phases(request, setup, vision, window, method, progress), ahead)
+                _run_phases(report, _ReachPhases(request, setup, vision, window, method, progress), ahead)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -276,7 +276,7 @@ def run_reach(
     return report
 
 
-def _run_phases(report: ReachReport, phases: _Phases, ahead: CompiledAhead) -> None:
+def _run_phases(report: ReachReport, phases: _ReachPhases, ahead: CompiledAhead) -> None:
     """One phase after the other; the report keeps those that ended, whatever becomes of the next."""
     try:
         looked = report.keep(phases.look())
@@ -380,7 +380,7 @@ class SeenArrived:
 
 
 @dataclass(frozen=True, eq=False)
-class _Phases:
+class _ReachPhases:
     """What a reach does, one thing after the other, and what all of it needs."""
 
     request: ReachRequest

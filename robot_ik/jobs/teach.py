@@ -84,7 +84,7 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
 # ------------------------------------------------------------------------------------------ files
 
 
-class _Recording(Table):
+class _MotionFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")] = 1
     joints: Several[str]
     time_s: Several[float]
@@ -122,7 +122,7 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
         motion = Trajectory.load_csv(path)
     else:
         try:
-            content = check_table(_Recording, read_json(path, "the recording"), path)
+            content = check_table(_MotionFile, read_json(path, "the recording"), path)
             motion = Trajectory(content.time_s, content.q_rad, content.joints)
         except (TrajectoryError, ValueError) as error:  # ValueError: rows of different lengths
             raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error

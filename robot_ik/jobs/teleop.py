@@ -311,7 +311,7 @@ class Jog:
         self.angles |= self._hand.go(pose, exactly=True)
 
 
-class Keys:
+class KeyboardJog:
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
     A terminal says when a key goes down and not how long it stays: each press is one step.

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import read_csv, shown, write_atomically
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
 from robot_ik.motion.trajectory import Trajectory, require_positive
 from robot_ik.ports import Array
 
@@ -53,6 +53,12 @@ def column_names(robot: Robot) -> tuple[str, ...]:
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
         names += [joint + end for end in ends.get(int(kind), ("",))]
     return tuple(names)
+
+
+def qpos_addresses(robot: Robot) -> list[int]:
+    """Where the numbers of q stand in MuJoCo's qpos."""
+    joints = zip(robot.tree.joint_ids, robot.tree.kind, strict=True)
+    return [int(robot.model.jnt_qposadr[j]) + i for j, kind in joints for i in range(Q_WIDTH[int(kind)])]
 
 
 def sign_continuous(robot: Robot, q: ArrayLike) -> Array:

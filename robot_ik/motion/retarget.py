@@ -25,8 +25,8 @@ from pydantic import Field, field_validator
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
-from robot_ik.motion.bvh import Bvh, qpos_places
-from robot_ik.motion.keyframes import Keyframes, free_base
+from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
@@ -175,7 +175,7 @@ class _Measures:
                 raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
         self.frames = bodies
         self.places = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
-        rest = robot.model.qpos0[qpos_places(robot)]
+        rest = robot.model.qpos0[qpos_addresses(robot)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
             role: robot.measure(rest, body).position - self.places[role] for role, body in bodies.items()

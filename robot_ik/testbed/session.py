@@ -158,7 +158,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class _Prepared(Command):
+class _SetupDone(Command):
     """A command that was prepared beside the loop, and what came of it."""
 
     command: Command | None = None
@@ -329,7 +329,7 @@ class Session:
 
     def _take(self, command: Command) -> None:
         """Does what was asked; what cannot be done is said in the view, never raised."""
-        if isinstance(command, _Prepared):
+        if isinstance(command, _SetupDone):
             self._adopt(command)
             return
         try:
@@ -416,7 +416,7 @@ class Session:
             return
         self._drag = command
 
-    def _adopt(self, found: _Prepared) -> None:
+    def _adopt(self, found: _SetupDone) -> None:
         """What was prepared takes effect now."""
         if found.ready is None:
             self._say(found.error)
@@ -499,7 +499,7 @@ class _Preparer:
     """
 
     def __init__(
-        self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None], *, beside: bool
+        self, setup: Setup, robot: Robot, done: Callable[[_SetupDone], None], *, beside: bool
     ) -> None:
         self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
         self._ready: Ready | None = None
@@ -554,13 +554,13 @@ class _Preparer:
                 robot = self._robot
             ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
-            self._done(_Prepared(command, error=str(error).splitlines()[0]))
+            self._done(_SetupDone(command, error=str(error).splitlines()[0]))
         except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
             _log.exception("cannot prepare %s", command)
-            self._done(_Prepared(command, error=f"cannot do that: {error}"))
+            self._done(_SetupDone(command, error=f"cannot do that: {error}"))
         else:
             self._setup, self._robot, self._ready = ready.setup, robot, ready
-            self._done(_Prepared(command, ready=ready))
+            self._done(_SetupDone(command, ready=ready))
             self._warm_drag(robot)
         finally:
             self._count(-1)

@@ -15,9 +15,9 @@ import pytest
 from robot_ik import environment
 from robot_ik.camera import device
 from robot_ik.camera.device import CameraDevice
-from robot_ik.cli import doctor
 from robot_ik.environment import Probe
 from robot_ik.hardware import health
+from robot_ik.jobs import doctor
 
 SOON = time.monotonic() + 1e6  # a moment that never comes in a test
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")

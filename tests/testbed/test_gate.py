@@ -322,7 +322,7 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold() -> None:
                 bed.until(lambda view: view.arm and view.arm.state == "enabled", "it does not follow")
                 lose()
                 bed.until(
-                    lambda view: view.arm and (view.arm.wish, view.arm.state) == ("hold", "hold"),
+                    lambda view: view.arm and (view.arm.mode, view.arm.state) == ("hold", "hold"),
                     "it goes on following a page that is gone",
                     limit=20.0,
                 )

@@ -160,7 +160,7 @@ def run_ar(
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
         ahead = stack.enter_context(CompiledAhead.overlay())
-        phases = _Phases(request, robot, mover, sink, ahead, progress, stack)
+        phases = _ArPhases(request, robot, mover, sink, ahead, progress, stack)
         placed = phases.place()
         opened = phases.open(placed)
         placed = phases.fit(placed, opened)
@@ -220,7 +220,7 @@ class Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class _Phases:
+class _ArPhases:
     """What drawing a robot does, one thing after the other, and what all of it needs."""
 
     request: ArRequest

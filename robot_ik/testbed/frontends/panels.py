@@ -21,6 +21,7 @@ from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
 from robot_ik.robot import Robot
+from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 from robot_ik.testbed.commands import (
     COUNTS,
     GOAL_KINDS,
@@ -45,7 +46,6 @@ from robot_ik.testbed.commands import (
 )
 from robot_ik.testbed.keymap import KEYMAP
 from robot_ik.testbed.session import View
-from robot_ik.testbed.staging import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 
 if TYPE_CHECKING:
     from robot_ik.hardware.health import ServoState
@@ -79,7 +79,7 @@ _KIND_WORDS = dict(
         strict=True,
     )
 )
-_WISH_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
+_MODE_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_WORDS = {"teach": "Teach", "replay": "Replay"}
 _FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, when told": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
@@ -454,7 +454,7 @@ class ArmPanel:
     ) -> None:
         self._text, there = gui.add_html(""), view.arm is not None
         for label, words, hint in (
-            ("Arm", _WISH_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+            ("Arm", _MODE_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
             (
                 "By hand",
                 _TEACH_WORDS,
@@ -472,8 +472,8 @@ class ArmPanel:
 
     @staticmethod
     def _pressed(send: Send, words: Mapping[str, str], event: Any) -> None:
-        wish = next(wish for wish, word in words.items() if word == event.target.value)
-        send(SetArm(wish))  # type: ignore[arg-type]
+        mode = next(mode for mode, word in words.items() if word == event.target.value)
+        send(SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -497,7 +497,7 @@ class ArmPanel:
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
-            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.wish)}<br>"
+            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.mode)}<br>"
             f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
             f"recorded: {arm.recorded:.1f} s</small>{said}"
         )

@@ -22,17 +22,17 @@ import numpy as np
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.ports import Array
-from robot_ik.testbed.commands import MoveGoal
-from robot_ik.testbed.keymap import KEYMAP
-from robot_ik.testbed.session import Session, View
-from robot_ik.testbed.staging import (
+from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     GOAL_COLOUR,
     INSTANCE_COLOURS,
+    arranged,
     corners,
     fitted_camera,
-    staged,
 )
+from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.session import Session, View
 from robot_ik.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -384,11 +384,11 @@ class SessionWindow:
         The window stays open: while another one opens, keys are lost.
         """
         robot, self._count = self.session.robot, self._view.count
-        stage = staged(robot, self._count)
-        self._offsets = stage.offsets - stage.offsets[0]
+        arrangement = arranged(robot, self._count)
+        self._offsets = arrangement.offsets - arrangement.offsets[0]
         self._others = [self._mujoco.MjData(robot.model) for _ in range(self._count - 1)]
-        points = corners(robot, stage, self.session.way()) - stage.offsets[0]
-        position, look = fitted_camera(points, stage, aspect=1.5)
+        points = corners(robot, arrangement, self.session.way()) - arrangement.offsets[0]
+        position, look = fitted_camera(points, arrangement, aspect=1.5)
         with self._viewer.lock():
             camera = self._viewer.cam
             way = look - position
