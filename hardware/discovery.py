@@ -159,6 +159,28 @@ def nobody_hint(bauds: Iterable[int]) -> str:
     return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
 
 
+def scan_notes(found: Sequence[FoundServo]) -> list[str]:
+    """What is wrong with all of them together."""
+    if len(found) > 1 and all(servo.shared for servo in found):
+        return ["every answer is damaged: check the cable, its contacts and the adapter"]
+    notes = [
+        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
+        "and give it another: robot-ik servo setup --id N"
+        for servo in found
+        if servo.shared
+    ]
+    rates: dict[int, list[str]] = {}
+    for servo in found:
+        rates.setdefault(servo.baud, []).append(str(servo.id))
+    if len(rates) > 1:
+        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
+        notes.append(
+            f"they talk at different rates ({listed}). "
+            "Connect one alone: robot-ik servo setup --id N --baud RATE"
+        )
+    return notes
+
+
 def _one_by_one(
     bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
 ) -> list[FoundServo]:

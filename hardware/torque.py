@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError
+from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
 from robot_ik.hardware.joint_map import JointMap
@@ -227,6 +227,42 @@ def leave(
         limp = set()
         _torque_off(bus, config, left, clock, reported)
     return _report("hold" if holds else "torque_off", config, left, limp, clock.now() - begin, parked)
+
+
+def force_torque_off(
+    bus: ServoBus, config: ArmConfig, ids: Iterable[int], *, everyone: bool
+) -> dict[int, HardwareError]:
+    """Torque off for an arm in any state: nothing is asked of a servo before it is written.
+
+    Args:
+        bus: Open.
+        config: Whose servos they are; what it says of limits and health does not matter.
+        ids: Of the servos; each is read back.
+        everyone: All servos on the wire at once first, which needs no answer.
+
+    Returns:
+        Servo id -> why it did not confirm; empty: all have no torque.
+
+    Raises:
+        BusDisconnectedError: The port is gone.
+    """
+    register = config.joints[0].table["torque_enable"]
+    if everyone:
+        bus.write(BROADCAST_ID, register, 0)
+    failed: dict[int, HardwareError] = {}
+    for id in ids:
+        failed[id] = HardwareError(f"servo {id} still reports torque")
+        for _ in range(_ATTEMPTS):
+            try:
+                bus.write(id, register, 0)
+                if bus.read(id, register).data == 0:
+                    del failed[id]
+                    break
+            except BusDisconnectedError:
+                raise
+            except HardwareError as error:
+                failed[id] = error
+    return failed
 
 
 def _torque_off(

@@ -15,7 +15,6 @@ from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
-    from robot_ik.bench.camera.accuracy import Misses
     from robot_ik.jobs.ar.job import ArReport, ArRequest
 
 
@@ -205,30 +204,14 @@ def make_request(options: ArOptions) -> ArRequest:
 # ``robot-ik ar --self-test``: drawings against ``cv2.projectPoints`` and exact truth, on the terminal.
 
 
-# RMS and worst allowed, pixels: spheres without and with lens distortion, a robot on a board.
-_IDENTITY, _BENT, _OVERLAY = (0.05, 0.15), (0.08, 0.20), (0.30, 1.0)
-_DISTANCES = (0.7, 1.0)
-
-
-@dataclass(frozen=True)
-class SelfTestRow:
-    """One figure of the self-test; no limits: it is reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        """Whether both figures are within their limits."""
-        if self.limits is None:
-            return True
-        return self.misses.rms <= self.limits[0] and self.misses.worst <= self.limits[1]
-
-
 def run_self_test(*, json: bool = False) -> int:
     """Measures and prints; 0 when all is within its limits, else 1."""
-    rows, notice = measure()
+    from robot_ik.bench.self_test import SelfTest
+
+    test = SelfTest()
+    with console.progress() as bar:
+        rows = list(test.rows(console.shares_on(bar, "measuring")))
+    notice = test.notice
     good = all(row.good for row in rows)
     if json:
         console.print_json(
@@ -257,33 +240,3 @@ def run_self_test(*, json: bool = False) -> int:
     if notice:
         console.say(notice, style="yellow")
     return console.DONE if good else console.NOT_ACHIEVED
-
-
-def measure() -> tuple[list[SelfTestRow], str]:
-    """All figures, and one line where OpenGL is missing."""
-    from robot_ik.bench.camera import accuracy
-    from robot_ik.camera.drawing.gl import make_artist
-
-    rows, notice = [], ""
-    with console.progress() as bar:
-        task = bar.add_task("measuring", total=9, note="")
-        for name in ("painter", "ray", "gl"):
-            artist, missing = make_artist(name)
-            notice = missing or notice
-            for lens, limits, words in (
-                (accuracy.STRAIGHT, _IDENTITY, "no distortion"),
-                (accuracy.BENT, _BENT, "distortion"),
-            ):
-                bar.update(task, advance=1, note=name)
-                if not missing:
-                    misses = accuracy.projection_identity(artist, lens)
-                    rows.append(SelfTestRow(f"{name}: spheres, {words}", misses, limits))
-            getattr(artist, "close", lambda: None)()
-        for distance in _DISTANCES:
-            bar.update(task, advance=1, note="board")
-            misses = accuracy.overlay_error(distance)
-            rows.append(SelfTestRow(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY))
-        bar.update(task, advance=1, note="delay")
-        for name, misses in accuracy.remedy_errors().items():
-            rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
-    return rows, notice

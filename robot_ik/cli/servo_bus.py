@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import glob
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from rich.live import Live
 from rich.table import Table
@@ -19,17 +17,12 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
-from robot_ik.environment import named_users_of
 from robot_ik.files import claimed, plain
-from robot_ik.hardware.health import latency_ms, serial_row
 
 if TYPE_CHECKING:
     from robot_ik.hardware.backup import Change
     from robot_ik.hardware.discovery import FoundServo
     from robot_ik.hardware.health import ServoState
-
-
-BY_ID = "/dev/serial/by-id"
 
 
 @dataclass(frozen=True)
@@ -43,31 +36,9 @@ class ServoPortsOptions:
     """Print one JSON object instead of a table."""
 
 
-@dataclass(frozen=True)
-class PortRow:
-    """One serial port.
-
-    Attributes:
-        port: Name to open; ``stable``: a name that survives replugging, empty where there is none.
-        adapter: Its description; ``usb``: vendor:product, hexadecimal; ``serial``: number of the adapter.
-        latency_ms: Latency timer, None where the driver has none; ``used_by``: programs that have it open.
-        status: ok or note; ``do``: what to do about it.
-    """
-
-    port: str
-    stable: str
-    adapter: str
-    usb: str
-    serial: str
-    latency_ms: int | None
-    used_by: list[str]
-    status: str
-    do: str
-
-
 def run_ports(options: ServoPortsOptions) -> int:
     """Prints the ports; 1 when there is none."""
-    from robot_ik.cli.connection import serial_ports
+    from robot_ik.hardware.ports import port_row, serial_ports
 
     rows = [port_row(port) for port in serial_ports()]
     if options.json:
@@ -85,30 +56,6 @@ def run_ports(options: ServoPortsOptions) -> int:
             "plug the adapter in; without servos: robot-ik sim-bus --link PATH",
         )
     return console.DONE if rows else console.NOT_ACHIEVED
-
-
-def port_row(port: Any, system: str = sys.platform) -> PortRow:
-    """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
-    vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
-    about = port.description or "serial port"
-    row = serial_row(port.device, about, system=system, vendor=vendor)
-    return PortRow(
-        port.device,
-        stable_name(port.device),
-        port.description or "",
-        f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
-        getattr(port, "serial_number", None) or "",
-        latency_ms(port.device),
-        named_users_of(port.device),
-        row.status,
-        row.do,
-    )
-
-
-def stable_name(device: str, folder: str = BY_ID) -> str:
-    """The name by adapter that leads to ``device``; empty where the system keeps none."""
-    real = os.path.realpath(device)
-    return next((name for name in sorted(glob.glob(f"{folder}/*")) if os.path.realpath(name) == real), "")
 
 
 # ------------------------------------------------------------------------------------------
@@ -130,7 +77,7 @@ class ServoScanOptions(BusOptions):
 
 def run_scan(options: ServoScanOptions) -> int:
     """Prints who answers; 1 when nobody does."""
-    from robot_ik.hardware.discovery import LIKELY, nobody_hint
+    from robot_ik.hardware.discovery import LIKELY, nobody_hint, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
     with served_or_real(options.bus, options.arm) as port:
@@ -142,31 +89,9 @@ def run_scan(options: ServoScanOptions) -> int:
         print_found(found)
     if not found:
         console.refused(f"no servo answers on {port}", nobody_hint(bauds))
-    for note in _notes(found):
+    for note in scan_notes(found):
         console.say(note, "yellow")
     return console.DONE if found else console.NOT_ACHIEVED
-
-
-def _notes(found: Sequence[FoundServo]) -> list[str]:
-    """What is wrong with all of them together."""
-    if len(found) > 1 and all(servo.shared for servo in found):
-        return ["every answer is damaged: check the cable, its contacts and the adapter"]
-    notes = [
-        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
-        "and give it another: robot-ik servo setup --id N"
-        for servo in found
-        if servo.shared
-    ]
-    rates: dict[int, list[str]] = {}
-    for servo in found:
-        rates.setdefault(servo.baud, []).append(str(servo.id))
-    if len(rates) > 1:
-        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
-        notes.append(
-            f"they talk at different rates ({listed}). "
-            "Connect one alone: robot-ik servo setup --id N --baud RATE"
-        )
-    return notes
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:

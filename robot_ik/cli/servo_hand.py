@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, RecordFile, several, wrong
+from robot_ik.cli.arguments import OnExit, RecordFile, require_share, several, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Limits,
@@ -26,7 +26,7 @@ from robot_ik.cli.connection import (
     require_model,
     tried,
 )
-from robot_ik.cli.servo_motion import parse_angles, shown_value, slowed
+from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
 from robot_ik.files import claimed
 from robot_ik.ports import Clock, JointSink
@@ -314,7 +314,7 @@ def run_play(options: ServoPlayOptions) -> int:
 
     config = load_arm(options.arm).whole
     require_model(config)
-    slowed(config, options.speed)  # its check
+    require_share("--speed", options.speed, "speed caps")
     motion, stretch = load_playable(options.file, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
     with claimed(options.record, overwrite=True), contextlib.ExitStack() as stack:

@@ -16,7 +16,6 @@ from robot_ik.cli.connection import (
     Link,
     arm_on,
     driving,
-    joints_of,
     load_arm,
     opened,
     require_model,
@@ -28,7 +27,6 @@ from robot_ik.errors import apart
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.control_table import Register
     from robot_ik.hardware.joint_map import JointMap
     from robot_ik.hardware.recovery import ServoReset
 
@@ -54,7 +52,8 @@ class ServoMoveOptions(BusOptions):
 
 def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
-    config = slowed(load_arm(options.arm), options.speed)
+    require_share("--speed", options.speed, "speed caps")
+    config = load_arm(options.arm).slowed(options.speed)
     require_model(config)
     angles = parse_angles(options.to, config)
     if not options.by:
@@ -76,20 +75,6 @@ def run_move(options: ServoMoveOptions) -> int:
 
     with driving(arm):
         return tried(move)
-
-
-def slowed(config: ArmConfig, speed: float) -> ArmConfig:
-    """The arm with a share of its speed and acceleration caps.
-
-    Raises:
-        ConfigError: Not above 0 and up to 1.
-    """
-    require_share("--speed", speed, "speed caps")
-    joints, auxiliary = (
-        tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
-        for row in (config.joints, config.auxiliary)
-    )
-    return replace(config, joints=joints, auxiliary=auxiliary)
 
 
 def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -162,9 +147,6 @@ def degrees(q: float) -> str:
 # ``robot-ik servo torque`` and ``reset-fault``: give and take torque, restart what has shut down.
 
 
-_ATTEMPTS = 3  # writes before a servo is given up
-
-
 @dataclass(frozen=True)
 class ServoTorqueOptions(BusOptions):
     """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
@@ -190,7 +172,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
     config = load_arm(options.arm)
     if options.to == "on":
         require_model(config)
-        arm = arm_on(options, joints_of(config, options.joints), "hold")
+        arm = arm_on(options, config.only(options.joints), "hold")
 
         def switch_on() -> int:
             arm.enable()
@@ -199,8 +181,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
         with driving(arm):
             code = tried(switch_on)
         return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
-    register = config.joints[0].table["torque_enable"]
-    servos = {servo.id: servo.name for servo in joints_of(config, options.joints).servos}
+    servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
         if bad := [id for id in options.ids if not 0 <= id <= 252]:
             raise wrong("--ids", f"{bad[0]} is no servo id", "0..252")
@@ -208,33 +189,18 @@ def run_torque(options: ServoTorqueOptions) -> int:
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
     with opened(options, config) as link:
-        return _switch_off(link, register, servos, everyone=not options.ids and not options.joints)
+        return _switch_off(link, servos, everyone=not options.ids and not options.joints)
 
 
-def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, everyone: bool) -> int:
-    """All at once first, which needs no answer; then each by itself, read back."""
-    from robot_ik.errors import BusDisconnectedError, HardwareError
-    from robot_ik.hardware.bus import BROADCAST_ID
+def _switch_off(link: Link, servos: Mapping[int, str], *, everyone: bool) -> int:
+    from robot_ik.hardware.torque import force_torque_off
 
-    if everyone:
-        link.bus.write(BROADCAST_ID, register, 0)
-    limp = []
-    for id, name in servos.items():
-        for _ in range(_ATTEMPTS):
-            try:
-                link.bus.write(id, register, 0)
-                if link.bus.read(id, register).data == 0:
-                    limp.append(name)
-                    break
-            except BusDisconnectedError:
-                raise
-            except HardwareError as error:
-                reason = error
-        else:
-            console.say(f"error: {name}: {reason.args[0]}; its torque may be ON", "bold red")
-    if limp:
+    failed = force_torque_off(link.bus, link.config, servos, everyone=everyone)
+    for id, error in failed.items():
+        console.say(f"error: {servos[id]}: {error.args[0]}; its torque may be ON", "bold red")
+    if limp := [name for id, name in servos.items() if id not in failed]:
         console.result(f"torque off, read back: {', '.join(limp)}")
-    return console.DONE if len(limp) == len(servos) else console.NOT_ACHIEVED
+    return console.NOT_ACHIEVED if failed else console.DONE
 
 
 # ------------------------------------------------------------------------------------ reset-fault
@@ -256,7 +222,7 @@ def run_reset_fault(options: ServoResetFaultOptions) -> int:
     """1 when something is still wrong."""
     from robot_ik.hardware.recovery import reset_servos
 
-    config = joints_of(load_arm(options.arm), options.joints)
+    config = load_arm(options.arm).only(options.joints)
     with opened(options, config) as link:
         rows = reset_servos(link.bus, config, link.clock)
     shown = console.table("joint", "id", "was", "is", "what to do")

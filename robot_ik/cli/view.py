@@ -6,9 +6,9 @@ import contextlib
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.arm import ArmLink
-    from robot_ik.testbed.commands import CommandLog, Start
+    from robot_ik.testbed.commands import Start
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
@@ -261,6 +261,7 @@ def _film(start: Start, options: ViewOptions) -> int:
 def _replay(path: Path) -> int:
     """Repeats a log; says whether it ends as it did."""
     from robot_ik.testbed.commands import CommandLog
+    from robot_ik.testbed.session import last_view
 
     log = CommandLog.load(path)
     view = last_view(log)
@@ -270,29 +271,9 @@ def _replay(path: Path) -> int:
         solved = f"{100.0 * one.statistics.solved:.0f} %"
         rows.add_row(f"{view.robot} {k + 1}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved)
     console.out().print(rows)
-    words = f"{len(log.commands)} commands, {view.tick} ticks: " + (
-        "the log has no digest to compare with"
-        if not log.digest
-        else "the same bits"
-        if same
-        else "other bits"
-    )
-    console.say(words, "" if same else "bold red")
+    found = "the same bits" if same else "other bits"
+    verdict = found if log.digest else "the log has no digest to compare with"
+    console.say(f"{len(log.commands)} commands, {view.tick} ticks: {verdict}", "" if same else "bold red")
     if not same:
-        console.say(
-            "another version of robot_ik or numba, another processor, or an edited log",
-            "yellow",
-        )
+        console.say("another version of robot_ik or numba, another processor, or an edited log", "yellow")
     return console.DONE if same else console.NOT_ACHIEVED
-
-
-def last_view(log: CommandLog) -> View:
-    """The view at the end of a log."""
-    from robot_ik.testbed.session import replayed
-
-    log = log if log.ticks or log.commands else replace(log, ticks=1)
-    found: Any = None
-    for session in replayed(log):
-        found = session
-    view: View = found.view()
-    return view

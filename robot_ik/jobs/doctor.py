@@ -19,7 +19,7 @@ from pathlib import Path
 
 from robot_ik import environment
 from robot_ik.environment import NOTE, OK, OPENCV_WHEELS, PROBLEM, CheckRow, permission_hint, version_of
-from robot_ik.hardware.health import serial_row
+from robot_ik.hardware.ports import serial_row
 
 #: Seconds that the whole doctor may take: each child process gets what is left of them.
 WHOLE_LIMIT = 9.0
