@@ -21,17 +21,8 @@ from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
-from robot_ik.figure.gait import (
-    AIR,
-    FLAT,
-    SHUFFLE,
-    Walk,
-    prints_of,
-    shuffle_prints,
-    solve_walk_once,
-    walk,
-    walk_prints,
-)
+from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.session import FigureSession, SetBall
 

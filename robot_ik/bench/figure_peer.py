@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import Figure, FrameRows, Frames
+from robot_ik.figure.figure import Figure
+from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import Walk
 
 Array = NDArray[np.float64]

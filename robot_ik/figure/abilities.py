@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure, FrameRows
+from robot_ik.figure.figure import GRAVITY, Figure
+from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder

@@ -14,18 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import (
-    GRAVITY,
-    RATE,
-    Figure,
-    FrameRows,
-    Frames,
-    Slices,
-    finished,
-    minimum_jerk,
-    rotation,
-)
-from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, minimum_jerk, rotation
+from robot_ik.figure.footprints import Gait, Print
+from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
+from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 

@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, seen_from, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import (
-    GRAVITY,
-    RATE,
-    SIDES,
-    Figure,
-    FrameRows,
-    Frames,
-    Slices,
-    finished,
-    minimum_jerk,
-    rotation,
-)
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
+from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, touches_itself
 from robot_ik.kernels.whole_body import HARD

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, FrameRows, Frames, lowest_points, rotation, shape_points
+from robot_ik.figure.figure import Figure, lowest_points, rotation, shape_points
+from robot_ik.figure.frames import FrameRows, Frames
 
 Array = NDArray[np.float64]
 

@@ -30,18 +30,10 @@ from robot_ik.figure.actions import (
     walk_motion,
 )
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, SLICE, Figure, Slices
-from robot_ik.figure.gait import (
-    FLAT,
-    SHUFFLE,
-    WALK,
-    Gait,
-    Walk,
-    prints_of,
-    shuffle_prints,
-    walk_prints,
-    walk_slices,
-)
+from robot_ik.figure.figure import RATE, Figure
+from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.frames import SLICE, Slices
+from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.ports import JointSink

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import logging
 import queue
 import threading
 import time
@@ -62,6 +63,8 @@ from robot_ik.testbed.setup import (
 
 if TYPE_CHECKING:
     from robot_ik.testbed.arm import ArmLink, ArmView
+
+_log = logging.getLogger(__name__)
 
 MESSAGE_SECONDS = 6.0
 """How long an error stays on the page."""
