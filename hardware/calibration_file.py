@@ -137,13 +137,6 @@ class _CalibrationFile(Table):
         return self
 
 
-def as_plain(calibration: Calibration) -> dict[str, Any]:
-    """For JSON."""
-    content = asdict(calibration)
-    content["file"] = str(calibration.file) if calibration.file else ""
-    return content
-
-
 # ------------------------------------------------------------------------------------------
 # LeRobot's calibration JSON: ``{joint: {id, drive_mode, homing_offset, range_min, range_max}}``.
 #

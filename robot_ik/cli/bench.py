@@ -14,9 +14,9 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
-from robot_ik.cli.console import results_folder
 from robot_ik.environment import import_mujoco
 from robot_ik.files import write_atomically
+from robot_ik.jobs.results import results_folder
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -104,10 +104,10 @@ def run(options: BenchCameraOptions) -> int:
     effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
     file = Path(options.json) if options.json else None
     with claimed(file, overwrite=options.overwrite):
-        return _measured_and_told(rows, effort, found, file)
+        return _measure_and_print(rows, effort, found, file)
 
 
-def _measured_and_told(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
+def _measure_and_print(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)

@@ -56,7 +56,7 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.cli.console import results_folder
+    from robot_ik.jobs.results import results_folder
 
     prepare = _a00 if options.experiment == "a00" else _s12
     report, work, save, show = prepare(options)

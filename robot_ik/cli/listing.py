@@ -298,8 +298,8 @@ def gallery_folder(words: Sequence[str]) -> str:
 def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
     """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
     folder = gallery_folder(words)
-    from robot_ik.cli.console import results_folder
     from robot_ik.jobs.gallery import draw_gallery
+    from robot_ik.jobs.results import results_folder
     from robot_ik.robot import load_robot
     from robot_ik.robot_file import catalogue
 

@@ -129,9 +129,9 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
-    from robot_ik.cli.console import results_folder
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import FILES
+    from robot_ik.jobs.results import results_folder
 
     if options.film:
         from robot_ik.jobs.reach_files import require_films

@@ -18,16 +18,13 @@ from tyro.conf import arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import joint_degrees, several, wrong
 from robot_ik.cli.connection import load_arm
-from robot_ik.errors import RobotIkError
 from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.pty import PtyPort
-    from robot_ik.ports import Array
 
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -92,8 +89,8 @@ def run(options: SimBusOptions) -> int:
         from robot_ik.hardware import no_pty
 
         raise no_pty(reason) from reason
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import load_faults
+    from robot_ik.jobs.virtual_arm import add_world, virtual_arm
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
@@ -101,10 +98,10 @@ def run(options: SimBusOptions) -> int:
     config = load_arm(options.arm)
     file = None if options.faults is None else load_faults(options.faults, config)
     seed = (file.seed if file else 0) if options.seed is None else options.seed
-    bus = VirtualBus.from_config(config, RealClock(), _home(config), seed=seed)
+    bus = virtual_arm(config, RealClock(), seed=seed)
     bus.inject(*_faults(options, config))
     if options.physics:
-        _add_world(config, bus)
+        add_world(config, bus)
     bus.inject(*(file.faults if file else ()))
     with (
         _ended_by_signal() as ended,
@@ -135,29 +132,6 @@ def _require_free(link: Path | None) -> None:
             "a name that is free",
             "is another robot-ik sim-bus running? If not, remove the link",
         )
-
-
-def _home(config: ArmConfig) -> Array | None:
-    """Where the servos stand at first: the robot's home, where its model is at hand, else q = 0."""
-    from robot_ik.robot import load_robot
-
-    try:
-        robot = load_robot(config.robot, joints=config.names)
-    except RobotIkError:
-        return None
-    return robot.home if robot.joints == config.names else None
-
-
-def _add_world(config: ArmConfig, bus: VirtualBus) -> None:
-    """From here on the robot's own MuJoCo model moves the shafts.
-
-    Raises:
-        RobotIkError: It has no model at hand, or not these joints.
-    """
-    from robot_ik.hardware.virtual.world import World
-    from robot_ik.robot import load_robot
-
-    World(load_robot(config.robot).model, config, bus)
 
 
 def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
@@ -217,11 +191,9 @@ def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
 
 def _client(arm: str, config: ArmConfig) -> str:
     """A command that works on these servos: reach, where the model is at hand and moved by them."""
-    from robot_ik.robot import load_robot
+    from robot_ik.jobs.virtual_arm import model_of
 
     servos = f"--arm {shlex.quote(arm)}"
-    try:
-        load_robot(config.robot, joints=config.names)
-    except RobotIkError:
+    if model_of(config) is None:
         return f"robot-ik servo monitor {servos}"
     return f"robot-ik reach --robot {arm}" if arm in catalogue() else f"robot-ik reach {servos}"

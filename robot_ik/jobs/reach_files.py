@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import datetime
 import importlib.util
 import io
 import json
@@ -39,19 +38,6 @@ SCHEMA = 1
 FILES = ("reach.png", "trajectory.csv", "summary.json", "reach.mp4")
 _AXES_PER_HOVER = 0.6
 FILM_RATE_HZ = 25.0
-
-
-def run_folder(out: Path | None, job: str) -> Path:
-    """The folder for a run, not made yet: as asked, or ``runs/<time>-<job>``."""
-    if out is not None:
-        return out
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    base, k = Path("runs") / f"{stamp}-{job}", 1
-    folder = base
-    while folder.exists():
-        k += 1
-        folder = base.with_name(f"{base.name}-{k}")
-    return folder
 
 
 def save_reach(report: ReachReport, folder: Path) -> list[Path]:
