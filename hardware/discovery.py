@@ -1,7 +1,7 @@
 """Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
 
 Answers of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
-looks as if nobody with that id were there.  So a scan counts damaged bytes, and where it saw some it asks
+looks as if no servo had that id.  So a scan counts damaged bytes, and where it saw some it asks
 every id alone.
 """
 
@@ -83,7 +83,7 @@ class ScanBus(DynamixelBus):
             listen: s.
 
         Returns:
-            Servo id -> (model number, firmware), and how much came that nobody can understand.
+            Servo id -> (model number, firmware), and how many bytes belong to no packet.
 
         Raises:
             BusDisconnectedError, BusNotOpenError.
@@ -218,7 +218,7 @@ def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
     damaged = bus.counters.corrupt - before
-    if not values:  # it answers pings only, or nobody can understand it
+    if not values:  # it answers pings only, or its answers are damaged
         return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
     return FoundServo(
         servo.id,

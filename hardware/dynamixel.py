@@ -79,7 +79,7 @@ class AnswerTimes:
 
     @property
     def expected(self) -> float | None:
-        """s after which an answer usually comes; None where that cannot be told to ``STEADY``."""
+        """s after which an answer usually comes; None where that is not known to within ``STEADY``."""
         return self._usual if self._spread < STEADY else None
 
 
@@ -89,7 +89,7 @@ class AnswerTimes:
 # Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
 # in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE``
 # failures in
-# a row for good.  Who does not answer is asked again while there is time, and hides nobody.
+# a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
 # An answer does not say which question it answers.  So in a control cycle, after an answer was missed,
 # the next
@@ -169,14 +169,14 @@ class GroupTraffic:
         return bool(self.fast_ids) and self._fast_misses < FAST_PATIENCE
 
     def write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """Servo id -> register and value, in one packet; nobody answers.
+        """Servo id -> register and value, in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
             BusDisconnectedError, BusNotOpenError.
         """
         request = write_request(values) if values else b""
-        # Nobody answers, so an answer still outstanding keeps belonging to the question before.
+        # It has no answer, so an answer still outstanding keeps belonging to the question before.
         with self._wire.transaction(None) as port:
             if request:
                 port.send(request)
@@ -194,9 +194,9 @@ class GroupTraffic:
         Args:
             registers: Servo id -> what is read from it.
             writes: As for ``write``; leave in the same piece as the question.
-            within: s; after that nobody is asked again.  The first question always gets its full time.
-            guarded: Late answers are told by their length; ``PHASES`` - 1 bytes behind each register must be
-                readable as well.
+            within: s; after that no servo is asked again.  The first question always gets its full time.
+            guarded: Late answers are recognised by their length; ``PHASES`` - 1 bytes behind each register
+                must be readable as well.
 
         Returns:
             A row for every id; ``data`` is None where nothing usable came.
@@ -207,7 +207,7 @@ class GroupTraffic:
         """
         before = write_request(writes) if writes else b""
         found: dict[int, BusStatus] = {}
-        # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
+        # A servo waits for the answers of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
         with self._wire.transaction(plan.asks) as port:
@@ -459,7 +459,7 @@ class DynamixelBus:
         return BusStatus(id, register.decode(answer.data), 0, answer.alert)
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
-        """One register of one servo; to ``BROADCAST_ID`` nobody answers.
+        """One register of one servo; no servo answers one to ``BROADCAST_ID``.
 
         Raises:
             ValueError: The value does not fit the register; nothing is sent.
@@ -488,7 +488,7 @@ class DynamixelBus:
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet; nobody answers.
+        """The same register of many servos in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit the register; nothing is sent.
@@ -497,7 +497,7 @@ class DynamixelBus:
         self._group.write({id: (register, value) for id, value in values.items()})
 
     def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """A register of its own of every servo in one packet; nobody answers.
+        """A register of its own of every servo in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
@@ -534,7 +534,7 @@ class DynamixelBus:
         Args:
             writes: Servo id -> register and value.
             reads: Servo id -> register.
-            within: s after which nobody is asked again.
+            within: s after which no servo is asked again.
 
         Returns:
             A row for every id of ``reads``; ``data`` is None where nothing usable came.
@@ -546,7 +546,7 @@ class DynamixelBus:
         return self._group.read(reads, writes, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
-        """Only these servos may be asked to answer together in one packet; at first nobody."""
+        """Only these servos may be asked to answer together in one packet; at first none."""
         self._group.fast_ids = frozenset(ids)
 
     # ---------------------------------------------------------------------------------- packets

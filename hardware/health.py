@@ -75,7 +75,7 @@ def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
         servos: Rows of an arm file; a second servo of a joint is a row of its own.
 
     Returns:
-        A row for each, in the same order; one that did not answer is told by ``answered``.
+        A row for each, in the same order; ``answered`` is False of one that did not answer.
 
     Raises:
         BusDisconnectedError, BusNotOpenError.
@@ -138,7 +138,7 @@ _WARM = 10  # C below its limit, a servo is worth a word
 
 
 def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
-    """The port, then every servo of the arm file, then those that nobody expects.
+    """The port, then every servo of the arm file, then those that are not in it.
 
     All rates are tried only when a servo is missing at the arm file's.
     """

@@ -219,8 +219,8 @@ def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> lis
 class FastParser:
     """The one status in which all servos answer a fast read; gives each as soon as its checksum is there.
 
-    Every servo's checksum runs over all bytes before it, so behind a damaged byte nobody can be trusted,
-    and behind a servo that is missing nobody speaks.  What comes before is good.
+    Every servo's checksum runs over all bytes before it, so behind a damaged byte no servo can be trusted,
+    and behind a servo that is missing none answers.  What comes before is good.
 
     Args:
         expected: (id, bytes of data), in the order asked.

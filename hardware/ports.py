@@ -104,13 +104,13 @@ def serial_row(
     Args:
         path: Its name.
         about: Its description.
-        sys_root: Where Linux tells of devices.
+        sys_root: Where Linux lists devices.
         system: As ``sys.platform``.
         vendor: Of the USB adapter, where known.
     """
     what = f"serial {path}"
     if advice := _LATENCY_ADVICE.get(system):
-        # Windows has no files for ports, and tells by opening only who may use one.
+        # Windows has no files for ports: only opening one shows who may use it.
         if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
             return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
         late = vendor == _FTDI

@@ -242,7 +242,7 @@ def describe_failure(
         system: As ``sys.platform``.
     """
     text, number = str(error), getattr(error, "errno", None)
-    if system == "win32":  # pyserial tells the reason in words only; a port in use is "access denied"
+    if system == "win32":  # pyserial gives the reason in words only; a port in use is "access denied"
         words = {
             "PermissionError": errno.EBUSY,
             "Access is denied": errno.EBUSY,
@@ -375,9 +375,9 @@ class Wire:
         """The open port, for one request and its answers.
 
         Args:
-            asks: What is asked, in a word; None where nobody answers.  A packet does not say which request
-                it answers.  So after an answer was missed, another question waits until that answer cannot
-                come any more; the same question need not: a late answer to it is as good as any.
+            asks: What is asked, in a word; None where there is no answer.  A packet does not say which
+                request it answers.  So after an answer was missed, another question waits until that answer
+                cannot come any more; the same question need not: a late answer to it is as good as any.
 
         Raises:
             BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).

@@ -62,7 +62,7 @@ class InProcessPort(QuietPortHandler):
         self.is_open = False
 
     def clear(self) -> None:
-        """Throws away what nobody has read."""
+        """Throws away what was not read."""
         self._buffer = b""
 
     clearPort = clear
@@ -89,10 +89,10 @@ class InProcessPort(QuietPortHandler):
         return self.readPort(len(self._buffer))
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Nobody waits here."""
+        """Nothing is waited for here."""
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
-        """Nobody waits here."""
+        """Nothing is waited for here."""
 
     def isPacketTimeout(self) -> bool:
         """What is not there now will not come."""

@@ -209,7 +209,7 @@ def leave(
     no Bus Watchdog armed afterwards, so that the next program's goals are not refused.
 
     Args:
-        bus: If it is not open, the report says that nobody confirmed.
+        bus: If it is not open, the report says that no servo confirmed.
         config: Of the arm; other servos on the wire are not touched.
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``; without them torque goes off.
@@ -271,7 +271,7 @@ def _torque_off(
     """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
     torque = shared_register(config, "torque_enable")
     end = clock.now() + PATIENCE
-    # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
+    # Needs no answer, so it works even where no answer arrives.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
     for _ in range(2 if bus.is_open else 0):
         with _tolerant("torque off for all", reported):

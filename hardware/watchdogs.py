@@ -80,7 +80,7 @@ class Heartbeat:
     """Calls ``look`` every ``BEAT`` seconds until stopped, from a thread of its own.
 
     Between a limiter that brings every pause to rest and the servos' Bus Watchdogs lies the program that is
-    alive and busy with something else: then nobody would see a servo that overheats, and the Bus Watchdogs
+    alive and busy with something else: then a servo that overheats would go unseen, and the Bus Watchdogs
     would trip although nothing is wrong.
 
     Args:

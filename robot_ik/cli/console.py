@@ -252,7 +252,7 @@ def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
 
 
 def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
-    """A job's count of pictures on a bar: how many are done, and of how many (0: nobody knows)."""
+    """A job's count of pictures on a bar: how many are done, and of how many (0: unknown)."""
     task = bar.add_task(what, total=None, note="")
     return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Array, Robot
 
 _LION_BALLS = (0.9, -0.2, 0.6), (0.7, 0.4, 0.5)
-# Pictures of the synthetic camera that nobody sees: the ball's place to 4 mm at a quarter of the time.
+# Pictures of the synthetic camera that are not shown: the ball's place to 4 mm at a quarter of the time.
 _UNSEEN_SIZE = (640, 360)
 _SHOWN = (0.45, -0.25, 1.45), (0.5, -0.2, 0.2), (2.2, 0.8, 1.2), (2.6, 0.9, 2.35)
 

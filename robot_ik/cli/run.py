@@ -42,7 +42,7 @@ class RunOptions:
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: the script's)")] = ""
     """Servo ids, signs, zeros and limits."""
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the script's)")] = None
-    """Of the dice of faults, of restarts and of the synthetic camera's noise."""
+    """Of random faults, of restarts and of the synthetic camera's noise."""
     junit: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write the report as JUnit XML, for build servers."""
     json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None

@@ -76,7 +76,7 @@ class SimBusOptions:
         Path | None, arg(metavar="FILE", help=_FILE_HELP, help_behavior_hint="(default: none)")
     ] = None
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the file's, or 0)")] = None
-    """Of the dice of all this: the same seed and traffic give the same faults."""
+    """Of all this: the same seed and traffic give the same faults."""
     physics: bool = False
     """Move the MuJoCo model of the arm: gravity shows up as current, and without torque it falls."""
 

@@ -61,9 +61,9 @@ def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
     Raises:
         ModelError: A geom of another kind (a mesh has no exact lowest point here).
     """
-    turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
-    mujoco.mju_quat2Mat(turn, model.geom_quat[g])
-    axes = turn.reshape(3, 3)
+    matrix, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[g])
+    axes = matrix.reshape(3, 3)
     down = -up @ axes
     ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])[:, None]
     if kind == _GEOM.mjGEOM_SPHERE:
@@ -217,19 +217,19 @@ class Figure:
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) place and (3, 3) rotation of a frame, by MuJoCo."""
-        places, turns = self.poses(q[None], frame)
-        return places[0], turns[0]
+        places, matrices = self.poses(q[None], frame)
+        return places[0], matrices[0]
 
     def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(n, 3) places and (n, 3, 3) rotations of a frame in frames (n, nq)."""
         at, data = self.robot.frame(frame), self.data
-        place, turn = np.empty((len(q), 3)), np.empty((len(q), 9))
+        place, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
         for i, row in enumerate(q):
             data.qpos[:] = row
             mujoco.mj_kinematics(self.model, data)
-            place[i], turn[i] = data.xpos[at.body], data.xmat[at.body]
-        turns = turn.reshape(-1, 3, 3)
-        return place + turns @ at.local.position, turns @ at.local.rotation
+            place[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
+        matrices = matrix.reshape(-1, 3, 3)
+        return place + matrices @ at.local.position, matrices @ at.local.rotation
 
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
@@ -256,9 +256,9 @@ class Figure:
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
         """``q`` (nq,) moved as a whole: turned about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
-        turn = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+        quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
         moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
-        mujoco.mju_mulQuat(moved[3:7], turn, np.ascontiguousarray(q[3:7]))
+        mujoco.mju_mulQuat(moved[3:7], quaternion, np.ascontiguousarray(q[3:7]))
         return moved
 
     def stance(self, q: Array) -> Array:
@@ -346,12 +346,12 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
     if below:
         joint = int(model.body_jntadr[below[0]])
         toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    place, turn = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
+    place, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
     hip, knee, ankle = _leg(model, data, body, robot.frame(pelvis).body, frame)
     foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
     at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
     return Foot(
-        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(turn)),
+        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(matrix)),
         float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
     )  # fmt: skip
 
@@ -373,14 +373,14 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, nam
     return found[::-1]
 
 
-def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, turn: Array) -> Sole:
-    """``place`` and ``turn``: the foot's frame in its body."""
-    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ turn.T
+def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, matrix: Array) -> Sole:
+    """``place`` and ``matrix``: the foot's frame in its body."""
+    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ matrix.T
     lowest, points = lowest_points(model, list(geoms), up)
     height = up @ place - lowest.min(axis=1)
     steps = (height[1:] + height[:-1]) / 2 * np.diff(_PITCHES)
     rolled = np.concatenate([[0.0], np.cumsum(steps)])
     flat = int(np.abs(_PITCHES).argmin())
     # Where the sole ends: the lowest points just before and behind flat.
-    ends = [float(((points[i, lowest[i].argmin()] - place) @ turn)[0]) for i in (flat - 8, flat + 8)]
+    ends = [float(((points[i, lowest[i].argmin()] - place) @ matrix)[0]) for i in (flat - 8, flat + 8)]
     return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])

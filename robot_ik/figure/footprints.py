@@ -114,8 +114,10 @@ def prints_of(figure: Figure, q: Array) -> tuple[Print, Print]:
     """Where the feet stand at q."""
     found = []
     for side, name in enumerate(SIDES):
-        place, turn = figure.pose(q, figure.feet[name].frame)
-        found.append(Print(side, float(place[0]), float(place[1]), float(np.arctan2(turn[1, 0], turn[0, 0]))))
+        place, matrix = figure.pose(q, figure.feet[name].frame)
+        found.append(
+            Print(side, float(place[0]), float(place[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0])))
+        )
     return found[0], found[1]
 
 
@@ -181,14 +183,14 @@ def shuffle_prints(figure: Figure, start: tuple[Print, Print], goal: Array) -> l
     The foot on the side of the motion goes first and the other follows beside it, so that legs never cross.
     """
     a, half = stance_of(*start), figure.apart
-    turn, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
+    angle, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
     c, s = np.cos(a[2]), np.sin(a[2])
     ahead, aside = c * way[0] + s * way[1], -s * way[0] + c * way[1]
-    paces = max(abs(turn) / np.radians(30.0), float(np.hypot(ahead / 0.3, aside / 0.2)))
+    paces = max(abs(angle) / np.radians(30.0), float(np.hypot(ahead / 0.3, aside / 0.2)))
     n = max(1, int(np.ceil(paces - 1e-6)))
-    foot = 0 if (aside if abs(aside) > 0.03 else turn) > 0 else 1
+    foot = 0 if (aside if abs(aside) > 0.03 else angle) > 0 else 1
     out = list(start)
     for k in range(1, n + 1):
-        middle = np.array([*(a[:2] + way * k / n), a[2] + turn * k / n])
+        middle = np.array([*(a[:2] + way * k / n), a[2] + angle * k / n])
         out += [print_of(middle, side, half) for side in (foot, 1 - foot)]
     return out

@@ -90,11 +90,11 @@ class FrameRows:
         """No angular momentum about the centre of mass between a frame and the one before."""
         self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
 
-    def feet(self, place: Mapping[str, Array], turn: Mapping[str, Array]) -> None:
+    def feet(self, place: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
         """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
         for side, foot in self.figure.feet.items():
             self.position(foot.frame, place[side])
-            self.turned(foot.frame, turn[side])
+            self.turned(foot.frame, matrices[side])
 
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,

@@ -209,14 +209,14 @@ class _Plan:
         """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""
         heading = self.yaw.mean(axis=0)
         angle, size = 2 * np.pi * self.phase, self.going * self.gait.swing_deg / 15.0
-        turn, lean = (
+        yaw, lean = (
             np.radians(self.gait.turn_deg) * size * np.cos(angle),
             np.radians(4.0) * size * np.sin(angle - 0.35),
         )
         tilt = np.radians(4.0) * self.going
-        pelvis = rotation("z", heading - turn) @ rotation("x", lean) @ rotation("y", tilt)
+        pelvis = rotation("z", heading - yaw) @ rotation("x", lean) @ rotation("y", tilt)
         chest = (
-            rotation("z", heading + 0.8 * turn)
+            rotation("z", heading + 0.8 * yaw)
             @ rotation("x", 0.15 * lean)
             @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
         )
@@ -239,8 +239,8 @@ class _Plan:
             foot = self.figure.feet[name]
             bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
             leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
-            turn = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
-            ankle, hip = self.place[side] + turn @ foot.ankle, pelvis @ foot.hip
+            matrix = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
+            ankle, hip = self.place[side] + matrix @ foot.ankle, pelvis @ foot.hip
             flat = ((ankle[:, :2] - place - hip[:, :2]) ** 2).sum(axis=1)
             top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
         stand = float(self.figure.pose(self.figure.home, self.figure.pelvis)[0][2])
@@ -389,8 +389,8 @@ def _solve(
     z = here + (height - here) * start
     rows.position(figure.pelvis, np.column_stack([0 * z, 0 * z, z]), 2000.0, axes="z")
     if figure.gaze is not None:
-        eyes, turn = figure.pose(q, figure.gaze)
-        before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * turn[:, 0]
+        eyes, matrix = figure.pose(q, figure.gaze)
+        before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
         ahead = (
             np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
             + 3.0 * rotation("z", heading)[:, :, 0]

@@ -186,7 +186,7 @@ def run_checks(checks: Sequence[Check], limit: float = WHOLE_LIMIT) -> list[Chec
     def guarded(check: Check) -> list[CheckRow]:
         try:
             return check(until)
-        except Exception as error:  # a doctor must not fall ill
+        except Exception as error:  # one check must not end the others
             name = getattr(check, "__name__", "check").removeprefix("check_")
             return [
                 CheckRow(name, NOTE, f"could not be checked: {type(error).__name__}: {error}", "report this")

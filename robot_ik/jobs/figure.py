@@ -355,9 +355,9 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
     mujoco.mj_kinematics(figure.model, data)
     best = np.array([0.0, 0.0, np.inf])
     for body, geoms in foot.parts:
-        turn = data.xmat[body].reshape(3, 3)
-        low, points = lowest_points(figure.model, list(geoms), turn[2:3])
-        point = data.xpos[body] + turn @ points[0, int(low[0].argmin())]
+        matrix = data.xmat[body].reshape(3, 3)
+        low, points = lowest_points(figure.model, list(geoms), matrix[2:3])
+        point = data.xpos[body] + matrix @ points[0, int(low[0].argmin())]
         best = point if point[2] < best[2] else best
     return best
 

@@ -47,7 +47,7 @@ class Person(Protocol):
 
 
 def require_limp(arm: Arm) -> None:
-    """Raises ``ArmStateError`` where torque is on: nobody could move the arm by hand."""
+    """Raises ``ArmStateError`` where torque is on: the arm cannot be moved by hand."""
     torque = read_all(arm.bus, arm.config, "torque_enable")
     if on := [servo.name for servo in arm.config.servos if torque.get(servo.id)]:
         raise ArmStateError(

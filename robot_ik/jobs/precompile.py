@@ -51,7 +51,7 @@ class CompiledAhead:
 
     Args:
         kernels: Where one of them has been compiled, nothing is to be done.
-        what: They are, in the line that tells the user.
+        what: They are, in the line that reports it.
         arguments: Of Python.
     """
 

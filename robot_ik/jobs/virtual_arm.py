@@ -23,7 +23,7 @@ def virtual_arm(config: ArmConfig, clock: Clock, *, seed: int = 0) -> VirtualBus
     Args:
         config: Which servos.
         clock: On which they move.
-        seed: Of the dice of their faults.
+        seed: Of their random faults.
     """
     robot = model_of(config)
     home = robot.home if robot is not None and robot.joints == config.names else None

@@ -97,7 +97,7 @@ class Preparer:
             ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
             self._done(SetupDone(command, error=str(error).splitlines()[0]))
-        except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
+        except Exception as error:  # on a thread it is seen nowhere else, and the page waits for ever
             _log.exception("cannot prepare %s", command)
             self._done(SetupDone(command, error=f"cannot do that: {error}"))
         else:
@@ -121,7 +121,7 @@ class Preparer:
             self._compilers.setup(setup, missing, self._say)
 
     def _warm_drag(self, robot: Robot) -> None:
-        """After the first answer: nobody has to wait for it who drags nothing."""
+        """After the first answer: who drags nothing does not wait for it."""
         if not self.can_drag:
             self._say("preparing to drag parts …")
             if self._beside and not jit.compiled(lm_levels):

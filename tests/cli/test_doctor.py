@@ -1,4 +1,4 @@
-"""The doctor: what it finds, what it advises, and that it cannot hang or fall ill."""
+"""The doctor: what it finds, what it advises, and that it neither hangs nor crashes."""
 
 from __future__ import annotations
 

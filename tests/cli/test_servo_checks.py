@@ -1,4 +1,4 @@
-"""The doctor at the servos' bedside: each illness is named with its cure, nothing is written."""
+"""The doctor's checks of servos: each fault is named with what to do about it, nothing is written."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class Machine(_Data):
     """Where it was measured.
 
     Attributes:
-        calibration_us: Median time of a fixed loop of plain Python: tells how fast, and how busy, it was.
+        calibration_us: Median time of a fixed loop of plain Python: shows how fast, and how busy, it was.
         load: Load average of the last minute at the start.
     """
 

@@ -132,7 +132,7 @@ class ArReport(JobReport):
         return self.pictures / self.seconds if self.seconds > 0 else float("nan")
 
 
-#: Called with how many pictures are done, and of how many (0: nobody knows).
+#: Called with how many pictures are done, and of how many (0: unknown).
 PictureProgress = Callable[[int, int], None]
 Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
 
@@ -148,7 +148,7 @@ def run_ar(
 
     Args:
         request: What to draw on what.
-        progress: Called with how many pictures are done, and of how many (0: nobody knows).
+        progress: Called with how many pictures are done, and of how many (0: unknown).
         robot: Who is drawn; default: the request's.
         mover: Makes what moves the robot, in place of ``request.motion``.
 
@@ -199,7 +199,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """The pictures: ``total`` of them (0: nobody knows), their optics; ``scene`` None: real ones."""
+    """The pictures: ``total`` of them (0: unknown), their optics; ``scene`` None: real ones."""
 
     frames: Iterator[Frame]
     intrinsics: CameraIntrinsics

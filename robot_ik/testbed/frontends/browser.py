@@ -317,7 +317,7 @@ class Page:
             )
 
     def _driver_left(self) -> None:
-        """Nobody drags any more, and a servo arm holds."""
+        """No drag goes on, and a servo arm holds."""
         self._grab = None
         if self._view.dragged:
             self.session.send(Release())
@@ -419,7 +419,7 @@ class _CameraThread:
         """The next picture, and what is said of it."""
         try:
             return self._read() or (None, self._NOTHING)
-        except Exception as error:  # on a thread nobody else would see it, and the picture would stand still
+        except Exception as error:  # on a thread it is seen nowhere else, and the picture stands still
             LOG.debug("no picture", exc_info=True)
             return None, f'<span class="no">no picture: {html.escape(str(error).splitlines()[0])}</span>'
 

@@ -63,7 +63,7 @@ _KIND_WORDS = dict(
 )
 _MODE_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_WORDS = {"teach": "Teach", "replay": "Replay"}
-_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, when told": "passive"}
+_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
 _JOINTS_SHOWN = 8
@@ -306,7 +306,7 @@ class FigurePanel:
         self._mode = Control(
             gui.add_dropdown(
                 "Moved by", tuple(_FIGURE_WORDS), visible=view.can_act,
-                hint="Following: it acts whenever the ball moves. When told: on the ball as it is then",
+                hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
             lambda word: send(SetFigure(_FIGURE_WORDS[word])),  # type: ignore[arg-type]
         )  # fmt: skip

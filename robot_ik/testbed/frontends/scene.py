@@ -347,12 +347,12 @@ class BrowserScene:
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
-        places, turns = np.empty((self.count, 3)), np.empty((self.count, 4))
+        places, quaternions = np.empty((self.count, 3)), np.empty((self.count, 4))
         for k in range(self.count):
             mujoco.mju_rotVecQuat(places[k], frame.local.position, xquat[k, frame.body].astype(float))
-            mujoco.mju_mulQuat(turns[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
+            mujoco.mju_mulQuat(quaternions[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
         self._axes.batched_positions = (xpos[:, frame.body] + places).astype(np.float32)
-        self._axes.batched_wxyzs = turns.astype(np.float32)
+        self._axes.batched_wxyzs = quaternions.astype(np.float32)
 
     def _draw_ghosts(self, view: View) -> None:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]

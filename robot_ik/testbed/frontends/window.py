@@ -47,7 +47,7 @@ CLOSE_LIMIT = 5.0
 _AXIS_WIDTH = 0.04
 #: Seconds between two looks whether the window is closed.
 _LOOK_AGAIN = 0.05
-# Where a ball is that nobody shall see, metres.
+# Where a ball is that shall not be seen, metres.
 _NOWHERE = np.array([0.0, 0.0, -99.0])
 # Of the light at the eye, where the model has none.
 _AMBIENT, _DIFFUSE = 0.35, 0.55
@@ -153,7 +153,7 @@ class WindowSink:
         instead: What to run where there can be no window, for the hint of the error.
 
     Attributes:
-        data: The ``MjData`` that is shown; nobody else may write it.
+        data: The ``MjData`` that is shown; only its owner may write it.
 
     Raises:
         ViewerError: No display, no OpenGL on it, or macOS without ``mjpython``; the hint says what
