@@ -352,8 +352,8 @@ class MarkerGoalSource:
       which means hold where you are; after a while what ``when_lost`` says.
 
     Only ``marker`` can become a goal, whatever else is in view.  Each picture counts for the time it was
-    grabbed at (``Frame.time``, on the run's clock); from them a ``MotionFilter`` estimates where the
-    marker is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
+    grabbed at (``Frame.time``, on the run's clock); from them a ``MotionFilter`` estimates where the marker
+    is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
     metres and for the radians, at least 0.05.
 
     ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``look`` may be

@@ -132,7 +132,7 @@ def _finish(results: Results, folder: Path, *, plots: bool) -> None:
     from robot_ik.bench.methods.results import draw, results_text
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
-    if not (results.cells or results.floors or results.batches):
+    if not (results.cells or results.lower_bounds or results.batches):
         return  # it had not begun
     write_atomically(folder / "bench.json", results_text(results))
     print_results(results)
@@ -152,7 +152,7 @@ def print_results(results: Results) -> None:
         groups.setdefault((cell.robot, cell.set), []).append(cell)
     for (robot, name), cells in groups.items():
         _print_cells(robot, name, cells)
-    _print_floors(results)
+    _print_lower_bounds(results)
     _print_growth(results)
     _print_batches(results)
 
@@ -198,12 +198,12 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-def _print_floors(results: Results) -> None:
-    if results.floors:
+def _print_lower_bounds(results: Results) -> None:
+    if results.lower_bounds:
         shown = console.table(
             "robot", "joints", "forward µs", "forward + Jacobian µs", title="kinematics in a compiled loop"
         )
-        for one in results.floors:
+        for one in results.lower_bounds:
             shown.add_row(one.robot, str(one.joints), f"{one.forward_us:.3f}", f"{one.jacobian_us:.3f}")
         _show(shown)
 

@@ -89,7 +89,7 @@ class Campaign:
     def _kernels(self, results: Results, progress: Progress) -> None:
         progress("kernels: forward and Jacobian", 0.0)
         seed, figure = self.settings.seed, load_robot(growth.FIGURE)
-        results.floors += [growth.floor(robot, seed) for robot in self.robots]
+        results.lower_bounds += [growth.lower_bound(robot, seed) for robot in self.robots]
         for k, solver in enumerate(self.solvers):
             progress(f"growth, {solver.name}", k / len(self.solvers))
             results.growth.extend(growth.growth_with_joints(solver, seed))

@@ -124,7 +124,7 @@ class Curve(_Data):
     miss: list[float]
 
 
-class Floor(_Data):
+class LowerBound(_Data):
     """Cost of the kinematics alone, measured in a compiled loop, µs."""
 
     robot: str
@@ -169,7 +169,7 @@ class Results(_Data):
     settings: Settings
     cells: list[Cell] = []
     curves: list[Curve] = []
-    floors: list[Floor] = []
+    lower_bounds: list[LowerBound] = []
     growth: list[Growth] = []
     batches: list[Batch] = []
 
