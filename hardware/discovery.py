@@ -115,7 +115,6 @@ def scan(
     port: str,
     bauds: Sequence[int] = LIKELY,
     *,
-    make_bus: Callable[..., ScanBus] = ScanBus,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[FoundServo]:
     """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
@@ -123,7 +122,6 @@ def scan(
     Args:
         port: Of the adapter.
         bauds: Rates to try, bits/s.
-        make_bus: Makes the driver: (port, baud, retries).
         progress: Called with (what is going on, share done).
 
     Returns:
@@ -136,7 +134,7 @@ def scan(
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
         progress(f"{baud} baud", k / len(bauds))
-        bus = make_bus(port, baud, retries=0)
+        bus = ScanBus(port, baud, retries=0)
         bus.open()
         try:
             heard, damaged = bus.collect_pings(listening_time(baud))

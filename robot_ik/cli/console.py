@@ -314,6 +314,12 @@ def print_json(value: Mapping[str, Any]) -> None:
     sys.stdout.write(json_text(plain(value)) + "\n")
 
 
+def print_json_line(value: Mapping[str, Any]) -> None:
+    """One JSON object on one line of stdout, at once."""
+    sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
 # ----------------------------------------------------------------------------------- errors
 
 

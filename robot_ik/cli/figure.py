@@ -154,11 +154,8 @@ def _lion(lion: Lion, options: FigureOptions) -> int:
     if options.path or options.tour is not None or options.mode != "active":
         raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
     if options.balls is not None:
-        import json
-
         for ball in read_balls(options.balls):
-            row = {"ball": json_numbers(ball), **asdict(lion.decide(ball))}
-            console.out().file.write(json.dumps(row) + "\n")
+            console.print_json_line({"ball": json_numbers(ball), **asdict(lion.decide(ball))})
         return console.DONE
     balls = (options.ball,) if options.ball is not None else _LION_BALLS
     with claimed(options.frames, overwrite=options.overwrite):
@@ -212,13 +209,11 @@ def _request(options: FigureOptions) -> FigureRequest:
 
 
 def _decisions(abilities: Abilities, options: FigureOptions) -> int:
-    import json
-
     from robot_ik.jobs.figure import decide_balls, read_balls
 
     assert options.balls is not None
     for row in decide_balls(abilities, read_balls(options.balls), _place(options)):
-        console.out().file.write(json.dumps(row) + "\n")
+        console.print_json_line(row)
     return console.DONE
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
-from robot_ik.files import claimed, plain
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.hardware.backup import Change
@@ -307,10 +305,8 @@ def _lines(link: Link, options: ServoMonitorOptions) -> int:
     begin = link.clock.now()
 
     def show(states: Sequence[ServoState]) -> None:
-        servos = [plain(asdict(state)) for state in states]
-        sample = {"time": round(link.clock.now() - begin, 6), "servos": servos}
-        sys.stdout.write(json.dumps(sample, allow_nan=False) + "\n")
-        sys.stdout.flush()
+        servos = [asdict(state) for state in states]
+        console.print_json_line({"time": round(link.clock.now() - begin, 6), "servos": servos})
 
     return _watch(link, options, show)
 

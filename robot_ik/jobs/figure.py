@@ -464,6 +464,10 @@ def _gif(images: Sequence[Image]) -> bytes:
     return out.getvalue()
 
 
+_STRIP_WIDTH = 165
+"""px of each picture of a film strip."""
+
+
 def strip(
     figure: Figure,
     q: Array,
@@ -471,12 +475,11 @@ def strip(
     view_deg: tuple[float, float],
     *,
     follow: bool = False,
-    width: int = 165,
 ) -> Image:
     """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
     import cv2
 
-    optics = lens(2 * width, 560)
+    optics = lens(2 * _STRIP_WIDTH, 560)
     picks = np.linspace(0, len(q) - 1, count).astype(int)
     moved = q[picks].copy()
     if follow:

@@ -46,7 +46,7 @@ def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
     return (closed_form, lm)
 
 
-class CompiledAhead:
+class Precompilation:
     """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
 
     Args:

@@ -26,7 +26,7 @@ from robot_ik.jobs import JobReport
 from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
-from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.robot import load_robot
 
@@ -159,8 +159,8 @@ def run_ar(
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
-        ahead = stack.enter_context(CompiledAhead.overlay())
-        phases = _ArPhases(request, robot, mover, sink, ahead, progress, stack)
+        compiling = stack.enter_context(Precompilation.overlay())
+        phases = _ArPhases(request, robot, mover, sink, compiling, progress, stack)
         placed = phases.place()
         opened = phases.open(placed)
         placed = phases.fit(placed, opened)
@@ -227,7 +227,7 @@ class _ArPhases:
     robot: Robot
     mover: Mover | None
     sink: PictureSink
-    ahead: CompiledAhead
+    compiling: Precompilation
     progress: PictureProgress
     stack: contextlib.ExitStack
 
@@ -263,7 +263,7 @@ class _ArPhases:
                 begin = tracked.time if begin is None else begin
                 start = time.perf_counter()
                 seen = registrar.track(tracked)
-                self.ahead.wait()
+                self.compiling.wait()
                 qpos = self.robot.qpos(placed.motion.q(shown.time - begin, seen))
                 made = registrar.compose(seen, shown, qpos)
                 spent += time.perf_counter() - start

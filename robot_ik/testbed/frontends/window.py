@@ -334,14 +334,13 @@ class SessionWindow:
 
     Args:
         session: What is shown and driven.
-        limit: Seconds the window may take to appear.
 
     Raises:
         ViewerError: As ``WindowSink``.
     """
 
-    def __init__(self, session: Session, limit: float = OPEN_LIMIT) -> None:
-        self.session, self._limit = session, limit
+    def __init__(self, session: Session) -> None:
+        self.session = session
         self._view = session.view()
         self._overlay = True
         self._robot: Robot | None = None
@@ -365,7 +364,7 @@ class SessionWindow:
         self._option = mujoco.MjvOption()
         before = set(threading.enumerate())
         self._viewer = _launch(
-            self._model, self._data, self._limit, _WITHOUT_VIEWER, key_callback=self._on_key
+            self._model, self._data, OPEN_LIMIT, _WITHOUT_VIEWER, key_callback=self._on_key
         )
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         body = int(self._model.body(_BALL).id)
