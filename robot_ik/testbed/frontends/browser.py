@@ -25,17 +25,15 @@ from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
-    Control,
     FigurePanel,
     GoalsPanel,
     MeasuredPanel,
     MethodPanel,
     RunPanel,
     key_table,
-    page,
-    pressed,
 )
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
+from robot_ik.testbed.frontends.widgets import Control, page, pressed
 from robot_ik.testbed.keymap import KEYMAP, Key
 from robot_ik.testbed.session import Session, View
 
