@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.serial_port import QuietPortHandler
+from robot_ik.hardware.serial_port import SleepingPortHandler
 from robot_ik.hardware.virtual.bus import VirtualBus
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class SimBus(DynamixelBus):
         super().__init__("sim", retries=retries, make_handler=handler, now=virtual_bus.clock.now)
 
 
-class InProcessPort(QuietPortHandler):
+class InProcessPort(SleepingPortHandler):
     """What the driver takes for a serial port: bytes written are answered before the call returns.
 
     Args:

@@ -10,10 +10,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # What stands in their place today.  Words that are plain English as well (ease, room, bend) cannot be here.
 FORMER = {
+    "AnswerTimes": "RoundTripEstimator",
     "answer_times": "round-trip estimator",
     "arm_zeros": "kinematic calibration",
     "Blindfold": "WithoutTruth",
     "CameraPlace": "CameraExtrinsics",
+    "CompiledAhead": "Precompilation",
     "dice": "rng, a random generator",
     "grain": "sensor noise",
     "heed": "joint_weights",
@@ -26,6 +28,7 @@ FORMER = {
     "Mixture": "Unobservable",
     "on_demand": "lazy imports",
     "quiet_port": "SleepingPortHandler",
+    "QuietPortHandler": "SleepingPortHandler",
     "Remedies": "LatencyOptions",
     "shout": "broadcast_ping",
     "Sight": "PlacedObservation",
