@@ -117,7 +117,7 @@ class Arm:
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
-        self._heartbeat = Heartbeat(self._look)
+        self._heartbeat = Heartbeat(self._beat)
         self._streaming = False  # commands come one after the other, none of them meant to last
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
@@ -431,8 +431,8 @@ class Arm:
 
     # ----------------------------------------------------------------- while the program does not command
 
-    def _look(self) -> None:
-        """One beat.  Whoever holds the lock is at work: then there is nothing to look after."""
+    def _beat(self) -> None:
+        """One beat.  Whoever holds the lock is at work: then there is nothing to check."""
         if not self._lock.acquire(blocking=False):
             return
         try:

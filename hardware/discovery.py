@@ -138,7 +138,7 @@ def scan(
         bus.open()
         try:
             heard, damaged = bus.collect_pings(listening_time(baud))
-            servos = [_look(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
+            servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
             if damaged:
                 rest = [id for id in IDS if id not in heard]
                 servos += _one_by_one(bus, baud, rest, progress)
@@ -190,13 +190,13 @@ def _one_by_one(
         if damaged and id not in heard:
             heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one answer
         for other, who in heard.items():
-            found[other] = _look(bus, FoundServo(other, baud, *who))
+            found[other] = _details(bus, FoundServo(other, baud, *who))
         if damaged and id not in heard:
             found[id] = FoundServo(id, baud, shared=True)
     return list(found.values())
 
 
-def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
+def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
     """The same servo with its state, and whether its answers collide with another's."""
     table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
     before = bus.counters.corrupt
