@@ -160,10 +160,11 @@ def refused(problem: str, hint: str = "") -> int:
 def agreed(question: str) -> bool:
     """Asks on stderr for a yes; the end of the input is a no."""
     talk().print(Text(f"{question} [y/N] "), end="")
-    answer = sys.stdin.readline()
-    if not answer:
+    try:
+        return input().strip().lower() in ("y", "yes")
+    except EOFError:
         say("")
-    return answer.strip().lower() in ("y", "yes")
+        return False
 
 
 class _FoldedTable(Table):
