@@ -4,7 +4,7 @@
     python examples/03_see_and_reach.py 2        a hidden zero offset of 2 degrees in joint2: NOT REACHED
 
 Camera and servos are simulated; nothing below looks at what they really know.  Prints the goal and how far
-the gripper is from it: by the servos' registers, which know nothing of the offset, and by the camera.
+the gripper is from it: by the servos' registers, in which the offset does not show, and by the camera.
 """
 
 import sys

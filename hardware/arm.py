@@ -2,7 +2,7 @@
 
 ``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``PARKING`` on the way to a
 pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm; the
-heartbeat is the only other one, and shares a lock with it.  Who acts when nobody drives: ``watchdogs``.
+heartbeat is the only other one, and shares a lock with it.  What acts when no command comes: ``watchdogs``.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Arm:
         self._energised = False  # torque may be on because of us, whatever the state says
         self._guard = ExitGuard(self._last_resort)
         self._lock = threading.RLock()
-        self._heartbeat = Heartbeat(self._look)
+        self._heartbeat = Heartbeat(self._beat)
         self._streaming = False  # commands come one after the other, none of them meant to last
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
@@ -177,7 +177,7 @@ class Arm:
             require_calibrated(self.config)
         if not self.config.stale_ms:
             log.warning(
-                "stale_ms = 0: in a pause of the commands nobody holds the arm, and a loaded joint sinks"
+                "stale_ms = 0: in a pause of the commands nothing holds the arm, and a loaded joint sinks"
             )
         self._guard.install()
         first, self._energised = not self._energised, True
@@ -240,7 +240,7 @@ class Arm:
         """Measured joint angles; those of this cycle's ``send`` cost nothing, otherwise the servos are asked.
 
         A joint that missed a cycle keeps its last sample; ``time`` is that of the oldest.  In ``FAULT`` the
-        last samples are returned and nobody is asked.
+        last samples are returned and no servo is asked.
 
         Raises:
             ArmStateError: Not connected.
@@ -431,8 +431,8 @@ class Arm:
 
     # ----------------------------------------------------------------- while the program does not command
 
-    def _look(self) -> None:
-        """One beat.  Whoever holds the lock is at work: then there is nothing to look after."""
+    def _beat(self) -> None:
+        """One beat.  Whoever holds the lock is at work: then there is nothing to check."""
         if not self._lock.acquire(blocking=False):
             return
         try:
@@ -586,7 +586,7 @@ class Arm:
             return False
 
     def _last_resort(self) -> None:
-        """At the end of the interpreter: nobody closed the arm."""
+        """At the end of the interpreter, where the arm was not closed."""
         if self._energised:
             log.error("the program ended without closing its arm")
             try:

@@ -6,7 +6,6 @@ reached: they are saved, and changed by setting a servo up, not here.
 
 from __future__ import annotations
 
-import datetime
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, ServoMismatchError, ServoRefusedError
-from robot_ik.files import read_json, shown, write_atomically
+from robot_ik.files import read_json, shown, timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, joint_named
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
@@ -98,8 +97,7 @@ def save_backup(path: Path, arm: str, servos: Sequence[SavedServo]) -> None:
         }
         for s in servos
     ]
-    now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    content = {"schema": SCHEMA, "arm": arm, "created": now, "servos": rows}
+    content = {"schema": SCHEMA, "arm": arm, "created": timestamp(), "servos": rows}
     write_atomically(path, json.dumps(content, indent=1) + "\n")
 
 

@@ -61,7 +61,7 @@ class Counters:
         cycles: Reads of many servos at once.
         asked: Measurements wanted in them, one per servo; always the sum of the next three.
         answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
-            Single reads and writes that nobody answered count as ``asked`` and ``timeouts`` too.
+            Single reads and writes without an answer count as ``asked`` and ``timeouts`` too.
         corrupt: Answers that came and could not be trusted (checksum, length).
         late: Answers that came after their question was given up; nothing of them was used.
         retries: Requests repeated because of the above.
@@ -124,7 +124,7 @@ class ServoBus(Protocol):
         ...
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
-        """One register of one servo.  To ``BROADCAST_ID`` nobody answers."""
+        """One register of one servo.  No servo answers one to ``BROADCAST_ID``."""
         ...
 
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
@@ -132,7 +132,7 @@ class ServoBus(Protocol):
         ...
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet (servo id -> value); nobody answers."""
+        """The same register of many servos in one packet (servo id -> value), which has no answer."""
         ...
 
     def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
@@ -149,9 +149,9 @@ class ServoBus(Protocol):
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        """A control cycle: ``bulk_write``, then ``bulk_read``, nobody asked again after ``within`` s.
+        """A control cycle: ``bulk_write``, then ``bulk_read``, no servo asked again after ``within`` s.
 
-        Late answers are told from good ones; for that some bytes behind each register are read at times.
+        Late answers are distinguished from good ones: at times some bytes behind each register are read.
         """
         ...
 

@@ -114,7 +114,7 @@ def calibration_beside(arm_file: Path) -> Path:
 _Row = Annotated[JointCalibration, keys_of(JointCalibration)]
 
 
-class _Bus(Table):
+class _BusTable(Table):
     baud: int
 
 
@@ -123,7 +123,7 @@ class _CalibrationFile(Table):
     arm: str
     robot: str
     created: str
-    bus: _Bus
+    bus: _BusTable
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
 
@@ -135,13 +135,6 @@ class _CalibrationFile(Table):
                     key, allowed = f"{table}[{k}].range_min", f"< {row.range_max}"
                     raise WrongKey(f"the range of {row.name!r} is empty", key, allowed)
         return self
-
-
-def as_plain(calibration: Calibration) -> dict[str, Any]:
-    """For JSON."""
-    content = asdict(calibration)
-    content["file"] = str(calibration.file) if calibration.file else ""
-    return content
 
 
 # ------------------------------------------------------------------------------------------

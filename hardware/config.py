@@ -193,6 +193,24 @@ class ArmConfig:
                 return joint
         raise UnknownJointError(name, self.whole.names)
 
+    def only(self, names: Sequence[str]) -> ArmConfig:
+        """The arm with these joints, also those that are no part of q; as it is where none is named.
+
+        Raises:
+            UnknownJointError: No such joint; close ones are named.
+        """
+        wanted = {self.joint(name).name for name in names}
+        kept = tuple(joint for joint in self.whole.joints if joint.name in wanted)
+        return replace(self.whole, joints=kept) if names else self
+
+    def slowed(self, share: float) -> ArmConfig:
+        """The arm with a share of its speed and acceleration caps, above 0 and up to 1."""
+        joints, auxiliary = (
+            tuple(replace(j, velocity=share * j.velocity, acceleration=share * j.acceleration) for j in row)
+            for row in (self.joints, self.auxiliary)
+        )
+        return replace(self, joints=joints, auxiliary=auxiliary)
+
     def auxiliary_of(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group that are no part of q."""
         return tuple(joint for joint in self.auxiliary if joint.group == name)

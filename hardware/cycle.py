@@ -141,7 +141,7 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
 
     Raises:
         MotorFaultError: ``no_status`` or ``corrupt``.
-        BusTimeoutError: Nobody answers.
+        BusTimeoutError: No servo answers.
         BusDisconnectedError: The port went away.
     """
     try:
@@ -195,19 +195,19 @@ _ALARM_PERIOD = 0.5  # s; asking costs a cycle
 
 
 def _presses(servo: JointMap) -> bool:
-    """It is told how hard to press: what it grips keeps it from its goal, and that goal is kept."""
+    """Its goal current says how hard it presses: what it grips keeps it from its goal, which stays."""
     return servo.mode == OperatingMode.CURRENT_BASED_POSITION
 
 
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
-    Commands are of the arm's q, or by name; what they do not speak of stays at its last command.  All else
+    Commands are of the arm's q, or by name; what they do not name stays at its last command.  All else
     here is of all joints: those of q, then the auxiliary ones.
 
     Attributes:
         samples: Measured positions; ``limits``: state of the limiter; ``goals``: servo id -> ticks last sent.
-        held: The goals are those of an arm that holds: nobody changes them but the next command.
+        held: The goals are those of an arm that holds; only the next command changes them.
         reports: See ``MotionReport``.
     """
 
@@ -324,7 +324,7 @@ class Cycle:
             stop: Asked in every cycle.
 
         Returns:
-            (all joints,) rad still to go; 0 where arrived, and where nobody sent it.
+            (all joints,) rad still to go; 0 where arrived, and where it was not sent.
 
         Raises:
             UnsafeCommandError, MotorFaultError, BusTimeoutError, BusDisconnectedError: As ``drive``.

@@ -1,7 +1,7 @@
 """Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
 
 Answers of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
-looks as if nobody with that id were there.  So a scan counts damaged bytes, and where it saw some it asks
+looks as if no servo had that id.  So a scan counts damaged bytes, and where it saw some it asks
 every id alone.
 """
 
@@ -83,7 +83,7 @@ class ScanBus(DynamixelBus):
             listen: s.
 
         Returns:
-            Servo id -> (model number, firmware), and how much came that nobody can understand.
+            Servo id -> (model number, firmware), and how many bytes belong to no packet.
 
         Raises:
             BusDisconnectedError, BusNotOpenError.
@@ -115,7 +115,6 @@ def scan(
     port: str,
     bauds: Sequence[int] = LIKELY,
     *,
-    make_bus: Callable[..., ScanBus] = ScanBus,
     progress: Callable[[str, float], None] = lambda what, share: None,
 ) -> list[FoundServo]:
     """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
@@ -123,7 +122,6 @@ def scan(
     Args:
         port: Of the adapter.
         bauds: Rates to try, bits/s.
-        make_bus: Makes the driver: (port, baud, retries).
         progress: Called with (what is going on, share done).
 
     Returns:
@@ -136,11 +134,11 @@ def scan(
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
         progress(f"{baud} baud", k / len(bauds))
-        bus = make_bus(port, baud, retries=0)
+        bus = ScanBus(port, baud, retries=0)
         bus.open()
         try:
             heard, damaged = bus.collect_pings(listening_time(baud))
-            servos = [_look(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
+            servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
             if damaged:
                 rest = [id for id in IDS if id not in heard]
                 servos += _one_by_one(bus, baud, rest, progress)
@@ -159,6 +157,28 @@ def nobody_hint(bauds: Iterable[int]) -> str:
     return text + (f" rates not tried: {', '.join(map(str, left))}" if left else "")
 
 
+def scan_notes(found: Sequence[FoundServo]) -> list[str]:
+    """What is wrong with all of them together."""
+    if len(found) > 1 and all(servo.shared for servo in found):
+        return ["every answer is damaged: check the cable, its contacts and the adapter"]
+    notes = [
+        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
+        "and give it another: robot-ik servo setup --id N"
+        for servo in found
+        if servo.shared
+    ]
+    rates: dict[int, list[str]] = {}
+    for servo in found:
+        rates.setdefault(servo.baud, []).append(str(servo.id))
+    if len(rates) > 1:
+        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
+        notes.append(
+            f"they talk at different rates ({listed}). "
+            "Connect one alone: robot-ik servo setup --id N --baud RATE"
+        )
+    return notes
+
+
 def _one_by_one(
     bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
 ) -> list[FoundServo]:
@@ -170,13 +190,13 @@ def _one_by_one(
         if damaged and id not in heard:
             heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one answer
         for other, who in heard.items():
-            found[other] = _look(bus, FoundServo(other, baud, *who))
+            found[other] = _details(bus, FoundServo(other, baud, *who))
         if damaged and id not in heard:
             found[id] = FoundServo(id, baud, shared=True)
     return list(found.values())
 
 
-def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
+def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
     """The same servo with its state, and whether its answers collide with another's."""
     table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
     before = bus.counters.corrupt
@@ -196,7 +216,7 @@ def _look(bus: ScanBus, servo: FoundServo) -> FoundServo:
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
     damaged = bus.counters.corrupt - before
-    if not values:  # it answers pings only, or nobody can understand it
+    if not values:  # it answers pings only, or its answers are damaged
         return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
     return FoundServo(
         servo.id,

@@ -23,15 +23,15 @@ from robot_ik.hardware.packets import (
     FAST_FRAME,
     FAST_HEAD,
     SHORTEST_STATUS,
-    Answer,
     FastParser,
+    StatusPacket,
     StatusParser,
     build,
     read_request,
     whole_fast_status,
     write_request,
 )
-from robot_ik.hardware.serial_port import ANSWER_TIME, QUIET, QuietPortHandler, Wire
+from robot_ik.hardware.serial_port import ANSWER_TIME, QUIET, SleepingPortHandler, Wire
 
 # ------------------------------------------------------------------------------------------
 # How long servos take to answer, learned from their answers: how long to wait, when to watch the port.
@@ -50,7 +50,7 @@ _FORGET = 0.98  # share of the longest answer time kept from one answer to the n
 _GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
 
 
-class AnswerTimes:
+class RoundTripEstimator:
     """Times from question to answer, s, without those of the bytes.
 
     The usual time and its spread are the running mean and mean deviation of Jacobson, "Congestion avoidance
@@ -79,7 +79,7 @@ class AnswerTimes:
 
     @property
     def expected(self) -> float | None:
-        """s after which an answer usually comes; None where that cannot be told to ``STEADY``."""
+        """s after which an answer usually comes; None where that is not known to within ``STEADY``."""
         return self._usual if self._spread < STEADY else None
 
 
@@ -89,7 +89,7 @@ class AnswerTimes:
 # Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
 # in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE``
 # failures in
-# a row for good.  Who does not answer is asked again while there is time, and hides nobody.
+# a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
 # An answer does not say which question it answers.  So in a control cycle, after an answer was missed,
 # the next
@@ -127,10 +127,6 @@ class _Wanted(NamedTuple):
     found: dict[int, BusStatus]
 
 
-def _question(registers: Mapping[int, Register]) -> str:
-    return "read of " + ", ".join({register.name: None for register in registers.values()})
-
-
 @lru_cache(maxsize=1024)
 def _widened(register: Register, by: int) -> Register:
     return replace(register, size=register.size + by)
@@ -161,7 +157,7 @@ class GroupTraffic:
         self._missed: dict[int, int] = {}  # servo id -> bytes it was last asked for in vain
         self._fast_misses = 0
         self._phase = 0
-        self._times = AnswerTimes()
+        self._times = RoundTripEstimator()
 
     @property
     def fast(self) -> bool:
@@ -169,14 +165,14 @@ class GroupTraffic:
         return bool(self.fast_ids) and self._fast_misses < FAST_PATIENCE
 
     def write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """Servo id -> register and value, in one packet; nobody answers.
+        """Servo id -> register and value, in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
             BusDisconnectedError, BusNotOpenError.
         """
         request = write_request(values) if values else b""
-        # Nobody answers, so an answer still outstanding keeps belonging to the question before.
+        # It has no answer, so an answer still outstanding keeps belonging to the question before.
         with self._wire.transaction(None) as port:
             if request:
                 port.send(request)
@@ -194,9 +190,9 @@ class GroupTraffic:
         Args:
             registers: Servo id -> what is read from it.
             writes: As for ``write``; leave in the same piece as the question.
-            within: s; after that nobody is asked again.  The first question always gets its full time.
-            guarded: Late answers are told by their length; ``PHASES`` - 1 bytes behind each register must be
-                readable as well.
+            within: s; after that no servo is asked again.  The first question always gets its full time.
+            guarded: Late answers are recognised by their length; ``PHASES`` - 1 bytes behind each register
+                must be readable as well.
 
         Returns:
             A row for every id; ``data`` is None where nothing usable came.
@@ -207,7 +203,7 @@ class GroupTraffic:
         """
         before = write_request(writes) if writes else b""
         found: dict[int, BusStatus] = {}
-        # A servo waits for the answers of those named before it: silent ones go last and hide nobody.
+        # A servo waits for the answers of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
         with self._wire.transaction(plan.asks) as port:
@@ -260,16 +256,17 @@ class GroupTraffic:
             if len(self._plans) > 1000:  # questions about changing sets of servos
                 self._plans.clear()
             request = read_request(registers, fast=fast)
-            plan = _ReadPlan(_question(registers), request, back, fast, sizes, rows)
+            names = ", ".join({register.name: None for register in registers.values()})
+            plan = _ReadPlan(f"read of {names}", request, back, fast, sizes, rows)
             self._plans[key] = plan
         return plan
 
-    def _patience(self, plan: _ReadPlan, port: QuietPortHandler) -> float:
+    def _patience(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
         """s from sending the question to giving up the answers."""
         wait = self._times.patience(self._wire.answer_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
-    def _once(self, port: QuietPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
+    def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
         """One request and the answers to it; puts the usable ones into ``wanted.found``."""
         port.clear()
         port.send(before + plan.request)
@@ -312,7 +309,7 @@ class GroupTraffic:
         self._counters.answered += len(values)
         return True
 
-    def _take(self, answers: Iterable[Answer], wanted: _Wanted, waiting: set[int]) -> int:
+    def _take(self, answers: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
         """Takes the answers that somebody waits for; how many of them cannot be what was asked."""
         registers, asked, found = wanted
         last_good, now = self._wire.last_good, self._wire.now()
@@ -381,7 +378,7 @@ class DynamixelBus:
         *,
         retries: int = 2,
         answer_time: float = ANSWER_TIME,
-        make_handler: Callable[..., QuietPortHandler] = QuietPortHandler,
+        make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port = port
@@ -459,7 +456,7 @@ class DynamixelBus:
         return BusStatus(id, register.decode(answer.data), 0, answer.alert)
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
-        """One register of one servo; to ``BROADCAST_ID`` nobody answers.
+        """One register of one servo; no servo answers one to ``BROADCAST_ID``.
 
         Raises:
             ValueError: The value does not fit the register; nothing is sent.
@@ -467,7 +464,7 @@ class DynamixelBus:
         """
         data = list(register.encode(value))
 
-        def send(port: QuietPortHandler) -> object:
+        def send(port: SleepingPortHandler) -> object:
             return self._packet.writeTxOnly(port, id, register.address, register.size, data)
 
         if id == BROADCAST_ID:
@@ -488,7 +485,7 @@ class DynamixelBus:
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet; nobody answers.
+        """The same register of many servos in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit the register; nothing is sent.
@@ -497,7 +494,7 @@ class DynamixelBus:
         self._group.write({id: (register, value) for id, value in values.items()})
 
     def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """A register of its own of every servo in one packet; nobody answers.
+        """A register of its own of every servo in one packet, which has no answer.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
@@ -534,7 +531,7 @@ class DynamixelBus:
         Args:
             writes: Servo id -> register and value.
             reads: Servo id -> register.
-            within: s after which nobody is asked again.
+            within: s after which no servo is asked again.
 
         Returns:
             A row for every id of ``reads``; ``data`` is None where nothing usable came.
@@ -546,16 +543,18 @@ class DynamixelBus:
         return self._group.read(reads, writes, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
-        """Only these servos may be asked to answer together in one packet; at first nobody."""
+        """Only these servos may be asked to answer together in one packet; at first none."""
         self._group.fast_ids = frozenset(ids)
 
     # ---------------------------------------------------------------------------------- packets
 
-    def _bare(self, port: QuietPortHandler, id: int, instruction: int) -> object:
+    def _bare(self, port: SleepingPortHandler, id: int, instruction: int) -> object:
         """An instruction without parameters."""
         return self._packet.txPacket(port, [0, 0, 0, 0, id, 3, 0, instruction, 0, 0])
 
-    def _ask(self, id: int, what: str, size: int, send: Callable[[QuietPortHandler], object]) -> Answer:
+    def _ask(
+        self, id: int, what: str, size: int, send: Callable[[SleepingPortHandler], object]
+    ) -> StatusPacket:
         """Sends until servo ``id`` answers with ``size`` bytes of data or an error number."""
         corrupt = self.counters.corrupt
         with self._wire.transaction(f"{what} of {id}") as port:
@@ -586,7 +585,7 @@ class DynamixelBus:
         age = None if since is None else self._wire.now() - since
         raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
 
-    def _answer(self, port: QuietPortHandler, id: int, size: int) -> Answer | None:
+    def _answer(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
         """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
         while True:
             answer = self._wire.receive(port)

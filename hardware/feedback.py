@@ -50,7 +50,7 @@ class Measurement(NamedTuple):
     torque: bool | None
 
 
-class _Block(NamedTuple):
+class _FeedbackBlock(NamedTuple):
     """Registers of one servo that are read in one piece.
 
     Attributes:
@@ -83,7 +83,7 @@ class Feedback:
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
-        self._health: dict[int, _Block] = {}
+        self._health: dict[int, _FeedbackBlock] = {}
         self._thresholds = {
             servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
         }
@@ -232,7 +232,7 @@ def _health_of(table: ControlTable) -> tuple[str, ...]:
     return (effort, "present_temperature", "present_input_voltage")
 
 
-def _point(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _Block:
+def _point(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _FeedbackBlock:
     """The block of a servo, after its indirect addresses point at the parts.
 
     Raises:
@@ -250,7 +250,7 @@ def _point(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) 
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
     offsets = {name: places.index(table[name].address) for name in parts}
-    return _Block(_piece(_LONG_BLOCK, data.address, len(places)), offsets)
+    return _FeedbackBlock(_piece(_LONG_BLOCK, data.address, len(places)), offsets)
 
 
 def _short(block: Register, table: ControlTable) -> Register:
@@ -258,12 +258,14 @@ def _short(block: Register, table: ControlTable) -> Register:
     return _piece(_BLOCK, block.address, sum(table[name].size for name in _PARTS))
 
 
-def _stretch(table: ControlTable) -> _Block:
+def _stretch(table: ControlTable) -> _FeedbackBlock:
     """From current or load to temperature, as they lie: for servos without indirect addresses."""
     names = (*_health_of(table), "present_position")
     first = min(table[name].address for name in names)
     size = max(table[name].end for name in names) - first
-    return _Block(_piece(_STRETCH, first, size), {name: table[name].address - first for name in names})
+    return _FeedbackBlock(
+        _piece(_STRETCH, first, size), {name: table[name].address - first for name in names}
+    )
 
 
 def _piece(name: str, address: int, size: int) -> Register:

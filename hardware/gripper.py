@@ -1,4 +1,4 @@
-"""What an arm does with joints that are no part of its q: a gripper's, held until they are told otherwise."""
+"""What an arm does with joints that are no part of its q: a gripper's, held until they get another goal."""
 
 from __future__ import annotations
 

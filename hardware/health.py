@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow, named_users_of, permission_hint
+from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig
@@ -24,6 +22,7 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.ports import serial_row
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,7 @@ def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
         servos: Rows of an arm file; a second servo of a joint is a row of its own.
 
     Returns:
-        A row for each, in the same order; one that did not answer is told by ``answered``.
+        A row for each, in the same order; ``answered`` is False of one that did not answer.
 
     Raises:
         BusDisconnectedError, BusNotOpenError.
@@ -139,7 +138,7 @@ _WARM = 10  # C below its limit, a servo is worth a word
 
 
 def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
-    """The port, then every servo of the arm file, then those that nobody expects.
+    """The port, then every servo of the arm file, then those that are not in it.
 
     All rates are tried only when a servo is missing at the arm file's.
     """
@@ -265,55 +264,3 @@ def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[s
         text = f"it waits {f.return_delay} us before each answer"
         rows.append((NOTE, text, "nothing: every start of the arm sets 0"))
     return rows
-
-
-def latency_ms(path: str, sys_root: str = "/sys") -> int | None:
-    """Latency timer of a USB serial adapter in ms, or ``None`` where the driver has none."""
-    name = os.path.basename(os.path.realpath(path))
-    try:
-        return int(Path(sys_root, "bus/usb-serial/devices", name, "latency_timer").read_text())
-    except (OSError, ValueError):
-        return None
-
-
-_FTDI = 0x0403  # USB vendor; most adapters of servos have such a chip
-
-_LATENCY_ADVICE = {
-    "win32": "set it to 1 ms: Device Manager, Ports, this one, Port Settings, Advanced, Latency Timer",
-    "darwin": "where cycles are slow: FTDI's own driver (VCP) lets the latency timer be set to 1 ms",
-}
-"""Systems on which a latency timer cannot be read -> what to do about it."""
-
-
-def serial_row(
-    path: str, about: str, *, sys_root: str = "/sys", system: str = sys.platform, vendor: int | None = None
-) -> CheckRow:
-    """One serial port: may it be used, is it in use, how late does it answer.
-
-    Args:
-        path: Its name.
-        about: Its description.
-        sys_root: Where Linux tells of devices.
-        system: As ``sys.platform``.
-        vendor: Of the USB adapter, where known.
-    """
-    what = f"serial {path}"
-    if advice := _LATENCY_ADVICE.get(system):
-        # Windows has no files for ports, and tells by opening only who may use one.
-        if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
-            return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
-        late = vendor == _FTDI
-        text = "; its latency timer cannot be read, as it comes it is 16 ms"
-        return CheckRow(what, NOTE if late else OK, about + (text if late else ""), advice if late else "")
-    if not os.access(path, os.R_OK | os.W_OK):
-        return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
-    users = named_users_of(path)
-    if users:
-        return CheckRow(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")
-    latency = latency_ms(path, sys_root)
-    if latency is not None and latency > 1:
-        name = os.path.basename(os.path.realpath(path))
-        timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
-        # 16 ms, the driver's default, holds six servos to about 57 cycles a second.
-        return CheckRow(what, NOTE, f"{about}; answers {latency} ms late", f"echo 1 | sudo tee {timer}")
-    return CheckRow(what, OK, about + ("; free" if system.startswith("linux") else ""))

@@ -107,7 +107,7 @@ class SafetyLimiter:
             acceleration: (n,) or one cap, rad/s², positive.
             margin: rad kept free at both ends of the range.
             joints: n names for reports and named commands; "joint1" … by default.
-            commanded: Arrays of angles speak of so many joints, the first ones; the others move by name.
+            commanded: Arrays of angles are of so many joints, the first ones; the others move by name.
 
         Raises:
             ValueError: Shapes, signs or an empty range.

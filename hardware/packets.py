@@ -37,7 +37,7 @@ _STATUS = bytes((STATUS,))
 _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 
 
-class Answer(NamedTuple):
+class StatusPacket(NamedTuple):
     """One status with a good checksum and a length that agrees with its length field."""
 
     id: int
@@ -129,7 +129,7 @@ class StatusParser:
         self._buffer = b""
         self.damaged = 0
 
-    def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
+    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
         """Answers that are complete now.
 
         Args:
@@ -163,7 +163,7 @@ class StatusParser:
         return answers
 
 
-def _status(packet: bytes) -> Answer | None:
+def _status(packet: bytes) -> StatusPacket | None:
     """A whole packet, taken apart; None if it is damaged or no status."""
     if len(packet) < SHORTEST_STATUS or packet[7] != STATUS:
         return None
@@ -172,7 +172,7 @@ def _status(packet: bytes) -> Answer | None:
     body = packet[8:-2]
     if _STUFFED in body:
         body = body.replace(_STUFFED, _PLAIN)
-    return Answer(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
+    return StatusPacket(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
 class _FastLayout(NamedTuple):
@@ -219,8 +219,8 @@ def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> lis
 class FastParser:
     """The one status in which all servos answer a fast read; gives each as soon as its checksum is there.
 
-    Every servo's checksum runs over all bytes before it, so behind a damaged byte nobody can be trusted,
-    and behind a servo that is missing nobody speaks.  What comes before is good.
+    Every servo's checksum runs over all bytes before it, so behind a damaged byte no servo can be trusted,
+    and behind a servo that is missing none answers.  What comes before is good.
 
     Args:
         expected: (id, bytes of data), in the order asked.
@@ -236,9 +236,9 @@ class FastParser:
         self._next = self._at = self._crc = 0
         self.damaged = 0
 
-    def feed(self, data: bytes, *, last: bool = False) -> list[Answer]:
+    def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
         """Answers that are complete now; ``last``: nothing more will come."""
-        answers: list[Answer] = []
+        answers: list[StatusPacket] = []
         if self.damaged:
             return answers
         buffer = self._buffer + data
@@ -257,7 +257,7 @@ class FastParser:
             if value != frame[-2] | frame[-1] << 8 or frame[1] != id:
                 self.damaged = 1
                 break
-            answers.append(Answer(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
+            answers.append(StatusPacket(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
             self._crc = crc(frame[-2:], value)
             self._at = end
             self._next += 1

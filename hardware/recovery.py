@@ -95,7 +95,7 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
     Raises:
         BusDisconnectedError, BusNotOpenError, ServoRefusedError: By joint name.
     """
-    found = [_first_look(bus, config, servo) for servo in config.servos]
+    found = [_state_before(bus, config, servo) for servo in config.servos]
     with joint_named(config):
         for row, servo in zip(found, config.servos, strict=True):
             if row.restarted:
@@ -104,12 +104,12 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
             elif row.before and row.silence is None:
                 bus.write(servo.id, servo.table["bus_watchdog"], 0)
     return [
-        _second_look(bus, config, servo, row, clock) if row.before and row.silence is None else row
+        _state_after(bus, config, servo, row, clock) if row.before and row.silence is None else row
         for row, servo in zip(found, config.servos, strict=True)
     ]
 
 
-def _first_look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
+def _state_before(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
     """Its troubles; ``turned`` is where it stands, in ticks."""
     try:
         with joint_named(config):
@@ -120,7 +120,7 @@ def _first_look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset
     return ServoReset(servo.name, servo.id, before, before, here if before else 0)
 
 
-def _second_look(
+def _state_after(
     bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset, clock: Clock
 ) -> ServoReset:
     try:

@@ -25,7 +25,7 @@ from robot_ik.environment import users_of
 from robot_ik.errors import BusDisconnectedError, BusNotOpenError
 from robot_ik.hardware.bus import ALERT_BIT, Counters
 from robot_ik.hardware.control_table import BAUD_RATES
-from robot_ik.hardware.packets import SHORTEST_STATUS, Answer
+from robot_ik.hardware.packets import SHORTEST_STATUS, StatusPacket
 
 LONGEST_DRAIN = 0.1
 """s after which a line that does not fall silent is no longer waited for."""
@@ -55,7 +55,7 @@ except ImportError:
     PORT_ERRORS = (OSError,)
 
 
-class QuietPortHandler(PortHandler):
+class SleepingPortHandler(PortHandler):
     """One serial port for one process; counts its bytes.
 
     ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into words.
@@ -242,7 +242,7 @@ def describe_failure(
         system: As ``sys.platform``.
     """
     text, number = str(error), getattr(error, "errno", None)
-    if system == "win32":  # pyserial tells the reason in words only; a port in use is "access denied"
+    if system == "win32":  # pyserial gives the reason in words only; a port in use is "access denied"
         words = {
             "PermissionError": errno.EBUSY,
             "Access is denied": errno.EBUSY,
@@ -318,7 +318,7 @@ class Wire:
         baud: int,
         counters: Counters,
         answer_time: float,
-        make_handler: Callable[..., QuietPortHandler] = QuietPortHandler,
+        make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port = port
@@ -330,7 +330,7 @@ class Wire:
         self.now = now
         self._make_handler = make_handler
         self._lock = threading.RLock()
-        self._handler: QuietPortHandler | None = None
+        self._handler: SleepingPortHandler | None = None
         self._dirty = False  # answers to an earlier request may still be under way …
         self._asked = ""  # … to this one
 
@@ -371,13 +371,13 @@ class Wire:
                     log.warning("closing %s: %s", self.port, error)
 
     @contextmanager
-    def transaction(self, asks: str | None) -> Iterator[QuietPortHandler]:
+    def transaction(self, asks: str | None) -> Iterator[SleepingPortHandler]:
         """The open port, for one request and its answers.
 
         Args:
-            asks: What is asked, in a word; None where nobody answers.  A packet does not say which request
-                it answers.  So after an answer was missed, another question waits until that answer cannot
-                come any more; the same question need not: a late answer to it is as good as any.
+            asks: What is asked, in a word; None where there is no answer.  A packet does not say which
+                request it answers.  So after an answer was missed, another question waits until that answer
+                cannot come any more; the same question need not: a late answer to it is as good as any.
 
         Raises:
             BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
@@ -410,7 +410,7 @@ class Wire:
         """An answer is outstanding: whatever is asked next must not take it for its own."""
         self._dirty = True
 
-    def receive(self, port: QuietPortHandler) -> Answer | None:
+    def receive(self, port: SleepingPortHandler) -> StatusPacket | None:
         """The next status packet within the packet's time; None if there was none or it was damaged."""
         packet, result = self.packet.rxPacket(port, False)
         if result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS:
@@ -419,7 +419,7 @@ class Wire:
                 error = packet[8]
                 alert = bool(error & ALERT_BIT)
                 self.counters.alerts += alert
-                return Answer(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
+                return StatusPacket(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
         if result in (COMM_SUCCESS, COMM_RX_CORRUPT):
             self.counters.corrupt += 1
         return None

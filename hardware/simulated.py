@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.serial_port import QuietPortHandler
+from robot_ik.hardware.serial_port import SleepingPortHandler
 from robot_ik.hardware.virtual.bus import VirtualBus
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class SimBus(DynamixelBus):
         super().__init__("sim", retries=retries, make_handler=handler, now=virtual_bus.clock.now)
 
 
-class InProcessPort(QuietPortHandler):
+class InProcessPort(SleepingPortHandler):
     """What the driver takes for a serial port: bytes written are answered before the call returns.
 
     Args:
@@ -62,7 +62,7 @@ class InProcessPort(QuietPortHandler):
         self.is_open = False
 
     def clear(self) -> None:
-        """Throws away what nobody has read."""
+        """Throws away what was not read."""
         self._buffer = b""
 
     clearPort = clear
@@ -89,10 +89,10 @@ class InProcessPort(QuietPortHandler):
         return self.readPort(len(self._buffer))
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Nobody waits here."""
+        """Nothing is waited for here."""
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
-        """Nobody waits here."""
+        """Nothing is waited for here."""
 
     def isPacketTimeout(self) -> bool:
         """What is not there now will not come."""

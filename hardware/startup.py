@@ -72,7 +72,7 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
 log = logging.getLogger(__name__)
 
 NO_SECONDARY_ID = 255
-"""Secondary ID of a servo that hears nobody else's packets."""
+"""Secondary ID of a servo that takes no other servo's packets."""
 
 ALL_ANSWERS = 2
 """Status Return Level: answer everything."""
@@ -324,7 +324,7 @@ def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str
 
 
 def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
-    """Who is to hear another servo's goals must, and nobody else may: it would move along."""
+    """A shadow must take its servo's goals, and no other servo may: it would move along."""
     heard = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
     for joint, value in _by_joint(config, heard):
         wanted = joint.shadow_of

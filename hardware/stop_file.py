@@ -172,7 +172,7 @@ def running_arms(port: str | None = None) -> list[RunningArm]:
 
 
 def _read_living(path: Path) -> dict[str, Any] | None:
-    """What the file says; None where nobody has it locked any more."""
+    """What the file says; None where no process has it locked any more."""
     try:
         file = os.open(path, os.O_RDWR)
     except OSError:
@@ -189,7 +189,7 @@ def _read_living(path: Path) -> dict[str, Any] | None:
 
 
 def _locked(file: int) -> bool:
-    """Takes the lock of an open file if nobody has it."""
+    """Takes the lock of an open file if no process has it."""
     try:
         import fcntl
     except ImportError:  # Windows

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError
+from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
 from robot_ik.hardware.joint_map import JointMap
@@ -209,7 +209,7 @@ def leave(
     no Bus Watchdog armed afterwards, so that the next program's goals are not refused.
 
     Args:
-        bus: If it is not open, the report says that nobody confirmed.
+        bus: If it is not open, the report says that no servo confirmed.
         config: Of the arm; other servos on the wire are not touched.
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``; without them torque goes off.
@@ -229,13 +229,49 @@ def leave(
     return _report("hold" if holds else "torque_off", config, left, limp, clock.now() - begin, parked)
 
 
+def force_torque_off(
+    bus: ServoBus, config: ArmConfig, ids: Iterable[int], *, everyone: bool
+) -> dict[int, HardwareError]:
+    """Torque off for an arm in any state: nothing is asked of a servo before it is written.
+
+    Args:
+        bus: Open.
+        config: Whose servos they are; what it says of limits and health does not matter.
+        ids: Of the servos; each is read back.
+        everyone: All servos on the wire at once first, which needs no answer.
+
+    Returns:
+        Servo id -> why it did not confirm; empty: all have no torque.
+
+    Raises:
+        BusDisconnectedError: The port is gone.
+    """
+    register = config.joints[0].table["torque_enable"]
+    if everyone:
+        bus.write(BROADCAST_ID, register, 0)
+    failed: dict[int, HardwareError] = {}
+    for id in ids:
+        failed[id] = HardwareError(f"servo {id} still reports torque")
+        for _ in range(_ATTEMPTS):
+            try:
+                bus.write(id, register, 0)
+                if bus.read(id, register).data == 0:
+                    del failed[id]
+                    break
+            except BusDisconnectedError:
+                raise
+            except HardwareError as error:
+                failed[id] = error
+    return failed
+
+
 def _torque_off(
     bus: ServoBus, config: ArmConfig, left: dict[int, str], clock: Clock, reported: set[str]
 ) -> None:
     """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
     torque = shared_register(config, "torque_enable")
     end = clock.now() + PATIENCE
-    # Needs no answer, so it works even where nobody can be heard.  Twice: a signal may have cut off a packet,
+    # Needs no answer, so it works even where no answer arrives.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
     for _ in range(2 if bus.is_open else 0):
         with _tolerant("torque off for all", reported):

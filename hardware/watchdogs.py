@@ -77,18 +77,18 @@ def least_watchdog_ms(stale_ms: int, period: float) -> int:
 
 
 class Heartbeat:
-    """Calls ``look`` every ``BEAT`` seconds until stopped, from a thread of its own.
+    """Calls ``beat`` every ``BEAT`` seconds until stopped, from a thread of its own.
 
     Between a limiter that brings every pause to rest and the servos' Bus Watchdogs lies the program that is
-    alive and busy with something else: then nobody would see a servo that overheats, and the Bus Watchdogs
+    alive and busy with something else: then a servo that overheats would go unseen, and the Bus Watchdogs
     would trip although nothing is wrong.
 
     Args:
-        look: Must not raise.
+        beat: Must not raise.
     """
 
-    def __init__(self, look: Callable[[], None]) -> None:
-        self._look = look
+    def __init__(self, beat: Callable[[], None]) -> None:
+        self._beat = beat
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -99,7 +99,7 @@ class Heartbeat:
             RuntimeError: The system gives no thread.
         """
         if self._thread is not None and self._thread.is_alive() and not self._stop.is_set():
-            return  # one that is dismissed may live for a beat, and looks no more
+            return  # one that is dismissed may live for a beat, and does nothing
         self._stop = threading.Event()
         thread = threading.Thread(target=self._run, args=(self._stop,), name="heartbeat", daemon=True)
         thread.start()
@@ -110,7 +110,7 @@ class Heartbeat:
         self._stop.set()
 
     def stop(self) -> None:
-        """No beat begins after this returns; may be called any number of times, also from ``look``."""
+        """No beat begins after this returns; may be called any number of times, also from ``beat``."""
         self._stop.set()
         thread, self._thread = self._thread, None
         if thread is not None and thread is not threading.current_thread():
@@ -122,7 +122,7 @@ class Heartbeat:
 
     def _run(self, stop: threading.Event) -> None:
         while not stop.wait(BEAT):
-            self._look()
+            self._beat()
 
 
 # -------------------------------------------------------------------------------------------- signals

@@ -179,7 +179,7 @@ class BusTimeoutError(HardwareError):
     Attributes:
         joint, id, register, port: Who was asked what, and where.
         last_good: Seconds since the last good reply, ``None`` if there never was one.
-        everyone: Nobody else answers either.
+        everyone: No other servo answers either.
     """
 
     def __init__(

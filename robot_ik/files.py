@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import datetime
 import errno
 import json
 import math
@@ -35,6 +36,11 @@ _LONG_INTEGER = re.compile(r"[0-9][0-9_]{4000,}")  # Python reads no integers ab
 NESTED = re.compile(rf"(?:[\[{{]\s*){{{DEEPEST}}}")
 """Brackets that open one within the other."""
 _KEY = re.compile(r"""([\w.-]{1,60})["']?\s*[=:]""")
+
+
+def timestamp() -> str:
+    """The time in UTC, ISO 8601, to the second."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
 def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") -> str:
@@ -194,6 +200,7 @@ FORMER: Mapping[str, str] = MappingProxyType(
     {
         "things": "objects",
         "thing": "object",
+        "floors": "lower_bounds",
         "--phantoms": "--occluders",
         "--phantom-geoms": "--occluder-geoms",
         "--camera-place": "--camera-extrinsics",

@@ -62,7 +62,7 @@ class GoalSource(Protocol[Goal_co]):
 
 
 class Clock(Protocol):
-    """Tells and spends time; real, or virtual so that tests and simulated buses run at full speed."""
+    """Gives the time and waits; real, or virtual so that tests and simulated buses run at full speed."""
 
     def now(self) -> float:
         """Seconds, monotonic."""

@@ -52,7 +52,7 @@ class PosePrior:
         weights: (k,) of the parts; they add up to one.
         means: (k, n) of x.
         covariances: (k, n, n) of x.
-        contour: Energy within which 99 % of what it learned from lies; inf where nobody said.
+        contour: Energy within which 99 % of what it learned from lies; inf where it is not given.
     """
 
     names: tuple[str, ...]

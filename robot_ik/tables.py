@@ -185,7 +185,7 @@ def config_error(error: ValidationError, file: Path | str) -> ConfigError:
 def _wrong_keys(
     error: ValidationError, table: _TableError | None = None, at: tuple[int | str, ...] = ()
 ) -> Iterator[tuple[bool, WrongKey]]:
-    """All of it, with whether the key is one that nobody knows."""
+    """All of it, with whether the key is unknown."""
     details = error.errors(include_url=False)
     for detail in details:
         if detail["type"] == "too_short" and any(len(d["loc"]) > len(detail["loc"]) for d in details):

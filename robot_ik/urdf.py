@@ -42,7 +42,7 @@ class Urdf:
             try:
                 velocity = float(limit.get("velocity", "0")) if limit is not None else 0.0
             except ValueError:
-                velocity = 0.0  # MuJoCo does not read it, so nobody says that it is no number
+                velocity = 0.0  # MuJoCo does not read it, so it is not checked to be a number
             if 0.0 < velocity < math.inf:
                 found[joint.get("name", "")] = velocity
         return found

@@ -31,7 +31,6 @@ from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.drawing.renderers import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.cli.servo_hand import load_motion, save_motion
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
@@ -43,8 +42,10 @@ from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
 from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
+from robot_ik.jobs.teach import load_motion, save_motion
 from robot_ik.motion import Trajectory
-from robot_ik.motion.bvh import Bvh, export_bvh
+from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.bvh_robot import export_bvh
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.retarget import SkeletonMap

@@ -27,7 +27,8 @@ import robot_ik as rik
 from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
-from robot_ik.figure.gait import WALK, prints_of, walk, walk_prints
+from robot_ik.figure.footprints import WALK, prints_of, walk_prints
+from robot_ik.figure.gait import walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.poses import BEND, REACH, find_pose
 from robot_ik.goals import PosePriorGoal

@@ -61,7 +61,7 @@ def collect(results: Path) -> dict[str, Any]:
         data["methods"] = [summary(cell) for cell in runs["methods"].cells]
     if "kernels" in runs:
         data["kernels"] = runs["kernels"].machine.model_dump()
-        data["floors"] = [one.model_dump() for one in runs["kernels"].floors]
+        data["floors"] = [one.model_dump() for one in runs["kernels"].lower_bounds]
         data["growth"] = [one.model_dump() for one in runs["kernels"].growth]
     if "batch" in runs:
         data["batches"] = [one.model_dump() for one in runs["batch"].batches]

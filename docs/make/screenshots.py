@@ -63,7 +63,7 @@ SHOTS = (
     Shot(
         "arm", Start("tabletop_puma"), tab="Arm", bus="sim",
         commands=(MoveGoal((0.2, 0.05, 0.1)), SetArm("follow")),
-        until=lambda view: view.arm and view.arm.servos and view.arm.wish == "follow" and view.arm.apart < 0.1
+        until=lambda view: view.arm and view.arm.servos and view.arm.mode == "follow" and view.arm.apart < 0.1
     ),
     Shot("record_dark", Start("panda"), tab="Record", dark=True),
     Shot("phone", Start(), size=(390, 844)),

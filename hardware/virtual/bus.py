@@ -42,8 +42,8 @@ class VirtualBus:
 
     Args:
         servos: Ids may repeat, as they may by mistake on a real bus: answers then collide.
-        clock: Tells when bytes arrive.
-        seed: Of the dice of faults.
+        clock: Gives the times at which bytes arrive.
+        seed: Of the random faults.
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
 
     Attributes:
@@ -63,7 +63,7 @@ class VirtualBus:
         self.schedule = WireSchedule(clock)
         self._built: dict[int | str, VirtualServo] = {servo.id: servo for servo in self.servos}
         self.wire = VirtualWire((servo.id for servo in self.servos), seed)
-        self._dice = random.Random(seed)
+        self._rng = random.Random(seed)
         self._injected: list[Injected] = []
         self._parser = Parser()
         self._delay = 0.0
@@ -80,7 +80,7 @@ class VirtualBus:
             clock: Time of the servos.
             start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
                 the middle of their ranges.
-            seed: Of the dice of faults.
+            seed: Of the random faults.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
@@ -121,10 +121,10 @@ class VirtualBus:
         return self._built[who]
 
     def reseed(self, seed: int) -> None:
-        """The dice of faults anew; faults stay."""
+        """Random faults begin anew; faults stay."""
         with self.lock:
             self.wire.reseed(seed)
-            self._dice = random.Random(seed)
+            self._rng = random.Random(seed)
 
     def inject(self, *faults: Fault) -> None:
         """Lets faults happen, now or at their time, which counts from now.
@@ -156,7 +156,7 @@ class VirtualBus:
             wake()
 
     def when_changed(self, wake: Callable[[], None]) -> None:
-        """``wake`` is called after faults came or went, so that nobody sleeps through them."""
+        """``wake`` is called after faults came or went, so that no thread sleeps through them."""
         self._wakers.append(wake)
 
     def add(self, servo: VirtualServo) -> None:
@@ -185,7 +185,7 @@ class VirtualBus:
             return np.array([j.to_radians(t) for j, t in zip(config.joints, ticks, strict=True)])
 
     def advance(self) -> None:
-        """Brings the world and what was booked up to now, also where nobody asks anything."""
+        """Brings the world and what was booked up to now, also where no packet comes."""
         with self.lock:
             self.schedule.run()
             if self.world is not None:
@@ -296,4 +296,4 @@ class VirtualBus:
         return [self._on_wire(packets)] if packets else []
 
     def _on_wire(self, answers: list[bytes]) -> bytes:
-        return answers[0] if len(answers) == 1 else collide(answers, self._dice)
+        return answers[0] if len(answers) == 1 else collide(answers, self._rng)

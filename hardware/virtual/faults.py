@@ -366,7 +366,7 @@ class FaultFile(Table):
 
     Attributes:
         version: ``schema`` in the file (the name is taken in pydantic's base class).
-        seed: Of the dice of the wire.
+        seed: Of the wire's random faults.
         faults: In order.
     """
 

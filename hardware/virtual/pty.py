@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 
 _CHUNK = 4096
 _REPLUG_PERIOD = 0.02  # s; how often an unplugged port looks whether it is plugged in again
-_WORLD_PERIOD = 0.01  # s; how often a world of its own goes on where nobody asks anything
+_WORLD_PERIOD = 0.01  # s; how often a world of its own goes on where no packet comes
 _BITS_PER_BYTE = 10  # 8N1: a start bit, eight of data, a stop bit
 _TCGETS2 = 0x802C542A  # Linux: struct termios2, which also knows rates without a B constant
 _TERMIOS2 = struct.Struct("4I20x2I")  # four flag words, line and control characters, two rates
@@ -197,7 +197,7 @@ class PtyPort:
             self._closed.wait(max(0.0, arrived + seconds - time.monotonic()))
 
     def _send(self, reply: bytes) -> None:
-        """Bytes that nobody reads are lost, as on a wire; a full buffer must not stop the bus."""
+        """Bytes that are not read are lost, as on a wire; a full buffer must not stop the bus."""
         try:
             while reply and not self._closed.is_set():
                 reply = reply[os.write(self._master, reply) :]

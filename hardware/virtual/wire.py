@@ -72,10 +72,10 @@ _SPREAD_BITS = 12
 """Two servos begin within so many bit times of each other: they do not share a clock."""
 
 
-def collide(answers: Sequence[bytes], dice: random.Random) -> bytes:
+def collide(answers: Sequence[bytes], rng: random.Random) -> bytes:
     """The bytes received when ``answers`` are on the wire at once, each a little late by chance."""
-    starts = [0, *(dice.randrange(1, _SPREAD_BITS) for _ in answers[1:])]
-    dice.shuffle(starts)
+    starts = [0, *(rng.randrange(1, _SPREAD_BITS) for _ in answers[1:])]
+    rng.shuffle(starts)
     lines = [[1] * start + _bits(answer) for start, answer in zip(starts, answers, strict=True)]
     length = max(map(len, lines))
     wire = [min(line[k] if k < len(line) else 1 for line in lines) for k in range(length)]
@@ -119,25 +119,25 @@ class VirtualWire:
     """The way of status packets to the host.
 
     Args:
-        taken: Ids on the wire: a stranger has none of them, for nobody could tell its answer from theirs.
-        seed: Of the dice; equal seeds and equal traffic give equal faults.
+        taken: Ids on the wire; no foreign id is one of them, so that its answers differ from theirs.
+        seed: Of random faults; equal seeds and equal traffic give equal faults.
 
     Attributes:
-        dice: What decides.
-        strangers: Ids that no servo has.
+        rng: Random generator of all faults.
+        foreign: Ids that no servo has.
         held: Packets that come before the answers to the next request.
         behind: A packet that comes after the next one.
     """
 
     def __init__(self, taken: Iterable[int], seed: int) -> None:
-        self.strangers = sorted(set(range(253)).difference(taken)) or [BROADCAST]
+        self.foreign = sorted(set(range(253)).difference(taken)) or [BROADCAST]
         self.reseed(seed)
         self._chances = dict.fromkeys(SPOILS, 0.0)
         self._clean = True
 
     def reseed(self, seed: int) -> None:
-        """The dice anew, and nothing on its way."""
-        self.dice = random.Random(seed)
+        """A new random generator, and nothing on its way."""
+        self.rng = random.Random(seed)
         self.held: list[bytes] = []
         self.behind = b""
 
@@ -146,7 +146,7 @@ class VirtualWire:
         return self._chances[name]
 
     def set_chance(self, name: str, probability: float) -> None:
-        """Another probability from here on; the dice go on."""
+        """Another probability from here on; the random generator goes on."""
         self._chances[name] = probability
         self._clean = not any(self._chances.values())
 
@@ -164,7 +164,7 @@ class VirtualWire:
     def _spoil(self, packet: bytes) -> bytes:
         """One packet, as it arrives."""
         for name, probability in self._chances.items():
-            if packet and probability > 0.0 and self.dice.random() < probability:
+            if packet and probability > 0.0 and self.rng.random() < probability:
                 packet = SPOILS[name].apply(self, packet)
         return packet
 
@@ -185,11 +185,11 @@ def _shorten(wire: VirtualWire, packet: bytes) -> bytes:
 
 def _refuse(wire: VirtualWire, packet: bytes) -> bytes:
     id = packet[4]
-    return packet if id == BROADCAST else build_status(id, wire.dice.randrange(1, 8))
+    return packet if id == BROADCAST else build_status(id, wire.rng.randrange(1, 8))
 
 
 def _flip(wire: VirtualWire, packet: bytes) -> bytes:
-    bit = wire.dice.randrange(8 * len(packet))
+    bit = wire.rng.randrange(8 * len(packet))
     spoiled = bytearray(packet)
     spoiled[bit // 8] ^= 1 << bit % 8
     return bytes(spoiled)
@@ -207,13 +207,13 @@ SPOILS: Mapping[str, Spoil] = MappingProxyType(
         "short": Spoil("an answer has fewer data than asked, checksum right", _shorten),
         "error": Spoil("an answer has an error number and no data", _refuse),
         "corrupt": Spoil("one bit of an answer flips", _flip),
-        "truncate": Spoil("an answer breaks off", lambda w, p: p[: w.dice.randrange(1, len(p))]),
+        "truncate": Spoil("an answer breaks off", lambda w, p: p[: w.rng.randrange(1, len(p))]),
         "duplicate": Spoil("an answer comes twice", lambda wire, packet: 2 * packet),
         "wrong_id": Spoil(
-            "an answer of a stranger comes first",
-            lambda w, p: build_status(w.dice.choice(w.strangers), 0, w.dice.randbytes(4)) + p,
+            "an answer with a foreign id comes first",
+            lambda w, p: build_status(w.rng.choice(w.foreign), 0, w.rng.randbytes(4)) + p,
         ),
-        "garbage": Spoil("bytes before an answer", lambda w, p: w.dice.randbytes(w.dice.randrange(1, 9)) + p),
+        "garbage": Spoil("bytes before an answer", lambda w, p: w.rng.randbytes(w.rng.randrange(1, 9)) + p),
         "reorder": Spoil("an answer comes after the next one", _swap),
     }
 )

@@ -100,7 +100,7 @@ class JointMotor:
         self._servo.shaft.stop()
         self._servo.shaft.body = self
 
-    def look(self) -> None:
+    def read_encoder(self) -> None:
         """What the encoder says now."""
         data = self._seat.data
         angle = float(data.qpos[self._seat.at])
@@ -222,7 +222,7 @@ class World:
         while now - self._time >= STEP:
             self._step()
         for joint in self._joints:
-            joint.look()
+            joint.read_encoders()
 
     def _step(self) -> None:
         model, data = self.model, self.data
@@ -281,7 +281,7 @@ class _Joint:
             (-1 if joint.reverse else 1) * (first.shaft.encoder + first.zero_offset_ticks)
         )
         world.data.qpos[self.at] = start
-        seat = Seat(model, world.data, self.at, self.dof, self.look)
+        seat = Seat(model, world.data, self.at, self.dof, self.read_encoders)
         self.motors = [JointMotor(seat, row, bus.servo(row.id), start) for row in joint.servos]
         strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
@@ -297,10 +297,10 @@ class _Joint:
         for motor in self.motors:
             motor.attach()
 
-    def look(self) -> None:
+    def read_encoders(self) -> None:
         """What the encoders say now."""
         for motor in self.motors:
-            motor.look()
+            motor.read_encoder()
 
     def wanted(self, t: float) -> float:
         """Acceleration that the controllers want, rad/s^2 (m/s^2): of two the mean."""

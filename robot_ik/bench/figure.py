@@ -21,17 +21,8 @@ from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
-from robot_ik.figure.gait import (
-    AIR,
-    FLAT,
-    SHUFFLE,
-    Walk,
-    prints_of,
-    shuffle_prints,
-    solve_walk_once,
-    walk,
-    walk_prints,
-)
+from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.session import FigureSession, SetBall
 
@@ -98,21 +89,21 @@ class _Soles:
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
     """Lowest points, and (n, nbody, 3) places and (n, nbody, 3, 3) rotations of all bodies."""
     model, data = figure.model, figure.data
-    place, turn = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
+    place, matrix = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
     for i, row in enumerate(q):
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
-        place[i], turn[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
+        place[i], matrix[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
     heights, points, bodies, ends = [], [], [], []
     for name in SIDES:
         h, p, b, e = [], [], [], []
         for body, geoms in figure.feet[name].parts:
-            low, local = lowest_points(model, list(geoms), turn[:, body, 2, :])
+            low, local = lowest_points(model, list(geoms), matrix[:, body, 2, :])
             h.append(low + place[:, body, 2:3])
-            p.append(np.einsum("nij,ngj->ngi", turn[:, body], local) + place[:, None, body])
+            p.append(np.einsum("nij,ngj->ngi", matrix[:, body], local) + place[:, None, body])
             b += [body] * len(geoms)
-            shapes = np.concatenate([shape_points(model, g, turn[:, body, 2, :]) for g in geoms])
-            e.append(np.einsum("nij,knj->nki", turn[:, body], shapes) + place[:, None, body])
+            shapes = np.concatenate([shape_points(model, g, matrix[:, body, 2, :]) for g in geoms])
+            e.append(np.einsum("nij,knj->nki", matrix[:, body], shapes) + place[:, None, body])
         ends.append(np.concatenate(e, axis=1))
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
@@ -120,7 +111,7 @@ def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
     return (
         _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1]), (ends[0], ends[1])),
         place,
-        turn,
+        matrix,
     )
 
 
@@ -128,7 +119,7 @@ def measure_motion(
     figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
-    soles, place, turn = _soles(figure, q)
+    soles, place, matrix = _soles(figure, q)
     zmp, force = zero_moment_points(figure, q, dt)
     weight = force / (figure.mass * GRAVITY)
     _, _, forward = derivatives(figure, q, dt)
@@ -142,7 +133,7 @@ def measure_motion(
         under = np.concatenate(near) if near else np.zeros((0, 2))
         if len(under) and weight[i] > _LEAST_FORCE:
             margins.append(hull_margin(under, zmp[i]))
-    slip, drift = _slips(soles, place, turn, contact)
+    slip, drift = _slips(soles, place, matrix, contact)
     low = min(float(h.min()) for h in soles.height)
     hinges = q[:, 7:]
     lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
@@ -168,7 +159,7 @@ def measure_motion(
     )  # fmt: skip
 
 
-def _slips(soles: _Soles, place: Array, turn: Array, contact: NDArray[np.int64]) -> tuple[float, float]:
+def _slips(soles: _Soles, place: Array, matrix: Array, contact: NDArray[np.int64]) -> tuple[float, float]:
     """Largest way of a material point that touches from frame to frame, and of a flat foot."""
     slip = drift = 0.0
     for side in (0, 1):
@@ -179,8 +170,8 @@ def _slips(soles: _Soles, place: Array, turn: Array, contact: NDArray[np.int64])
                 continue
             g = int(soles.height[side][i].argmin())
             body, point = int(soles.body[side][g]), soles.point[side][i, g]
-            local = turn[i, body].T @ (point - place[i, body])
-            after = place[i + 1, body] + turn[i + 1, body] @ local
+            local = matrix[i, body].T @ (point - place[i, body])
+            after = place[i + 1, body] + matrix[i + 1, body] @ local
             slip = max(slip, float(np.linalg.norm((after - point)[:2])))
             foot = int(soles.body[side][0])
             if contact[i, side] != FLAT:
@@ -321,7 +312,7 @@ class FigureRow:
 
     @property
     def passed(self) -> bool:
-        """Whether it is within its target, or nobody could tell."""
+        """Whether it is within its target, or could not be measured."""
         return bool(self.missing) or self.least <= self.value <= self.most
 
 

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import Figure, FrameRows, Frames
+from robot_ik.figure.figure import Figure
+from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import Walk
 
 Array = NDArray[np.float64]
@@ -69,20 +70,20 @@ def goals_of(figure: Figure, walk: Walk) -> FrameGoals:
     """Read off the frames of a walk."""
     q = walk.frames.q
     assert figure.gaze is not None
-    eyes, turn = figure.poses(q, figure.gaze)
+    eyes, matrix = figure.poses(q, figure.gaze)
     return FrameGoals(
         q, {foot.frame: figure.poses(q, foot.frame) for foot in figure.feet.values()},
         np.array([figure.center(row) for row in q]), figure.poses(q, figure.pelvis),
-        figure.poses(q, figure.trunk)[1], eyes + _AHEAD * turn[:, :, 0],
+        figure.poses(q, figure.trunk)[1], eyes + _AHEAD * matrix[:, :, 0],
     )  # fmt: skip
 
 
 def by_figure(figure: Figure, goals: FrameGoals) -> Peer:
     """The figure's solver: feet and centre of mass are needed, the rest is weighed."""
     rows = FrameRows(figure, len(goals.q))
-    for frame, (place, turn) in goals.feet.items():
+    for frame, (place, matrix) in goals.feet.items():
         rows.position(frame, place)
-        rows.turned(frame, turn)
+        rows.turned(frame, matrix)
     rows.center(goals.center, axes="xy")
     rows.turned(figure.pelvis, goals.pelvis[1], 60.0)
     rows.turned(figure.trunk, goals.chest, 60.0)
@@ -132,14 +133,14 @@ def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], lis
     """Tasks, the needed ones first, and the targets of each, frame by frame."""
     free = np.zeros(3)
 
-    def frame(name: str, position: Any, turn: float) -> Any:
+    def frame(name: str, position: Any, matrix: float) -> Any:
         sites = {figure.model.site(k).name for k in range(figure.model.nsite)}
-        return mink.FrameTask(name, "site" if name in sites else "body", position, turn)
+        return mink.FrameTask(name, "site" if name in sites else "body", position, matrix)
 
-    def poses(place: Array, turn: Array) -> list[Any]:
+    def poses(place: Array, matrix: Array) -> list[Any]:
         return [
             mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(r), p)
-            for p, r in zip(place, turn, strict=True)
+            for p, r in zip(place, matrix, strict=True)
         ]
 
     still = np.broadcast_to(free, goals.center.shape)
@@ -159,8 +160,8 @@ def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], lis
 def _worst(figure: Figure, goals: FrameGoals, q: Array) -> float:
     """Largest miss of feet and centre of mass, by MuJoCo."""
     worst = 0.0
-    for frame, (place, turn) in goals.feet.items():
+    for frame, (place, matrix) in goals.feet.items():
         there, turned = figure.poses(q, frame)
-        worst = max(worst, float(np.abs(there - place).max()), float(np.abs(turned - turn).max()))
+        worst = max(worst, float(np.abs(there - place).max()), float(np.abs(turned - matrix).max()))
     center = np.array([figure.center(row) for row in q])
     return max(worst, float(np.abs(center - goals.center)[:, :2].max()))

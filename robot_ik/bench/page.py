@@ -42,7 +42,7 @@ CHROMIUM = (
     "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run", "--disable-sync",
     "--disable-background-networking", "--disable-component-update",
 )  # fmt: skip
-"""Arguments of a Chromium that draws without a GPU and asks nobody outside."""
+"""Arguments of a Chromium that draws without a GPU and connects to nothing outside."""
 DRAWN = """() => {
     const seen = window.__viserMutable, points = window.__viserTestpoints;
     return seen && points && seen.nodeRefFromName["/goal"] && points.rendererInfo.render.triangles > 2300;

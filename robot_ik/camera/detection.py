@@ -104,7 +104,7 @@ class MarkerDetector:
         dictionary: Name as in OpenCV, for example ``DICT_5X5_50`` (the default of this package: no false
             finds in our trials, where 4X4_250 and 16h5 had some).
         ids: Only these are reported; None for all.
-        strict: For finds that nobody verifies by their print.
+        strict: For finds that are not verified by their print.
 
     Raises:
         CameraError: Unknown dictionary (close names are listed) or an id beyond it.
@@ -204,7 +204,7 @@ class MarkerDetector:
         return found
 
     def _expect(self, perimeter: float, shape: tuple[int, ...], *, reduced: bool = False) -> None:
-        """Tells the quick detector how small a marker may be in a picture of this shape."""
+        """Sets how small a marker the quick detector finds in a picture of this shape."""
         how = cv2.aruco.CORNER_REFINE_SUBPIX if reduced else cv2.aruco.CORNER_REFINE_NONE
         least = max(4 * _LEAST_CELL * self.cells, _SHRINK * perimeter)
         # In steps of a fifth, so that the detector is not told something new with every picture.

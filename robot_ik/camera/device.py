@@ -62,7 +62,7 @@ def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevic
 
     Args:
         dev: Folder of device files.
-        sys_root: Where the kernel tells their names.
+        sys_root: Where the kernel lists their names.
     """
     if not CAN_LIST:
         return ()

@@ -34,7 +34,7 @@ _SILENT = 0
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """OpenCV's own messages on stderr off for a while: failures are told by our errors."""
+    """OpenCV's own messages on stderr off for a while: failures are reported by our errors."""
     # Releases before 4.11 have the same two functions under another name.
     log = getattr(cv2.utils, "logging", cv2)
     before = log.getLogLevel()

@@ -172,7 +172,7 @@ class CameraIntrinsics:
         The half pixel between pixel centre and pixel edge is respected: c' = (c + 1/2) s - 1/2.
 
         Raises:
-            CalibrationError: The aspect ratio is another one: a crop, whose place nobody knows.
+            CalibrationError: The aspect ratio is another one: a crop, whose place is unknown.
         """
         sx, sy = width / self.width, height / self.height
         # Rounding a side to whole pixels may bend the ratio by half a pixel, no more.

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 # How old a goal is: the delay from the grab of its picture, measured where the goal is made and used.
 
 
-# Delays kept; older ones are forgotten, so that the figures tell of the last minute or so.
+# Delays kept; older ones are forgotten, so that the figures are of the last minute or so.
 _KEPT = 2000
 # A picture that is older than this, or of the future, was not stamped by the clock that is asked now.
 LONGEST_S = 2.0
@@ -285,7 +285,7 @@ class FlatMarkerChoice:
     def of(
         self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
     ) -> PlacedObservation | None:
-        """The observation in the world, or None when nobody can say where the tool should go."""
+        """The observation in the world, or None when it is unknown where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
         turn = np.kron(np.eye(2), pose_world_camera.rotation)
@@ -352,12 +352,12 @@ class MarkerGoalSource:
       which means hold where you are; after a while what ``when_lost`` says.
 
     Only ``marker`` can become a goal, whatever else is in view.  Each picture counts for the time it was
-    grabbed at (``Frame.time``, on the run's clock); a ``MotionFilter`` tells from them where the marker is at
-    the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the metres
-    and for the radians, at least 0.05.
+    grabbed at (``Frame.time``, on the run's clock); from them a ``MotionFilter`` estimates where the marker
+    is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
+    metres and for the radians, at least 0.05.
 
-    ``poll`` looks and tells.  Where a picture takes longer than a tick, ``look`` may be called by a thread
-    of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
+    ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``look`` may be
+    called by a thread of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
 
     Args:
         source: Gives the frames; their truth is removed before anything looks at them.

@@ -1,8 +1,8 @@
 """Where a thing seen by a camera is now: a filter over time-stamped poses, and prediction that knows rest.
 
 ``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on orientation.
-It tells where the thing is at any time near the last picture.  The horizon of the prediction fades to zero
-at low speed: a thing that lies still is not shaken by the noise of its own velocity.
+It estimates where the object is at any time near the last picture.  The horizon of the prediction fades to
+zero at low speed: an object that lies still is not shaken by the noise of its own velocity.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ class MotionFilter:
         return Update.TAKEN
 
     def predict(self, time: float) -> Prediction:
-        """Where the thing is at ``time``: with the velocity, as far as it can be told from rest.
+        """Where the object is at ``time``: with the velocity, as far as it can be told from rest.
 
         Times before the last observation are taken for its time.
 

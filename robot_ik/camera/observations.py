@@ -289,7 +289,7 @@ def _consensus(data: CornerData, starts: list[Pose]) -> tuple[list[int], Pose]:
     # The median marker decides: up to half of them may be wrong.
     fits = [data.fit(pose).pixels for pose in starts]
     best = min(range(len(starts)), key=lambda k: float(np.median(fits[k])))
-    # One marker's tilt is loose, so nobody is judged by it yet: the better half makes the first fit.
+    # One marker's tilt is loose, so no marker is judged by it yet: the better half makes the first fit.
     order = np.argsort(fits[best], kind="stable")
     used = sorted(int(k) for k in order[: max(1, (len(order) + 1) // 2, min(2, len(order)))])
     pose, _ = fit_pose(data.chosen(used), starts[best])

@@ -44,10 +44,10 @@ _OPENERS = {
 # Where pictures come from: one text opens a photograph, a folder, a video, a camera or a stream.
 #
 # A ``Frame`` carries its time: seconds on the machine's monotonic clock at the moment it was grabbed (for
-# files: opening time plus position in the film), so that the delay up to the goal can be told.
+# files: opening time plus position in the film), so that the delay up to the goal is known.
 
 
-_DEFAULT_RATE_HZ = 30.0  # of films that do not tell theirs
+_DEFAULT_RATE_HZ = 30.0  # of films that do not state theirs
 
 
 @dataclass(frozen=True, eq=False)

@@ -223,7 +223,7 @@ class MarkerTracker:
             branches = marker_branches(corners, self.size_of(marker_id), self.intrinsics)
             if branches is None:
                 continue
-            # Nobody knows which of two copies the last picture was about.
+            # It is unknown which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
             observations.append(
                 marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
@@ -233,7 +233,7 @@ class MarkerTracker:
     def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
         """A rigid body that carries several markers; see ``estimate_body``.
 
-        Ids that come twice are left out: nobody knows which one belongs to the body.
+        Ids that come twice are left out: it is unknown which one belongs to the body.
 
         Args:
             frame: The picture.
@@ -326,7 +326,7 @@ class MarkerTracker:
 
 
 # ------------------------------------------------------------------------------------------
-# What is in a picture, told in plain values: markers, bodies, their poses; and drawn over it.
+# What is in a picture, in plain values: markers, bodies, their poses; and drawn over it.
 
 
 # Of the drawing: subpixel bits, colours (BGR), length of the axes in marker sizes.
@@ -337,7 +337,7 @@ _AXES = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """A marker whose pose nobody asked for: no intrinsics."""
+    """A marker without a pose: there are no intrinsics."""
 
     id: int
     seen: RefinedCorners
@@ -427,7 +427,7 @@ class MarkerFinder:
 
     def _corners(self, frame: Frame) -> list[Corners]:
         width, height = frame.size
-        # Nobody knows the lens: edges are taken to be straight in the picture.
+        # The lens is unknown: edges are taken to be straight in the picture.
         straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
         gray = to_gray(frame.image)
         found = self._detector.detect(gray)

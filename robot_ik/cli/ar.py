@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import Lens, optional_path, robot_argument, several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
-    from robot_ik.bench.camera.accuracy import Misses
     from robot_ik.jobs.ar.job import ArReport, ArRequest
 
 
@@ -32,14 +30,10 @@ class ArOptions:
     needed.  Exit code 0: done.  1: the board was in no picture, or the self-test failed.  2: wrong input.
     """
 
-    robot: Annotated[
-        str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: the motion's, else {SHOWN_ROBOT})")
-    ] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument(f"the motion's, else {SHOWN_ROBOT}")] = ""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
-    """Calibration of a real camera: OpenCV or ROS YAML."""
+    intrinsics: Lens = ""
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
@@ -63,7 +57,7 @@ class ArOptions:
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
     """Real objects that hide the robot."""
-    occluder_geoms: Annotated[tuple[str, ...], arg(metavar="GEOM …", help_behavior_hint="")] = ()
+    occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
     """Geoms of the model that do."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
@@ -104,12 +98,7 @@ def run(options: ArOptions) -> int:
     from robot_ik.jobs.ar.job import run_ar
 
     with console.progress() as bar:
-        task = bar.add_task("drawing", total=None, note="")
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
-
-        report = run_ar(request, progress)
+        report = run_ar(request, console.counted_on(bar, "drawing"))
     if report.notice:
         console.say(report.notice, style="yellow")
     if options.json:
@@ -137,16 +126,16 @@ def _print(report: ArReport) -> None:
     if report.file is None:
         console.say("there was no picture: nothing is written", "yellow")
         return
-    lines = console.table("", "")
-    lines.show_header = False
-    lines.add_row("pictures", f"{report.pictures}, the robot in {report.drawn}")
-    lines.add_row("drawn", f"by {report.backend} at {report.scale:.3g} of its size")
+    lines = console.facts(
+        ("pictures", f"{report.pictures}, the robot in {report.drawn}"),
+        ("drawn", f"by {report.backend} at {report.scale:.3g} of its size"),
+    )
     if np.isfinite(report.reprojection_px):
         lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
     speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
     lines.add_row("speed", f"{speed} pictures/s tracked and drawn")
     console.out().print(lines)
-    console.out().print(Text(f"written: {report.file}"), soft_wrap=True)
+    console.result(f"written: {report.file}")
 
 
 def _default_out() -> str:
@@ -188,16 +177,16 @@ def make_request(options: ArOptions) -> ArRequest:
     return ArRequest(
         robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
         camera=options.camera,
-        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        intrinsics=optional_path(options.intrinsics),
         board=options.board,
         dictionary=options.dictionary,
-        extrinsics=Path(options.extrinsics) if options.extrinsics else None,
+        extrinsics=optional_path(options.extrinsics),
         base=(x, y, z, yaw),
         scale=options.scale,
         motion=options.motion,
         marker=(options.marker, options.marker_size),
         backend=options.backend,
-        occluders=Path(options.occluders) if options.occluders else None,
+        occluders=optional_path(options.occluders),
         occluder_geoms=options.occluder_geoms,
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         delay=options.delay,
@@ -215,30 +204,14 @@ def make_request(options: ArOptions) -> ArRequest:
 # ``robot-ik ar --self-test``: drawings against ``cv2.projectPoints`` and exact truth, on the terminal.
 
 
-# RMS and worst allowed, pixels: spheres without and with lens distortion, a robot on a board.
-_IDENTITY, _BENT, _OVERLAY = (0.05, 0.15), (0.08, 0.20), (0.30, 1.0)
-_DISTANCES = (0.7, 1.0)
-
-
-@dataclass(frozen=True)
-class SelfTestRow:
-    """One figure of the self-test; no limits: it is reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        """Whether both figures are within their limits."""
-        if self.limits is None:
-            return True
-        return self.misses.rms <= self.limits[0] and self.misses.worst <= self.limits[1]
-
-
 def run_self_test(*, json: bool = False) -> int:
     """Measures and prints; 0 when all is within its limits, else 1."""
-    rows, notice = measure()
+    from robot_ik.bench.self_test import SelfTest
+
+    test = SelfTest()
+    with console.progress() as bar:
+        rows = list(test.rows(console.shares_on(bar, "measuring")))
+    notice = test.notice
     good = all(row.good for row in rows)
     if json:
         console.print_json(
@@ -267,33 +240,3 @@ def run_self_test(*, json: bool = False) -> int:
     if notice:
         console.say(notice, style="yellow")
     return console.DONE if good else console.NOT_ACHIEVED
-
-
-def measure() -> tuple[list[SelfTestRow], str]:
-    """All figures, and one line where OpenGL is missing."""
-    from robot_ik.bench.camera import accuracy
-    from robot_ik.camera.drawing.gl import make_artist
-
-    rows, notice = [], ""
-    with console.progress() as bar:
-        task = bar.add_task("measuring", total=9, note="")
-        for name in ("painter", "ray", "gl"):
-            artist, missing = make_artist(name)
-            notice = missing or notice
-            for lens, limits, words in (
-                (accuracy.STRAIGHT, _IDENTITY, "no distortion"),
-                (accuracy.BENT, _BENT, "distortion"),
-            ):
-                bar.update(task, advance=1, note=name)
-                if not missing:
-                    misses = accuracy.projection_identity(artist, lens)
-                    rows.append(SelfTestRow(f"{name}: spheres, {words}", misses, limits))
-            getattr(artist, "close", lambda: None)()
-        for distance in _DISTANCES:
-            bar.update(task, advance=1, note="board")
-            misses = accuracy.overlay_error(distance)
-            rows.append(SelfTestRow(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY))
-        bar.update(task, advance=1, note="delay")
-        for name, misses in accuracy.remedy_errors().items():
-            rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
-    return rows, notice

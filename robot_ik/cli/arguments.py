@@ -13,7 +13,10 @@ import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import is_dataclass
-from typing import TYPE_CHECKING, Any, TextIO, get_type_hints
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_type_hints
+
+from tyro.conf import arg
 
 from robot_ik.cli.console import NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
@@ -30,6 +33,86 @@ _ENDLESS = 10_000
 _PROSE = 100
 _ANSI = re.compile(r"\x1b\[[0-9;]*m")
 _KINDS = {"FLOAT": "a number", "INT": "a whole number", "STR": "a word"}
+
+
+# ------------------------------------------------------------------------------------------
+# Options that several commands have.
+
+
+def robot_argument(default: str) -> Any:
+    """Annotation of a robot's name or path; ``default``: what is taken where none is given."""
+    text = "A name of `robot-ik robots`, or any MJCF or URDF file."
+    return arg(metavar="NAME|PATH", help=text, help_behavior_hint=f"(default: {default})")
+
+
+def several(metavar: str, default: str = "") -> Any:
+    """Annotation of any number of values; ``default``: what is taken where none is given."""
+    return arg(metavar=f"{metavar} …", help_behavior_hint=f"(default: {default})" if default else "")
+
+
+ArmFile = Annotated[
+    str,
+    arg(
+        metavar="FILE.toml",
+        help="Servo ids, signs, zeros and limits.",
+        help_behavior_hint="(default: beside the model)",
+    ),
+]
+
+OnExit = Annotated[
+    str,
+    arg(
+        metavar="torque_off|hold|park",
+        help="How to leave the arm; park: back to where it was first.",
+        help_behavior_hint="(default: the arm file's)",
+    ),
+]
+
+RecordFile = Annotated[
+    Path | None,
+    arg(
+        metavar="FILE.csv|FILE.mcap",
+        help="Write every command and measurement while it happens (.mcap: extra `record`).",
+        help_behavior_hint="(default: none)",
+    ),
+]
+
+Lens = Annotated[
+    str,
+    arg(
+        metavar="FILE",
+        help="Calibration of a real camera: OpenCV or ROS YAML.",
+        help_behavior_hint="(needed for a real camera)",
+    ),
+]
+
+Dictionary = Annotated[
+    str, arg(metavar="NAME", help="Of the board's markers.", help_behavior_hint="(default: DICT_5X5_50)")
+]
+
+BoardName = Annotated[
+    str,
+    arg(
+        metavar="BOARD",
+        help="marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, "
+        "chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME].",
+    ),
+]
+
+
+def optional_path(name: str) -> Path | None:
+    """The file of an option; None where it is not given."""
+    return Path(name) if name else None
+
+
+def require_share(option: str, value: float, of: str = "speed limits") -> None:
+    """Raises ``ConfigError`` unless a share is above 0 and up to 1."""
+    if not 0.0 < value <= 1.0:
+        raise wrong(option, f"{value:g} is no share of the {of}", "above 0, at most 1")
+
+
+# ------------------------------------------------------------------------------------------
+# Words that are read here.
 
 
 def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigError:

@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import pose_option, pose_words, wrong
+from robot_ik.cli.arguments import (
+    ArmFile,
+    Dictionary,
+    optional_path,
+    pose_option,
+    pose_words,
+    require_share,
+    robot_argument,
+    wrong,
+)
 from robot_ik.cli.connection import bus_argument, robot_meant
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
@@ -33,11 +42,9 @@ NEEDED = "(needed for a real camera)"
 class ArmCameraOptions:
     """The options of both."""
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: as for reach)")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument("as for reach")] = ""
     bus: Annotated[str, bus_argument()] = "sim"
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
-    """Servo ids, signs, zeros and limits."""
+    arm: ArmFile = ""
     frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
     """Robot frame that carries camera or board."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
@@ -47,8 +54,7 @@ class ArmCameraOptions:
     board: Annotated[str, arg(metavar="BOARD", help_behavior_hint=NEEDED)] = ""
     """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
     chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
-    """Of the board's markers."""
+    dictionary: Dictionary = ""
     views: Annotated[int, arg(metavar="N")] = 15
     """How many pictures to take: 4 to 100."""
     speed: float = 1.0
@@ -80,10 +86,10 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     return {
         "robot": options.robot or robot_meant(options.arm, options.bus),
         "bus": options.bus,
-        "arm_file": Path(options.arm) if options.arm else None,
+        "arm_file": optional_path(options.arm),
         "frame": options.frame or None,
         "camera": options.camera,
-        "intrinsics": Path(options.intrinsics) if options.intrinsics else None,
+        "intrinsics": optional_path(options.intrinsics),
         "board": board,
         "views": options.views,
         "speed": options.speed,
@@ -94,13 +100,12 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
 def _check(options: ArmCameraOptions, why_servos: str) -> None:
     if not LEAST_VIEWS <= options.views <= 100:
         raise wrong("--views", f"{options.views} views", f"{LEAST_VIEWS} to 100")
-    if not (math.isfinite(options.speed) and 0.0 < options.speed <= 1.0):
-        raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+    require_share("--speed", options.speed)
     if options.bus == "none":
         raise wrong("--bus", f"an arm without servos has no {why_servos}", "sim, pty or a serial port")
 
 
-class Kept(Protocol):
+class SavedSamples(Protocol):
     """Samples that can be written."""
 
     def __len__(self) -> int: ...
@@ -112,7 +117,9 @@ class Kept(Protocol):
 class Job(Protocol[Report]):
     """Moves an arm and takes samples."""
 
-    def __call__(self, *, keep: Callable[[Kept], None], progress: Callable[[str, float], None]) -> Report: ...
+    def __call__(
+        self, *, keep: Callable[[SavedSamples], None], progress: Callable[[str, float], None]
+    ) -> Report: ...
 
 
 def measured(job: Job[Report], file: Path, command: str) -> Report | None:
@@ -125,7 +132,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
     """
     views = 0
 
-    def keep(samples: Kept) -> None:
+    def keep(samples: SavedSamples) -> None:
         nonlocal views
         samples.save(file)
         views = len(samples)
@@ -181,7 +188,7 @@ class CameraHandeyeOptions(ArmCameraOptions):
     """Solve what was measured before; nothing moves."""
 
 
-def run(options: CameraHandeyeOptions) -> int:
+def run_handeye(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a place was found."""
     import_mujoco()
     from robot_ik.jobs.arm_camera.handeye import samples_path
@@ -195,14 +202,14 @@ def run(options: CameraHandeyeOptions) -> int:
 
 
 def _measure_and_solve(options: CameraHandeyeOptions, request: HandEyeRequest | None) -> int:
-    from robot_ik.jobs.arm_camera.handeye import run_handeye, samples_path
+    from robot_ik.jobs.arm_camera import handeye
 
     if request is None:
         report = _again(options)
     else:
         made = measured(
-            partial(run_handeye, request, dry_run=options.dry_run),
-            samples_path(options.out),
+            partial(handeye.run_handeye, request, dry_run=options.dry_run),
+            handeye.samples_path(options.out),
             "camera handeye",
         )
         if made is None:
@@ -262,8 +269,7 @@ def _print(report: HandEyeReport) -> None:
             f"{one.sigmas:.1f}", "contradicts the others: not believed" if one.outlier else "",
         )  # fmt: skip
     screen.print(rows)
-    facts = console.table("", "")
-    facts.show_header = False
+    facts = console.facts()
     facts.add_row(f"camera seen from {report.parent}", pose_words(result.pose_parent_camera))
     board = "world" if report.parent != "world" else report.samples.frame
     facts.add_row(f"board seen from {board}", pose_words(result.pose_other_board))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import shlex
 import sys
 from dataclasses import dataclass
@@ -14,24 +13,20 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
-from robot_ik.cli.console import results_folder
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.files import write_atomically
+from robot_ik.jobs.results import results_folder
 
 if TYPE_CHECKING:
-    from rich.progress import Progress
+    from rich.table import Table
 
-    from robot_ik.bench.methods.results import Cell, Results, Settings
-    from robot_ik.bench.methods.runner import Bench
-    from robot_ik.robot import Robot
+    from robot_ik.bench.methods.campaign import Campaign
+    from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.solvers.base import Solver
 
 
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
-_EXTRA = ("kernels", "batch")
-_BATCH = 500  # times as many poses as in the other sets
 
 
 _FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
@@ -50,7 +45,7 @@ class BenchOptions:
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
 
-    solvers: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
+    solvers: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """Methods: see `robot-ik solvers`."""
     robots: Annotated[tuple[str, ...], arg(metavar="NAME|PATH …")] = ("puma560", "ur5e", "panda")
     """Names of `robot-ik robots`, or any MJCF or URDF file."""
@@ -79,10 +74,12 @@ class BenchOptions:
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
     import_mujoco()
+    from robot_ik.bench.methods.campaign import Campaign
     from robot_ik.bench.methods.results import Results, Settings, need_matplotlib, this_machine
     from robot_ik.goals import Tolerance
+    from robot_ik.robot import load_robot
 
-    solvers, robots = _solvers(options), _robots(options)
+    solvers, robots = _solvers(options), [load_robot(name) for name in dict.fromkeys(options.robots)]
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
         need_matplotlib()
@@ -97,7 +94,7 @@ def run(options: BenchOptions) -> int:
     with results_folder(options.out, "bench", _FILES, overwrite=options.overwrite) as folder:
         results = Results(machine=this_machine(), settings=settings)
         try:
-            _measure(options, solvers, robots, results)
+            _measure(Campaign(solvers, robots, tuple(dict.fromkeys(options.sets)), settings), results)
             results.complete = True
         finally:
             # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
@@ -117,101 +114,15 @@ def _solvers(options: BenchOptions) -> list[Solver]:
     return [make_solver(name) for name in dict.fromkeys(names)]
 
 
-def _robots(options: BenchOptions) -> list[Robot]:
-    from robot_ik.robot import load_robot
-
-    return [load_robot(name) for name in dict.fromkeys(options.robots)]
-
-
-# ---------------------------------------------------------------------------------------- measuring
-
-
-def _measure(options: BenchOptions, solvers: list[Solver], robots: list[Robot], results: Results) -> None:
+def _measure(campaign: Campaign, results: Results) -> None:
     machine = results.machine
     console.say(f"on {machine.processor}, {machine.cores} cores, Python {machine.python}", "dim")
     with console.progress() as bar:
-        benches = _prepare(options, solvers, robots, results.settings, bar)
-    # What compiling left behind need not be looked through again before each method's turn.
-    gc.collect()
-    gc.freeze()
+        benches = campaign.prepare(console.shares_on(bar, "preparing"))
     console.say("kernels are ready; Ctrl-C keeps what is done", "dim")
-    try:
-        with console.progress() as bar:
-            _run_cells(benches, results, bar)
-            if "kernels" in options.sets:
-                _run_kernels(solvers, robots, results, bar)
-            if "batch" in options.sets:
-                _run_batches(options, solvers, robots, results, bar)
-    finally:
-        gc.unfreeze()
-
-
-def _prepare(
-    options: BenchOptions, solvers: list[Solver], robots: list[Robot], settings: Settings, bar: Progress
-) -> list[Bench]:
-    """All that takes long and is not measured: problem sets, and kernels, which announce themselves."""
-    from robot_ik.bench.methods.problems import make_set
-    from robot_ik.bench.methods.runner import prepare
-
-    benches = []
-    names = [name for name in dict.fromkeys(options.sets) if name not in _EXTRA]
-    task = bar.add_task("preparing", total=max(1, len(names) * len(robots)), note="")
-    for name in names:
-        for robot in robots:
-            bar.update(task, note=f"{name}, {robot.name}")
-            problems = make_set(name, robot, options.count, options.seed)
-            benches += [prepare(solver, robot, problems, settings) for solver in solvers]
-            bar.advance(task)
-    return benches
-
-
-def _run_cells(benches: list[Bench], results: Results, bar: Progress) -> None:
-    from robot_ik.bench.methods.runner import curve
-
-    task = bar.add_task("solving", total=max(1, len(benches)), note="")
-    for done, bench in enumerate(benches):
-        cell = bench.cell
-        bar.update(task, note=f"{cell.set}, {cell.robot}, {cell.solver}")
-        results.cells.append(cell)
-        bench.run(results.settings, lambda share, done=done: bar.update(task, completed=done + share))  # type: ignore[misc]
-        if cell.set == "cold" and (found := curve(bench, results.settings)):
-            results.curves.append(found)
-    bar.remove_task(task)
-
-
-def _run_kernels(solvers: list[Solver], robots: list[Robot], results: Results, bar: Progress) -> None:
-    from robot_ik.bench.methods import growth
-    from robot_ik.robot import load_robot
-
-    task = bar.add_task("kernels", total=len(solvers), note="forward and Jacobian")
-    seed, figure = results.settings.seed, load_robot(growth.FIGURE)
-    results.floors += [growth.floor(robot, seed) for robot in robots]
-    for solver in solvers:
-        bar.update(task, note=f"growth, {solver.name}")
-        for point in growth.growth_with_joints(solver, seed):
-            results.growth.append(point)
-        for point in growth.growth_with_goals(solver, figure, seed):
-            results.growth.append(point)
-        bar.advance(task)
-    bar.remove_task(task)
-
-
-def _run_batches(
-    options: BenchOptions, solvers: list[Solver], robots: list[Robot], results: Results, bar: Progress
-) -> None:
-    from robot_ik.bench.methods.growth import batches
-
-    task = bar.add_task("batches", total=len(robots) * len(solvers), note="")
-    for robot in robots:
-        for solver in solvers:
-            bar.update(task, note=f"{robot.name}, {solver.name}")
-            try:
-                for found in batches(robot, solver, _BATCH * options.count, options.seed):
-                    results.batches.append(found)
-            except (GoalError, UnsupportedJointError) as error:
-                console.say(f"no batch: {error.args[0]}", "dim")
-            bar.advance(task)
-    bar.remove_task(task)
+    with console.progress() as bar:
+        for note in campaign.measure(benches, results, console.shares_on(bar, "measuring")):
+            console.say(note, "dim")
 
 
 # ------------------------------------------------------------------------------------------ showing
@@ -221,7 +132,7 @@ def _finish(results: Results, folder: Path, *, plots: bool) -> None:
     from robot_ik.bench.methods.results import draw, results_text
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
-    if not (results.cells or results.floors or results.batches):
+    if not (results.cells or results.lower_bounds or results.batches):
         return  # it had not begun
     write_atomically(folder / "bench.json", results_text(results))
     print_results(results)
@@ -241,7 +152,7 @@ def print_results(results: Results) -> None:
         groups.setdefault((cell.robot, cell.set), []).append(cell)
     for (robot, name), cells in groups.items():
         _print_cells(robot, name, cells)
-    _print_floors(results)
+    _print_lower_bounds(results)
     _print_growth(results)
     _print_batches(results)
 
@@ -263,6 +174,10 @@ def _print_cells(robot: str, name: str, cells: list[Cell]) -> None:
         )  # fmt: skip
     for cell in (c for c in cells if not c.count):
         shown.add_row(cell.solver, *["-"] * 7, Text(cell.skipped, style="dim"))
+    _show(shown)
+
+
+def _show(shown: Table) -> None:
     console.out().print(shown)
     console.out().print()
 
@@ -283,15 +198,14 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-def _print_floors(results: Results) -> None:
-    if results.floors:
+def _print_lower_bounds(results: Results) -> None:
+    if results.lower_bounds:
         shown = console.table(
             "robot", "joints", "forward µs", "forward + Jacobian µs", title="kinematics in a compiled loop"
         )
-        for one in results.floors:
+        for one in results.lower_bounds:
             shown.add_row(one.robot, str(one.joints), f"{one.forward_us:.3f}", f"{one.jacobian_us:.3f}")
-        console.out().print(shown)
-        console.out().print()
+        _show(shown)
 
 
 def _print_growth(results: Results) -> None:
@@ -304,8 +218,7 @@ def _print_growth(results: Results) -> None:
         for solver in dict.fromkeys(point.solver for point in points):
             mine = {point.size: point.step_us for point in points if point.solver == solver}
             shown.add_row(solver, *(microseconds(mine[size]) if size in mine else "-" for size in sizes))
-        console.out().print(shown)
-        console.out().print()
+        _show(shown)
 
 
 def _print_batches(results: Results) -> None:
@@ -318,5 +231,4 @@ def _print_batches(results: Results) -> None:
                 one.robot, one.solver, str(one.poses), str(one.threads), f"{one.per_second:.0f}",
                 f"{100 * one.success:.2f}",
             )  # fmt: skip
-        console.out().print(shown)
-        console.out().print()
+        _show(shown)

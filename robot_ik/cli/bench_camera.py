@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from robot_ik.bench.camera import ROWS, Effort, Quantity, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import RobotIkError, unknown_name_text
 from robot_ik.files import claimed, plain, write_atomically
@@ -40,9 +40,9 @@ class BenchCameraOptions:
     Exit code 0 where every row was measured and is as wanted, else 1.
     """
 
-    rows: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
+    rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """Which rows of the table: corners, marker, board, …"""
-    skip: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False
     """A tenth of the pictures: for a look, not for the record."""
@@ -93,7 +93,7 @@ class MeasuredRows:
         }
 
 
-def run_camera(options: BenchCameraOptions) -> int:
+def run(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
     rows = chosen_rows(options.rows, options.skip)
@@ -104,10 +104,10 @@ def run_camera(options: BenchCameraOptions) -> int:
     effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
     file = Path(options.json) if options.json else None
     with claimed(file, overwrite=options.overwrite):
-        return _measured_and_told(rows, effort, found, file)
+        return _measure_and_print(rows, effort, found, file)
 
 
-def _measured_and_told(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
+def _measure_and_print(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
     try:
         with console.progress() as bar:
             measure(rows, effort, found, bar)

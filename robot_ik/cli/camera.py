@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,8 +16,8 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import pose_option, pose_words, wrong
-from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, MarkerNotFoundError, OutputError
+from robot_ik.cli.arguments import BoardName, Dictionary, pose_option, pose_words, several, wrong
+from robot_ik.errors import MarkerNotFoundError, OutputError
 from robot_ik.files import claimed, claimed_folder, write_atomically
 from robot_ik.geometry import Pose
 
@@ -27,8 +26,7 @@ if TYPE_CHECKING:
     from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
     from robot_ik.camera.device import CameraDevice
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.camera.sources import Frame
-    from robot_ik.errors import CameraError
+    from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers
 
 
 @dataclass(frozen=True)
@@ -61,15 +59,16 @@ def run_list(options: CameraListOptions) -> int:
             shown.add_row(str(camera.index), *(Text(t) for t in (camera.name or "?", path, state, row["do"])))
         console.out().print(shown)
     elif CAN_LIST:
-        console.say("error: there is no camera on this machine", "bold red")
-        console.say(
+        console.refused(
+            "there is no camera on this machine",
             "plug one in; a picture, a film, a folder, a URL or synthetic:orbit does as well "
             "wherever a camera is asked for",
-            "cyan",
         )
     else:
-        console.say(f"error: cameras cannot be listed on {sys.platform}", "bold red")
-        console.say("the first one is 0, the next 1, …; try: robot-ik camera detect 0", "cyan")
+        console.refused(
+            f"cameras cannot be listed on {sys.platform}",
+            "the first one is 0, the next 1, …; try: robot-ik camera detect 0",
+        )
     return console.DONE if any(c.pictures for c in cameras) else console.NOT_ACHIEVED
 
 
@@ -95,7 +94,6 @@ def _do(camera: CameraDevice) -> str:
 _DOUBTFUL = 0.6
 # When there is no marker in any picture, so many of them are looked at again for markers of other kinds.
 _GUESSED_FROM = 3
-_NOTHING: Mapping[str, Any] = {"markers": [], "bodies": []}
 # So many files that cannot be used are named on the screen.
 _MOST_NAMED = 12
 
@@ -114,7 +112,7 @@ class CameraDetectOptions:
     """Files or folders; a camera's index or URL gives one picture."""
     dictionary: str = "DICT_5X5_50"
     """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
-    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: all)")] = ()
+    ids: Annotated[tuple[int, ...], several("ID", "all")] = ()
     """Only these markers."""
     size: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
     """Side of the black squares, metres."""
@@ -130,30 +128,6 @@ class CameraDetectOptions:
     """Print one JSON object instead of a table."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """One picture: its place (file, number in the film or folder), its size, and what is in it.
-
-    One that could not be looked at has an ``error``, no size and nothing in it.
-    """
-
-    file: str
-    frame: int
-    size: tuple[int, int] | None
-    values: dict[str, Any]
-    error: CameraError | None = None
-    in_film: bool = False
-
-    def as_values(self) -> dict[str, Any]:
-        """For JSON."""
-        found: dict[str, Any] = {"file": self.file, "frame": self.frame}
-        if self.size is not None:
-            found |= {"width": self.size[0], "height": self.size[1]}
-        if self.error is not None:
-            found["error"] = str(self.error.args[0])
-        return found | self.values
-
-
 def run_detect(options: CameraDetectOptions) -> int:
     """Prints what is in the pictures; 1 when that is nothing."""
     from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -161,9 +135,11 @@ def run_detect(options: CameraDetectOptions) -> int:
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
     if options.draw is None:
         return _detect(options, intrinsics, None)
+    from robot_ik.jobs.pictures import DrawingFolder
+
     _refuse_own_pictures(options.images, options.draw)
     with claimed_folder(options.draw, "*.png", overwrite=options.overwrite):
-        return _detect(options, intrinsics, _Drawings(options.draw))
+        return _detect(options, intrinsics, DrawingFolder(options.draw))
 
 
 def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
@@ -176,25 +152,8 @@ def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
             )
 
 
-class _Drawings:
-    """A folder of drawings, each under the name of its picture."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder, self._names = folder, set[str]()
-
-    def save(self, file: str, number: int | None, image: Any) -> None:
-        """Writes one; a name that this run has used gets a number behind it."""
-        from robot_ik.camera.image import write_image
-
-        stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
-        names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
-        name = next(name for name in names if name not in self._names)
-        self._names.add(name)
-        write_image(self._folder / f"{name}.png", image)
-
-
 def _detect(
-    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: _Drawings | None
+    options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: DrawingFolder | None
 ) -> int:
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
     rows = list(_looked(options, intrinsics, blank, drawings))
@@ -214,14 +173,11 @@ def _detect(
     if any(row.values["markers"] for row in rows):
         return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
-    console.say(
-        f"error: {wanted} of {options.dictionary} in {len(rows) - len(failed)} picture(s)", "bold red"
-    )
-    console.say(_hint(options, blank), "cyan")
-    return console.NOT_ACHIEVED
+    count = len(rows) - len(failed)
+    return console.refused(f"{wanted} of {options.dictionary} in {count} picture(s)", _hint(options, blank))
 
 
-def _raise_first(failed: Sequence[_Row]) -> None:
+def _raise_first(failed: Sequence[PictureMarkers]) -> None:
     """Nothing could be looked at: the first error stands for all."""
     if not failed:
         return
@@ -232,7 +188,7 @@ def _raise_first(failed: Sequence[_Row]) -> None:
     raise error
 
 
-def _report_failed(failed: Sequence[_Row], count: int) -> None:
+def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
     console.say(f"error: {len(failed)} of {count} pictures could not be looked at", "bold red")
     for row in failed[:_MOST_NAMED]:
         assert row.error is not None
@@ -258,68 +214,26 @@ def _looked(
     options: CameraDetectOptions,
     intrinsics: CameraIntrinsics | None,
     blank: deque[Any],
-    drawings: _Drawings | None,
-) -> Iterator[_Row]:
-    """Looks at all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
+    drawings: DrawingFolder | None,
+) -> Iterator[PictureMarkers]:
+    """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
-    from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
-    from robot_ik.errors import CalibrationError, CameraError
+    from robot_ik.errors import CameraError
+    from robot_ik.jobs.pictures import MarkerSearch, find_markers
 
     if not options.images:
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
-    bodies = [] if options.bodies is None else list(load_bodies(options.bodies).values())
-    asked = (options.dictionary, intrinsics, options.size, options.ids, bodies)
-    finder = MarkerFinder(*asked)
+    bodies = () if options.bodies is None else tuple(load_bodies(options.bodies).values())
+    search = MarkerSearch(options.dictionary, intrinsics, options.size, options.ids, bodies)
     with console.progress() as bar:
         for name in options.images:
             task = bar.add_task(name, total=None, note="")
-            for file, number, frame, in_film in _pictures(name):
-                if in_film and number == 0:
-                    finder = MarkerFinder(*asked, film=True)
-                bar.update(task, note=str(number))
-                if isinstance(frame, CameraError):
-                    yield _Row(file, number, None, dict(_NOTHING), frame)
-                    continue
-                try:
-                    observation = finder.look(frame)
-                except CalibrationError as error:  # of another size
-                    yield _Row(file, number, frame.size, dict(_NOTHING), error)
-                    if in_film:
-                        break
-                    continue
-                if not observation.markers:
-                    blank.append(frame.image)
-                yield _Row(file, number, frame.size, as_values(observation), in_film=in_film)
-                if drawings is not None:
-                    drawings.save(file, number if in_film else None, drawn(observation, intrinsics))
+            for row in find_markers(name, search, drawings):
+                bar.update(task, note=str(row.frame))
+                if row.image is not None and not row.values["markers"]:
+                    blank.append(row.image)
+                yield replace(row, image=None)
             bar.remove_task(task)
-            finder = MarkerFinder(*asked)
-
-
-def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
-    """File, number, picture or why there is none, and whether it is of a film; a live camera gives one."""
-    from robot_ik.camera.sources import FolderSource, ImageSource, VideoSource, open_source
-    from robot_ik.errors import CameraNotFoundError
-
-    try:
-        source = open_source(name)
-    except CameraNotFoundError as error:
-        yield name, 0, error, False
-        return
-    with source:
-        if isinstance(source, FolderSource):
-            for number, file in enumerate(source.files):
-                try:
-                    frame: Frame | CameraError = source.read()
-                except CameraNotFoundError as error:
-                    frame = error
-                yield str(file), number, frame, False
-        elif isinstance(source, (ImageSource, VideoSource)):
-            while not source.exhausted:
-                seen = source.read()
-                yield name, seen.sequence, seen, isinstance(source, VideoSource)
-        else:
-            yield name, 0, source.read(), False
 
 
 # ------------------------------------------------------------------------------------ tables
@@ -329,7 +243,7 @@ def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]
 _POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
 
 
-def _print_markers(rows: Sequence[_Row], *, posed: bool) -> None:
+def _print_markers(rows: Sequence[PictureMarkers], *, posed: bool) -> None:
     shown = console.table("picture", "id", *(_POSE if posed else ("centre, px",)))
     shown.columns[0].no_wrap = False
     for row in rows:
@@ -340,7 +254,7 @@ def _print_markers(rows: Sequence[_Row], *, posed: bool) -> None:
     _show(shown, posed=posed)
 
 
-def _print_bodies(rows: Sequence[_Row]) -> None:
+def _print_bodies(rows: Sequence[PictureMarkers]) -> None:
     shown = console.table("picture", "body", *_POSE)
     shown.columns[0].no_wrap = False
     odd = []
@@ -363,7 +277,7 @@ def _show(shown: Table, *, posed: bool) -> None:
         console.out().print(shown)
 
 
-def _place(row: _Row) -> str:
+def _place(row: PictureMarkers) -> str:
     return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
 
 
@@ -403,15 +317,12 @@ class CameraLocateOptions:
     """A picture, folder, film, camera's index or URL."""
     intrinsics: Annotated[str, arg(metavar="FILE")]
     """Calibration of the camera."""
-    board: Annotated[str, arg(metavar="BOARD")]
-    """marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM,
-    chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."""
+    board: BoardName
     pose_world_board: Annotated[
         tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: the world's)")
     ] = ()
     """Where the board's frame is: metres, and an orientation as a quaternion."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
-    """Of the board's markers."""
+    dictionary: Dictionary = ""
     parent: str = "world"
     """Name of the frame that the board's place is given in."""
     frames: Annotated[int, arg(metavar="N")] = 20
@@ -457,24 +368,24 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
     if options.json:
         console.print_json(_as_json(place, options, len(views), looked))
         return console.DONE
-    facts = console.table("", "")
-    facts.show_header = False
-    facts.add_row(f"camera seen from {place.parent}", pose_words(place.pose_parent_camera))
     sigma = f"{1e3 * place.sigma_position:.2f} mm, {math.degrees(place.sigma_angle):.3f} deg"
-    facts.add_row("stated uncertainty", f"{sigma} (one sigma; the board's place is taken for exact)")
-    facts.add_row("corners miss by", f"{place.residual_px:.3f} px, {place.residual_mm:.3f} mm (RMS)")
-    facts.add_row("pictures", f"{len(views)} of {looked} show the board")
-    console.out().print(facts)
+    console.out().print(
+        console.facts(
+            (f"camera seen from {place.parent}", pose_words(place.pose_parent_camera)),
+            ("stated uncertainty", f"{sigma} (one sigma; the board's place is taken for exact)"),
+            ("corners miss by", f"{place.residual_px:.3f} px, {place.residual_mm:.3f} mm (RMS)"),
+            ("pictures", f"{len(views)} of {looked} show the board"),
+        )
+    )
     console.say(f"wrote {options.out}", "green")
     return console.DONE
 
 
 def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
     """How many pictures have the board elsewhere than all together (``seen`` by the camera); says so."""
-    off = [
-        float(np.median(np.linalg.norm(intrinsics.project(seen.apply(view.points)) - view.pixels, axis=1)))
-        for view in views
-    ]
+    from robot_ik.jobs.pictures import board_misses
+
+    off = board_misses(views, seen, intrinsics)
     count = sum(miss > _DOUBTFUL_PX for miss in off)
     if not count:
         return 0
@@ -491,26 +402,17 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
 def _look(
     options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics
 ) -> tuple[list[BoardView], int]:
-    """The views of the board, and how many pictures were looked at."""
+    """The views of the board, and how many pictures were searched."""
     from robot_ik.camera.sources import open_source
+    from robot_ik.jobs.pictures import board_views
 
-    views, looked = [], 0
     with open_source(options.source) as source, console.progress() as bar:
         task = bar.add_task("looking", total=options.frames, note="")
-        while looked < options.frames and not getattr(source, "exhausted", False):
-            try:
-                frame = source.read()
-            except FrameTimeoutError:
-                break
-            except CameraNotFoundError as error:  # one file of a folder
-                console.say(f"left out: {error.args[0]}", "yellow")
-                continue
-            looked += 1
-            view = board.see(frame, intrinsics)
-            if view is not None:
-                views.append(view)
-            bar.update(task, completed=looked)
-    return views, looked
+        return board_views(
+            source, board, intrinsics, options.frames,
+            progress=lambda looked: bar.update(task, completed=looked),
+            left_out=lambda why: console.say(f"left out: {why}", "yellow"),
+        )  # fmt: skip
 
 
 def _as_json(place: CameraExtrinsics, options: CameraLocateOptions, used: int, looked: int) -> dict[str, Any]:
@@ -556,7 +458,7 @@ class CameraPrintOptions:
     """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
     rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
     """The same downwards: board 2, charuco 6, chessboard 6."""
-    ids: Annotated[tuple[int, ...], arg(metavar="ID …", help_behavior_hint="(default: 0, 1, 2, …)")] = ()
+    ids: Annotated[tuple[int, ...], several("ID", "0, 1, 2, …")] = ()
     """marker: any. board: the upper left one. cube: front, right, back, left, top, bottom."""
     dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
     """Dictionary of the markers."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
-from datetime import UTC, datetime
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,17 +13,12 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.errors import CalibrationError
-from robot_ik.files import claimed
+from robot_ik.files import claimed, timestamp
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.intrinsic import CalibrationResult
     from robot_ik.camera.calibration.views import ViewGatherer
-    from robot_ik.camera.sources import Frame, FrameSource
-
-# More views than these teach nothing.
-_MOST_VIEWS = 40
-# Pictures of a live camera without the board before that is said.
-_UNSEEN = 60
+    from robot_ik.jobs.pictures import ViewFolder
 
 
 @dataclass(frozen=True)
@@ -82,27 +76,25 @@ def run(options: CameraCalibrateOptions) -> int:
 
 
 def _calibrate(options: CameraCalibrateOptions) -> int:
-    import dataclasses
-
     from robot_ik.camera.boards.patterns import PatternRequest
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
+    from robot_ik.jobs.pictures import ViewFolder, gather_views
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wanted = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
-    gatherer, shelf = ViewGatherer(wanted.pattern()), _ViewShelf(options)
-    with _kept_on_interrupt(gatherer, shelf):
-        for text in options.sources:
-            _gather(text, gatherer, shelf, options)
+    gatherer, kept = ViewGatherer(wanted.pattern()), ViewFolder(options.out, options.sources)
+    with _kept_on_interrupt(gatherer, kept):
+        for name in options.sources:
+            gather_views(name, gatherer, kept, options.views, size=options.size, say=console.say)
     gatherer.finish()
     for notice in gatherer.notices:
         console.say(notice, "yellow")
-    with shelf.named_on_failure():
+    with _named_on_failure(options, kept):
         result = calibrate(
             gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
         )
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    intrinsics = dataclasses.replace(result.intrinsics, date=now)
+    intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
     picture = _draw_coverage(result, options.out)
     if options.json:
@@ -113,49 +105,21 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     return console.DONE
 
 
-class _ViewShelf:
-    """Where the views of live cameras are kept as pictures, so that nothing that was shown is lost."""
-
-    def __init__(self, options: CameraCalibrateOptions) -> None:
-        self._options, self.folder = options, Path()
-        self.count = 0
-
-    def keep(self, frame: Frame) -> None:
-        """Adds a picture to a folder beside the result."""
-        from robot_ik.camera.image import write_image
-        from robot_ik.files import make_folder
-
-        if not self.count:
-            self.folder = make_folder(self._free_folder())
-        numbers = [int(file.stem[4:]) for file in self.folder.glob("view*.png") if file.stem[4:].isdigit()]
-        write_image(self.folder / f"view{max(numbers, default=0) + 1:02d}.png", frame.image)
-        self.count += 1
-
-    def _free_folder(self) -> Path:
-        """A new or empty one, or one that is a source: views of another day may be of another focus."""
-        out, number = self._options.out, 1
-        while True:
-            folder = out.with_name(f"{out.stem}-views" + (f"-{number}" if number > 1 else ""))
-            given = folder.resolve() in [Path(text).resolve() for text in self._options.sources]
-            if given or not folder.exists() or not any(folder.iterdir()):
-                return folder
-            number += 1
-
-    @contextlib.contextmanager
-    def named_on_failure(self) -> Iterator[None]:
-        """Says where the pictures are when nothing comes of them, or not yet."""
-        try:
-            yield
-        except (CalibrationError, KeyboardInterrupt):
-            if self.count:
-                sources = [text for text in self._options.sources if Path(text) != self.folder]
-                words = " ".join([str(self.folder), *sources])
-                console.say(f"to go on with the views that are kept: robot-ik camera calibrate {words} …")
-            raise
+@contextlib.contextmanager
+def _named_on_failure(options: CameraCalibrateOptions, kept: ViewFolder) -> Iterator[None]:
+    """Says where the pictures are when nothing comes of them, or not yet."""
+    try:
+        yield
+    except (CalibrationError, KeyboardInterrupt):
+        if kept.count:
+            sources = [text for text in options.sources if Path(text) != kept.folder]
+            words = " ".join([str(kept.folder), *sources])
+            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {words} …")
+        raise
 
 
 @contextlib.contextmanager
-def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _ViewShelf) -> Iterator[None]:
+def _kept_on_interrupt(gatherer: ViewGatherer, kept: ViewFolder) -> Iterator[None]:
     """Neither Ctrl-C nor a camera that goes away loses the views so far."""
     from robot_ik.errors import FrameTimeoutError
 
@@ -168,53 +132,8 @@ def _kept_on_interrupt(gatherer: ViewGatherer, shelf: _ViewShelf) -> Iterator[No
         why = str(error.args[0])
     except KeyboardInterrupt:
         why = "stopped"
-    where = f" in {shelf.folder}" if shelf.count else ""
+    where = f" in {kept.folder}" if kept.count else ""
     console.say(f"{why}; {len(gatherer.views)} views are kept{where}", "yellow")
-
-
-def _gather(text: str, gatherer: ViewGatherer, shelf: _ViewShelf, options: CameraCalibrateOptions) -> None:
-    from robot_ik.camera.sources import FolderSource, ImageSource, open_source
-    from robot_ik.errors import CameraNotFoundError
-
-    with open_source(text, size=options.size) as source:
-        if isinstance(source, FolderSource):
-            for path in source.files:
-                try:
-                    frame = source.read()
-                except CameraNotFoundError as error:
-                    gatherer.notices.append(f"left out: {error.args[0]}")
-                    continue
-                gatherer.offer(frame, path.name, choosy=False)
-        elif isinstance(source, ImageSource):
-            gatherer.offer(source.read(), Path(text).name, choosy=False)
-        else:
-            _gather_moving(source, text, gatherer, shelf, options)
-
-
-def _gather_moving(
-    source: FrameSource, text: str, gatherer: ViewGatherer, shelf: _ViewShelf, options: CameraCalibrateOptions
-) -> None:
-    from robot_ik.camera.boards.patterns import describe
-    from robot_ik.camera.calibration.views import missing_words
-
-    live, unseen = source.live, 0
-    if live:
-        console.say("show the board, hold it still, move it on; Ctrl-C when done", "cyan")
-    while not getattr(source, "exhausted", False) and len(gatherer.views) < _MOST_VIEWS:
-        frame = source.read()
-        name = f"{Path(text).name or text} {frame.sequence}"
-        taken = gatherer.offer(frame, name, choosy=True)
-        unseen = 0 if gatherer.in_view else unseen + 1
-        if live and unseen == _UNSEEN:
-            console.say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?", "yellow")
-        if not taken:
-            continue
-        if live:
-            shelf.keep(frame)
-        missing = gatherer.coverage.missing
-        console.say(f"view {len(gatherer.views)} of {options.views}: {missing_words(missing)}")
-        if len(gatherer.views) >= options.views and not missing:
-            return
 
 
 def _coverage_file(out: Path) -> Path:

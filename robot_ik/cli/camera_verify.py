@@ -13,7 +13,7 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, pose_option, wrong
+from robot_ik.cli.arguments import joint_degrees, optional_path, pose_option, several, wrong
 from robot_ik.cli.arm_camera import (
     NEEDED,
     ArmCameraOptions,
@@ -70,7 +70,7 @@ class CameraVerifyOptions(ArmCameraOptions):
     """Judge what was measured before; nothing moves."""
     picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
     """Draw the errors, from above and from the side (needs the extra plots)."""
-    rehearse_zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    rehearse_zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Simulated servos whose shaft is some degrees ahead of what their registers say."""
 
 
@@ -150,22 +150,12 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
         return False
     words = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
     console.say(f"zero_ticks: {words}")
-    if not options.yes and not _agreed(f"write them to {options.arm}? [y/N] "):
+    if not options.yes and not console.agreed(f"write them to {options.arm}?"):
         console.say(f"{options.arm} stays as it is", "yellow")
         return False
     kept = write_zeros(Path(options.arm), report.config, offsets)
     console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
     return True
-
-
-def _agreed(question: str) -> bool:
-    """Asks on stderr; the end of the input is a no."""
-    console.talk().print(question, end="", markup=False)
-    try:
-        return input().strip().lower() in ("y", "yes")
-    except EOFError:
-        console.say("")
-        return False
 
 
 def make_request(options: CameraVerifyOptions) -> VerifyRequest:
@@ -180,7 +170,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
     sigma = options.board_sigma
     return VerifyRequest(
         **arm_camera_values(options, "zeros"),
-        extrinsics=Path(options.camera_extrinsics) if options.camera_extrinsics else None,
+        extrinsics=optional_path(options.camera_extrinsics),
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         fit=options.fit,

@@ -7,9 +7,9 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -76,10 +76,6 @@ def robot_meant(arm: str, bus: str) -> str:
 # What the subcommands of ``robot-ik servo`` share: which port, which arm, who is asked, how it ends.
 
 
-#: Ports that only a machine's own board has; no adapter of servos is behind them.
-_ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
-
-
 _KEY_POLL = 0.05  # s
 
 
@@ -92,19 +88,6 @@ class BusOptions:
     """Arm file (TOML), or a robot of the catalogue that has one."""
 
 
-def serial_ports(listed: Iterable[Any] | None = None) -> list[Any]:
-    """Serial ports of this machine behind which servos may be.
-
-    Args:
-        listed: Ports as pyserial lists them; asked for if None.
-    """
-    from serial.tools import list_ports
-
-    found = list_ports.comports() if listed is None else listed
-    ports = [port for port in found if not any(word in port.device for word in _ONBOARD)]
-    return sorted(ports, key=lambda port: (len(port.device), str(port.device)))  # COM3 before COM10
-
-
 def port_name(bus: str) -> str:
     """The port meant: the one named, else the only one there is.
 
@@ -113,6 +96,8 @@ def port_name(bus: str) -> str:
     """
     if bus:
         return os.path.expanduser(bus)
+    from robot_ik.hardware.ports import serial_ports
+
     ports = [str(port.device) for port in serial_ports()]
     if len(ports) == 1:
         return ports[0]
@@ -211,17 +196,6 @@ def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Lin
         yield Link(bus, config, clock)
     finally:
         bus.close()
-
-
-def joints_of(config: ArmConfig, names: Sequence[str]) -> ArmConfig:
-    """The arm with these joints only; all where none is named.
-
-    Raises:
-        UnknownJointError: No such joint; close ones are named.
-    """
-    wanted = {config.joint(name).name for name in names}
-    kept = tuple(joint for joint in config.whole.joints if joint.name in wanted)
-    return replace(config.whole, joints=kept) if names else config
 
 
 def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:

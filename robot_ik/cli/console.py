@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import codecs
 import contextlib
-import fnmatch
 import json
 import logging
 import os
@@ -16,8 +15,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -32,62 +30,7 @@ from robot_ik.errors import (
     RobotIkError,
     TrajectoryError,
 )
-from robot_ik.files import claimed_folder, folder_for_results, plain
-
-# ------------------------------------------------------------------------------------------
-# The folder of a command's results: found free before the work begins, one run's alone until it ends.
-
-
-@contextlib.contextmanager
-def results_folder(out: str | Path, job: str, own: Sequence[str], *, overwrite: bool) -> Iterator[Path]:
-    """The folder for one run, as asked or ``runs/<time>-<job>``; taken back where it stays empty.
-
-    Args:
-        out: As asked; empty: a new one.
-        job: The command's name.
-        own: Patterns of the names of its files.
-        overwrite: They may be replaced.  Those of before that the run does not write are removed when it has
-            written others, so that two runs do not mix; what is not its own stays.
-
-    Raises:
-        OutputError: The folder holds something, another run writes to it, or it cannot be written to.
-    """
-    with contextlib.ExitStack() as stack:
-        if not out:
-            stack.enter_context(folder_for_results(Path("runs")))
-            out, overwrite = stack.enter_context(_new_folder(job)), False
-        folder = Path(out)
-        held = stack.enter_context(claimed_folder(folder, "[!.]*", overwrite=overwrite))
-        before = {path: _stamp(path) for path in held if any(fnmatch.fnmatch(path.name, p) for p in own)}
-        yield folder
-        written = [path for path in folder.iterdir() if _stamp(path) != before.get(path)]
-        for path in before if written else ():
-            if path.exists() and _stamp(path) == before[path]:
-                path.unlink()
-
-
-@contextlib.contextmanager
-def _new_folder(job: str) -> Iterator[Path]:
-    """A folder that no other run has, not even one that began in the same second."""
-    from robot_ik.jobs.reach_files import run_folder
-
-    while True:
-        folder = run_folder(None, job)
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir()
-            break
-    try:
-        yield folder
-    finally:
-        with contextlib.suppress(OSError):  # it holds something
-            folder.rmdir()
-
-
-def _stamp(path: Path) -> tuple[int, int]:
-    """Changes whenever a file is written whole: its inode and time."""
-    found = path.stat()
-    return found.st_ino, found.st_mtime_ns
-
+from robot_ik.files import plain
 
 # ------------------------------------------------------------------------------------------
 # Standard streams as they may be: closed, or of an encoding without the signs that tables use.
@@ -197,7 +140,34 @@ def say(text: str, style: str = "") -> None:
     talk().print(Text(text, style=style), soft_wrap=True)
 
 
-class _Table(Table):
+def result(text: str) -> None:
+    """One line of result on stdout; never folded, never read as markup."""
+    out().print(Text(text), soft_wrap=True)
+
+
+def refused(problem: str, hint: str = "") -> int:
+    """Says what was not achieved, and what to try.
+
+    Returns:
+        ``NOT_ACHIEVED``, the exit code of the command.
+    """
+    say(f"error: {problem}", "bold red")
+    if hint:
+        say(hint, "cyan")
+    return NOT_ACHIEVED
+
+
+def agreed(question: str) -> bool:
+    """Asks on stderr for a yes; the end of the input is a no."""
+    talk().print(Text(f"{question} [y/N] "), end="")
+    try:
+        return input().strip().lower() in ("y", "yes")
+    except EOFError:
+        say("")
+        return False
+
+
+class _FoldedTable(Table):
     """A table that breaks no word: where that needs more columns than there are, each row is a list."""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -221,8 +191,7 @@ class _Table(Table):
     def _rows_as_lists(self) -> Iterator[Table]:
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
-            made = table(names[0], "")
-            made.show_header = False
+            made = facts()
             made.add_row(Text(_plain(row[0]), style="bold"), "")
             for name, cell in zip(names[1:], row[1:], strict=True):
                 if _plain(cell):
@@ -236,10 +205,19 @@ def _plain(cell: object) -> str:
 
 def table(*columns: str, title: str | None = None) -> Table:
     """An empty table in the one style of all commands; the first column is never broken."""
-    made = _Table(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
+    made = _FoldedTable(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
     made.pad_edge = False
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")
+    return made
+
+
+def facts(*rows: tuple[str, str]) -> Table:
+    """Rows of a name and its value, without a header."""
+    made = table("", "")
+    made.show_header = False
+    for name, value in rows:
+        made.add_row(name, value)
     return made
 
 
@@ -266,6 +244,18 @@ def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], 
     """
     task = bar.add_task(before, total=1.0, note="")
     return lambda phase, share: bar.update(task, description=phase, completed=share)
+
+
+def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
+    """As ``phases_on``, for a bar that keeps its name: the phase stands behind it."""
+    task = bar.add_task(what, total=1.0, note="")
+    return lambda phase, share: bar.update(task, completed=share, note=phase)
+
+
+def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
+    """A job's count of pictures on a bar: how many are done, and of how many (0: unknown)."""
+    task = bar.add_task(what, total=None, note="")
+    return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
 
 
 @contextlib.contextmanager
@@ -323,6 +313,12 @@ def _dumps(value: Any) -> str:
 def print_json(value: Mapping[str, Any]) -> None:
     """One JSON object on stdout."""
     sys.stdout.write(json_text(plain(value)) + "\n")
+
+
+def print_json_line(value: Mapping[str, Any]) -> None:
+    """One JSON object on one line of stdout, at once."""
+    sys.stdout.write(json.dumps(plain(value), allow_nan=False) + "\n")
+    sys.stdout.flush()
 
 
 # ----------------------------------------------------------------------------------- errors

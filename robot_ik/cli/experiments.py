@@ -13,17 +13,12 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
-    from robot_ik.bench.theses.s12 import Case, S12Report
+    from robot_ik.bench.theses.s12 import ArmCase, S12Report
     from robot_ik.bench.theses.tracking import Track
-
-
-if TYPE_CHECKING:
-    from robot_ik.bench.theses.a00 import A00Report
-    from robot_ik.bench.theses.s12 import S12Report
 
     Report = A00Report | S12Report
     Progress = Callable[[str, float], None]
@@ -42,9 +37,9 @@ class ExperimentsOptions:
 
     experiment: Positional[Literal["a00", "s12"]]
     """Which thesis."""
-    tests: Annotated[tuple[int, ...], arg(metavar="N …", help_behavior_hint="(default: 1 … 13)")] = ()
+    tests: Annotated[tuple[int, ...], several("N", "1 … 13")] = ()
     """a00: only these tests."""
-    solvers: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: all)")] = ()
+    solvers: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """a00: only these methods."""
     frames: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: whole; 1000)")] = None
     """a00: no more than so many frames of each course; s12: frames of each case."""
@@ -61,7 +56,7 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.cli.console import results_folder
+    from robot_ik.jobs.results import results_folder
 
     prepare = _a00 if options.experiment == "a00" else _s12
     report, work, save, show = prepare(options)
@@ -69,17 +64,12 @@ def run(options: ExperimentsOptions) -> int:
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
             with console.progress() as bar:
-                task = bar.add_task(options.experiment, total=1.0, note="")
-
-                def progress(phase: str, share: float) -> None:
-                    bar.update(task, completed=share, note=phase)
-
-                work(progress)
+                work(console.shares_on(bar, options.experiment))
         finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and reported
             files = save(folder)
             show()
             names = "  ".join(file.name for file in files)
-            console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
+            console.result(f"files in {folder}: {names}")
     return console.DONE if report.passed else console.NOT_ACHIEVED
 
 
@@ -245,7 +235,7 @@ def print_s12(report: S12Report) -> None:
     screen.print(_result(report.complete, report.passed, why))
 
 
-def _case_table(report: S12Report, case: Case) -> Table:
+def _case_table(report: S12Report, case: ArmCase) -> Table:
     from robot_ik.bench.theses import s12
 
     title = f"Case {case.number}: {case.title}, {report.frames} frames"

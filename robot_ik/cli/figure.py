@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Array, Robot
 
 _LION_BALLS = (0.9, -0.2, 0.6), (0.7, 0.4, 0.5)
-# Pictures of the synthetic camera that nobody sees: the ball's place to 4 mm at a quarter of the time.
+# Pictures of the synthetic camera that are not shown: the ball's place to 4 mm at a quarter of the time.
 _UNSEEN_SIZE = (640, 360)
 _SHOWN = (0.45, -0.25, 1.45), (0.5, -0.2, 0.2), (2.2, 0.8, 1.2), (2.6, 0.9, 2.35)
 
@@ -154,11 +154,8 @@ def _lion(lion: Lion, options: FigureOptions) -> int:
     if options.path or options.tour is not None or options.mode != "active":
         raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
     if options.balls is not None:
-        import json
-
         for ball in read_balls(options.balls):
-            row = {"ball": json_numbers(ball), **asdict(lion.decide(ball))}
-            console.out().file.write(json.dumps(row) + "\n")
+            console.print_json_line({"ball": json_numbers(ball), **asdict(lion.decide(ball))})
         return console.DONE
     balls = (options.ball,) if options.ball is not None else _LION_BALLS
     with claimed(options.frames, overwrite=options.overwrite):
@@ -178,11 +175,7 @@ def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
         from robot_ik.jobs.figure import record
 
         with console.progress() as bar:
-            task = bar.add_task(f"painting {options.record}", total=None, note="")
-
-            def progress(done: int, whole: int) -> None:
-                bar.update(task, completed=done, total=whole, note=f"{done} pictures")
-
+            progress = console.counted_on(bar, f"painting {options.record}")
             record(robot, report.frames, options.record, (), progress, overwrite=options.overwrite)
     _print(report, options)
     return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
@@ -216,13 +209,11 @@ def _request(options: FigureOptions) -> FigureRequest:
 
 
 def _decisions(abilities: Abilities, options: FigureOptions) -> int:
-    import json
-
     from robot_ik.jobs.figure import decide_balls, read_balls
 
     assert options.balls is not None
     for row in decide_balls(abilities, read_balls(options.balls), _place(options)):
-        console.out().file.write(json.dumps(row) + "\n")
+        console.print_json_line(row)
     return console.DONE
 
 
@@ -232,7 +223,7 @@ def _tour(abilities: Abilities, folder: Path) -> int:
 
     make_folder(folder)
     for file in tour(abilities, folder, console.say):
-        console.out().print(str(file), markup=False)
+        console.result(str(file))
     return console.DONE
 
 
@@ -263,11 +254,7 @@ def _on_camera(abilities: Abilities, options: FigureOptions) -> Iterator[FigureF
     from robot_ik.jobs.figure import draw_on_camera
 
     with console.progress() as bar:
-        task = bar.add_task("drawing", total=None, note="")
-
-        def progress(done: int, total: int) -> None:
-            bar.update(task, completed=done, total=total or None, note=f"{done} pictures")
-
+        progress = console.counted_on(bar, "drawing")
         report, frames = draw_on_camera(abilities, _request(options), _camera(options), progress)
     if report.notice:
         console.say(report.notice, style="yellow")

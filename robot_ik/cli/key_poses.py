@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,9 +11,9 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import ConfigError, OutputError, TrajectoryError, close_matches
+from robot_ik.errors import OutputError, TrajectoryError, close_matches
 
 if TYPE_CHECKING:
     from robot_ik.motion import Keyframes, KeyPoses
@@ -70,16 +70,32 @@ class PosesRecordOptions:
     """Start from a frame of a recorded motion instead."""
     at: Annotated[float, arg(metavar="S")] = 0.0
     """Of --frames: at which time."""
-    set: Annotated[tuple[str, ...], arg(metavar="JOINT=DEGREES …", help_behavior_hint="")] = ()
+    set: Annotated[tuple[str, ...], several("JOINT=DEGREES")] = ()
     """Joints at other angles (metres for slides)."""
-    reach: Annotated[tuple[str, ...], arg(metavar="FRAME X Y Z …", help_behavior_hint="")] = ()
+    reach: Annotated[tuple[str, ...], several("FRAME X Y Z")] = ()
     """Frames at places, metres, world."""
     replace: bool = False
     """Replace a pose of that name."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class _MotionOptions:
+    """Which motion, and how it is sampled."""
+
+    motion: Annotated[Positional[str], arg(metavar="MOTION")]
+    """A motion or pose of the file, or a file of frames (.csv)."""
+    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
+    """Key poses, TOML."""
+    robot: _RobotName = "humanoid"
+    """Whose motion."""
+    speed: float = 1.0
+    """Part of the joints' speed limits that may be used."""
+    rate: Annotated[float, arg(metavar="HZ")] = 60.0
+    """Frames a second."""
+
+
 @dataclass(frozen=True)
-class PosesPlayOptions:
+class PosesPlayOptions(_MotionOptions):
     """Shows a motion in MuJoCo's window, without inverse kinematics.
 
         robot-ik poses play walk --times 3
@@ -87,22 +103,12 @@ class PosesPlayOptions:
     Exit code 0: played. 2: wrong input, or no display.
     """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A motion or pose of the file, or a file of frames (.csv)."""
-    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
-    """Key poses, TOML."""
-    robot: _RobotName = "humanoid"
-    """Whose motion."""
-    speed: float = 1.0
-    """Part of the joints' speed limits that may be used."""
-    rate: Annotated[float, arg(metavar="HZ")] = 60.0
-    """Frames a second."""
     times: int = 1
     """How often a loop runs round."""
 
 
 @dataclass(frozen=True)
-class PosesExportOptions:
+class PosesExportOptions(_MotionOptions):
     """Writes a motion as frames: CSV for `robot-ik servo play` and others, BVH for animation programs.
 
         robot-ik poses export walk walk.bvh
@@ -110,18 +116,8 @@ class PosesExportOptions:
     Exit code 0: written. 2: wrong input.
     """
 
-    motion: Annotated[Positional[str], arg(metavar="MOTION")]
-    """A motion or pose of the file, or a file of frames (.csv)."""
     out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv or FILE.bvh."""
-    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
-    """Key poses, TOML."""
-    robot: _RobotName = "humanoid"
-    """Whose motion."""
-    speed: float = 1.0
-    """Part of the joints' speed limits that may be used."""
-    rate: Annotated[float, arg(metavar="HZ")] = 60.0
-    """Frames a second."""
     overwrite: bool = False
     """Replace the file."""
 
@@ -168,7 +164,7 @@ def run_list(options: PosesListOptions) -> int:
     for name, (motion, made) in motions.items():
         rows.add_row(name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
     console.out().print(rows)
-    console.out().print(f"poses: {', '.join(book.poses)}", markup=False, soft_wrap=True)
+    console.result(f"poses: {', '.join(book.poses)}")
     return console.DONE
 
 
@@ -198,7 +194,7 @@ def run_record(options: PosesRecordOptions) -> int:
 def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
     robot = _load(options.robot)
-    motion = _motion(robot, options.motion, options.file, options.speed)
+    motion = _motion(robot, options)
     if options.times < 1:
         raise wrong("--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
@@ -218,11 +214,11 @@ def run_play(options: PosesPlayOptions) -> int:
 
 def run_export(options: PosesExportOptions) -> int:
     """Writes it."""
-    from robot_ik.motion.bvh import export_bvh
+    from robot_ik.motion.bvh_robot import export_bvh
 
     out = _writable(options.out, (".csv", ".bvh"), options.overwrite)
     robot = _load(options.robot)
-    motion = _motion(robot, options.motion, options.file, options.speed)
+    motion = _motion(robot, options)
     if out.suffix == ".bvh":
         export_bvh(motion, options.rate).save(out)
     else:
@@ -275,92 +271,78 @@ def _book(robot: Robot, file: str) -> KeyPoses:
     return KeyPoses.load(path, robot)
 
 
-def _motion(robot: Robot, name: str, file: str, speed: float) -> Keyframes:
+def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     from robot_ik.motion import Keyframes
 
+    name = options.motion
     if name.endswith(".csv"):
         return Keyframes.load_csv(name, robot)
-    book = _book(robot, file)
+    book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
     if name not in known:
-        close = close_matches(name, known)
-        hint = f"did you mean {close[0]!r}?" if close else ""
-        raise wrong("motion", f"there is no {name!r}", f"{', '.join(known[:20])}, or a .csv file", hint)
-    return book.motion(name, speed=speed)
+        allowed = f"{', '.join(known[:20])}, or a .csv file"
+        raise wrong("motion", f"there is no {name!r}", allowed, _close(name, known))
+    return book.motion(name, speed=options.speed)
 
 
 def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
     """Where recording begins."""
+    from robot_ik.jobs.posing import named_poses
     from robot_ik.motion import Keyframes
-    from robot_ik.motion.bvh import qpos_places
 
     if options.frames:
         return Keyframes.load_csv(options.frames, robot).at(options.at)
     if not options.begin:
         return np.array(robot.home)
-    if options.begin in book.poses:
-        return book[options.begin]
-    keys = [robot.model.key(k).name for k in range(robot.model.nkey)]
-    if options.begin in keys:
-        return np.array(robot.model.key(options.begin).qpos[qpos_places(robot)])
-    known = [*book.poses, *keys]
-    close = close_matches(options.begin, known)
-    raise wrong(
-        "--from",
-        f"there is no pose {options.begin!r}",
-        ", ".join(known),
-        f"did you mean {close[0]!r}?" if close else "",
-    )
+    known = named_poses(robot, book)
+    if options.begin not in known:
+        raise wrong(
+            "--begin", f"there is no pose {options.begin!r}", ", ".join(known), _close(options.begin, known)
+        )
+    return known[options.begin]
+
+
+def _close(name: str, known: Iterable[str]) -> str:
+    close = close_matches(name, list(known))
+    return f"did you mean {close[0]!r}?" if close else ""
+
+
+def _reached(robot: Robot, q: Array, words: Sequence[str]) -> Array | None:
+    """The pose that brings frames to the places of ``FRAME X Y Z`` words; None: out of reach."""
+    from robot_ik.jobs.posing import pose_reaching
+
+    if not words or len(words) % 4:
+        raise wrong("--reach", f"{len(words)} words", "FRAME X Y Z, once or more")
+    places = {}
+    for first in range(0, len(words), 4):
+        try:
+            x, y, z = (float(word) for word in words[first + 1 : first + 4])
+        except ValueError:
+            raise wrong("--reach", " ".join(words[first : first + 4]), "FRAME X Y Z, metres") from None
+        places[words[first]] = (x, y, z)
+    return pose_reaching(robot, q, places)
 
 
 def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
     """The pose with the joints of ``JOINT=DEGREES`` words."""
     from robot_ik.errors import UnknownJointError
-    from robot_ik.kernels.tree import HINGE, SLIDE
+    from robot_ik.jobs.posing import with_joint
 
     for item in items:
         joint, _, text = item.partition("=")
-        if joint not in robot.joints:
-            raise UnknownJointError(joint, robot.joints)
-        k = robot.joints.index(joint)
-        kind = int(robot.tree.kind[k])
         try:
-            value = float(text)
+            q = with_joint(robot, q, joint, float(text))
+        except UnknownJointError:
+            raise
         except ValueError:
-            value = np.nan
-        if kind not in (HINGE, SLIDE) or not np.isfinite(value):
-            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES")
-        q[int(robot.tree.qadr[k])] = np.radians(value) if kind == HINGE else value
+            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES") from None
     return q
-
-
-def _reached(robot: Robot, q: Array, words: Sequence[str]) -> Array | None:
-    """The pose that brings frames to places, what stands on the floor staying there; None: out of reach."""
-    from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
-    from robot_ik.inverse_kinematics import solve
-
-    goals: list[Goal] = []
-    if not words or len(words) % 4:
-        raise wrong("--reach", f"{len(words)} words", "FRAME X Y Z, once or more")
-    for first in range(0, len(words), 4):
-        try:
-            place = tuple(float(word) for word in words[first + 1 : first + 4])
-        except ValueError:
-            raise wrong("--reach", " ".join(words[first : first + 4]), "FRAME X Y Z, metres") from None
-        goals.append(PositionGoal(words[first], place))
-    moved = {goal.frame for goal in goals}
-    feet = [frame for frame in robot.file.tools if frame.endswith(("_foot", "_paw")) and frame not in moved]
-    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
-    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
-    return np.array(found.q) if found.converged else None
 
 
 def _writable(name: str, endings: Sequence[str], overwrite: bool) -> Path:
     path = Path(name)
     if path.suffix not in endings:
-        raise ConfigError(
-            f"{name!r} is not right", file="command line", key="out", allowed=" or ".join(endings)
-        )
+        raise wrong("out", f"{name!r} is not right", " or ".join(endings))
     if path.exists() and not overwrite:
         raise OutputError(
             f"{path} exists, and stays as it is", hint="choose another name, or give --overwrite"

@@ -270,9 +270,6 @@ def _print_solver(facts: dict[str, Any]) -> None:
 # ``robot-ik robots --gallery``: pictures of the robots.
 
 
-#: Version of the JSON object; raised when a field changes its meaning.
-
-
 def gallery_folder(words: Sequence[str]) -> str:
     """Where the pictures go; empty: to a new folder.
 
@@ -301,8 +298,8 @@ def gallery_folder(words: Sequence[str]) -> str:
 def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
     """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
     folder = gallery_folder(words)
-    from robot_ik.cli.console import results_folder
     from robot_ik.jobs.gallery import draw_gallery
+    from robot_ik.jobs.results import results_folder
     from robot_ik.robot import load_robot
     from robot_ik.robot_file import catalogue
 
@@ -341,4 +338,4 @@ def _print(portraits: Sequence[Portrait], files: Sequence[Path]) -> None:
         met = "met" if solution.converged else f"missed: {solution.status.name}"
         shown.add_row(portrait.robot.name, *portrait.captions, met, solution.solver, str(file))
     console.out().print(shown)
-    console.out().print(f"all on one sheet: {files[-1]}", markup=False, soft_wrap=True)
+    console.result(f"all on one sheet: {files[-1]}")

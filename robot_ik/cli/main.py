@@ -41,158 +41,82 @@ class CommandRow:
     subcommands: Mapping[str, CommandRow] = field(default_factory=dict)
 
 
-def _servo(module: str, name: str, about: str) -> CommandRow:
-    """``run_reset_fault(options: ResetFaultOptions)`` for ``reset-fault``, and so on."""
-    options = "".join(word.title() for word in name.split("-")) + "Options"
-    return CommandRow(module, options, about, "run_" + name.replace("-", "_"), mujoco=False)
+# Name -> file of ``robot_ik/cli/`` and one line of help, in the order of ``robot-ik --help``.
+ROWS: dict[str, tuple[str, str]] = {
+    "view": ("view", "the interactive testbed, in the browser or in MuJoCo's window"),
+    "reach": ("reach", "see a marker, reach it, and let a camera judge: the whole product"),
+    "solve": ("solve", "a goal in, joint angles out (JSON on stdout)"),
+    "robots": ("listing", "the robots that come along, or one in detail"),
+    "solvers": ("listing", "the methods and their options"),
+    "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
+    "bench": ("bench", "methods on seeded problems: success, time, plots"),
+    "bench camera": (
+        "bench_camera", "the camera instead of the methods: errors on pictures whose truth is known"
+    ),
+    "bench figure": (
+        "bench_figure", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
+    ),
+    "bench page": (
+        "bench_page", "the testbed's page instead of the methods: its loop, its drawing, its start"
+    ),
+    "run": ("run", "a scripted test run on simulated or real servos, faults included"),
+    "poses": ("", "key poses and motions: record, list, play, export, import"),
+    "poses list": ("key_poses", "the poses and motions of a file"),
+    "poses record": ("key_poses", "a pose into a file: from joints, from a recorded frame, by reaching"),
+    "poses play": ("key_poses", "a motion in MuJoCo's window"),
+    "poses export": ("key_poses", "a motion as frames: CSV or BVH"),
+    "poses import": ("key_poses", "motion capture (BVH) onto a figure"),
+    "sim-bus": ("sim_bus", "serve simulated servos on a port that any client can open"),
+    "servo": ("", "servos by hand: find, set up, calibrate, watch, move, record, save"),
+    "servo ports": ("servo_bus", "serial ports, the adapter behind each, who uses it"),
+    "servo scan": ("servo_bus", "which servos answer, at every rate; doubled ids"),
+    "servo setup": ("servo_bus", "id and baud rate of the one servo connected"),
+    "servo calibrate": ("servo_hand", "ranges, zeros and directions by hand"),
+    "servo monitor": ("servo_bus", "position, current, supply, heat, errors, live"),
+    "servo move": ("servo_motion", "joints to angles, slowly, within limits"),
+    "servo torque": ("servo_motion", "on: hold where it stands; off: let go"),
+    "servo reset-fault": ("servo_motion", "restart servos that have shut down"),
+    "servo teach": ("servo_hand", "record the arm while a hand guides it"),
+    "servo play": ("servo_hand", "repeat a recording within the limits"),
+    "servo backup": ("servo_bus", "save the control tables as JSON"),
+    "servo restore": ("servo_bus", "put the EEPROM back as a backup has it"),
+    "teleop": ("teleop", "lead an arm by another one, or by the keys of this terminal"),
+    "stop": ("stop", "make an arm that another program drives stop and hold"),
+    "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
+    "figure": ("figure", "a humanoid sees a ball, decides, and reaches, bends, jumps or walks"),
+    "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
+    "camera list": ("camera", "cameras of this machine: index, name, who uses them"),
+    "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
+    "camera calibrate": ("camera_calibrate", "lens and focal length from views of a printed pattern"),
+    "camera detect": ("camera", "markers in pictures: ids, corners, poses"),
+    "camera locate": ("camera", "where the camera stands, from a board whose place is known"),
+    "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
+    "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
+    "video": ("video", "a film of the testbed without a screen, from its command log"),
+    "doctor": ("doctor", "what this machine can do, and what to do about the rest"),
+}  # fmt: skip
+# They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
+_WITHOUT_MUJOCO = ("sim-bus", "servo", "stop", "camera", "doctor")
 
 
-def _camera(module: str, name: str, about: str, run: str = "run") -> CommandRow:
-    return CommandRow(module, f"Camera{name.title()}Options", about, run, mujoco=False)
+def _row(name: str, file: str, about: str) -> CommandRow:
+    """``servo reset-fault`` of ``servo_motion.py`` is ``run_reset_fault(options: ServoResetFaultOptions)``.
+
+    A file that has the command's name has one command, whose function is ``run``.
+    """
+    words = name.replace("-", " ").split()
+    own = file == "_".join(words)
+    return CommandRow(
+        f"robot_ik.cli.{file}" if file else "",
+        "".join(word.title() for word in words) + "Options" if file else "",
+        about,
+        "run" if own else "run_" + name.split()[-1].replace("-", "_"),
+        name.split()[0] not in _WITHOUT_MUJOCO,
+        {inner.split()[1]: _row(inner, *row) for inner, row in ROWS.items() if inner.startswith(f"{name} ")},
+    )
 
 
-_SERVO = {
-    "ports": _servo("robot_ik.cli.servo_bus", "ports", "serial ports, the adapter behind each, who uses it"),
-    "scan": _servo("robot_ik.cli.servo_bus", "scan", "which servos answer, at every rate; doubled ids"),
-    "setup": _servo("robot_ik.cli.servo_bus", "setup", "id and baud rate of the one servo connected"),
-    "calibrate": _servo("robot_ik.cli.servo_hand", "calibrate", "ranges, zeros and directions by hand"),
-    "monitor": _servo("robot_ik.cli.servo_bus", "monitor", "position, current, supply, heat, errors, live"),
-    "move": _servo("robot_ik.cli.servo_motion", "move", "joints to angles, slowly, within limits"),
-    "torque": _servo("robot_ik.cli.servo_motion", "torque", "on: hold where it stands; off: let go"),
-    "reset-fault": _servo("robot_ik.cli.servo_motion", "reset-fault", "restart servos that have shut down"),
-    "teach": _servo("robot_ik.cli.servo_hand", "teach", "record the arm while a hand guides it"),
-    "play": _servo("robot_ik.cli.servo_hand", "play", "repeat a recording within the limits"),
-    "backup": _servo("robot_ik.cli.servo_bus", "backup", "save the control tables as JSON"),
-    "restore": _servo("robot_ik.cli.servo_bus", "restore", "put the EEPROM back as a backup has it"),
-}
-_CAMERA = {
-    "list": _camera(
-        "robot_ik.cli.camera", "list", "cameras of this machine: index, name, who uses them", "run_list"
-    ),
-    "print": _camera(
-        "robot_ik.cli.camera",
-        "print",
-        "a sheet of markers, a board, a cube or a pattern to print",
-        "run_print",
-    ),
-    "calibrate": _camera(
-        "robot_ik.cli.camera_calibrate", "calibrate", "lens and focal length from views of a printed pattern"
-    ),
-    "detect": _camera(
-        "robot_ik.cli.camera", "detect", "markers in pictures: ids, corners, poses", "run_detect"
-    ),
-    "locate": _camera(
-        "robot_ik.cli.camera",
-        "locate",
-        "where the camera stands, from a board whose place is known",
-        "run_locate",
-    ),
-    "handeye": _camera(
-        "robot_ik.cli.arm_camera", "handeye", "where the camera is mounted, by moving the arm"
-    ),
-    "verify": _camera("robot_ik.cli.camera_verify", "verify", "how far the arm is from where its joints say"),
-}
-
-_POSES = {
-    word: CommandRow("robot_ik.cli.key_poses", f"Poses{word.title()}Options", about, f"run_{word}")
-    for word, about in {
-        "list": "the poses and motions of a file",
-        "record": "a pose into a file: from joints, from a recorded frame, by reaching",
-        "play": "a motion in MuJoCo's window",
-        "export": "a motion as frames: CSV or BVH",
-        "import": "motion capture (BVH) onto a figure",
-    }.items()
-}
-
-COMMANDS: dict[str, CommandRow] = {
-    "view": CommandRow(
-        "robot_ik.cli.view", "ViewOptions", "the interactive testbed, in the browser or in MuJoCo's window"
-    ),
-    "reach": CommandRow(
-        "robot_ik.cli.reach",
-        "ReachOptions",
-        "see a marker, reach it, and let a camera judge: the whole product",
-    ),
-    "solve": CommandRow("robot_ik.cli.solve", "SolveOptions", "a goal in, joint angles out (JSON on stdout)"),
-    "robots": CommandRow(
-        "robot_ik.cli.listing", "RobotsOptions", "the robots that come along, or one in detail", "run_robots"
-    ),
-    "solvers": CommandRow(
-        "robot_ik.cli.listing", "SolversOptions", "the methods and their options", "run_solvers"
-    ),
-    "experiments": CommandRow(
-        "robot_ik.cli.experiments",
-        "ExperimentsOptions",
-        "repeat the experiments of the theses: a00 or s12",
-    ),
-    "bench": CommandRow(
-        "robot_ik.cli.bench",
-        "BenchOptions",
-        "methods on seeded problems: success, time, plots",
-        subcommands={
-            "camera": CommandRow(
-                "robot_ik.cli.bench_camera",
-                "BenchCameraOptions",
-                "the camera instead of the methods: errors on pictures whose truth is known",
-                "run_camera",
-            ),
-            "figure": CommandRow(
-                "robot_ik.cli.bench_figure",
-                "BenchFigureOptions",
-                "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo",
-            ),
-            "page": CommandRow(
-                "robot_ik.cli.bench_page",
-                "BenchPageOptions",
-                "the testbed's page instead of the methods: its loop, its drawing, its start",
-            ),
-        },
-    ),
-    "run": CommandRow(
-        "robot_ik.cli.run", "RunOptions", "a scripted test run on simulated or real servos, faults included"
-    ),
-    "poses": CommandRow(
-        "", "", "key poses and motions: record, list, play, export, import", subcommands=_POSES
-    ),
-    "sim-bus": CommandRow(
-        "robot_ik.cli.sim_bus",
-        "SimBusOptions",
-        "serve simulated servos on a port that any client can open",
-        mujoco=False,
-    ),
-    "servo": CommandRow(
-        "", "", "servos by hand: find, set up, calibrate, watch, move, record, save", subcommands=_SERVO
-    ),
-    "teleop": CommandRow(
-        "robot_ik.cli.teleop", "TeleopOptions", "lead an arm by another one, or by the keys of this terminal"
-    ),
-    "stop": CommandRow(
-        "robot_ik.cli.stop",
-        "StopOptions",
-        "make an arm that another program drives stop and hold",
-        mujoco=False,
-    ),
-    "ar": CommandRow(
-        "robot_ik.cli.ar", "ArOptions", "the virtual robot in a camera's pictures, on a printed board"
-    ),
-    "figure": CommandRow(
-        "robot_ik.cli.figure",
-        "FigureOptions",
-        "a humanoid sees a ball, decides, and reaches, bends, jumps or walks",
-    ),
-    "camera": CommandRow(
-        "", "", "the camera by hand: find, print markers, calibrate, detect, locate", subcommands=_CAMERA
-    ),
-    "video": CommandRow(
-        "robot_ik.cli.video", "VideoOptions", "a film of the testbed without a screen, from its command log"
-    ),
-    "doctor": CommandRow(
-        "robot_ik.cli.doctor",
-        "DoctorOptions",
-        "what this machine can do, and what to do about the rest",
-        mujoco=False,
-    ),
-}
+COMMANDS = {name: _row(name, *row) for name, row in ROWS.items() if " " not in name}
 
 
 def find_command(words: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
@@ -384,10 +308,10 @@ def _print_help() -> None:
     for name, command in COMMANDS.items():
         rows.add_row(name, command.about)
     screen.print(rows)
-    others = console.table("", "")
-    others.show_header = False
-    others.add_row("--version", "versions of robot_ik and of what it stands on")
-    others.add_row("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)")
+    others = console.facts(
+        ("--version", "versions of robot_ik and of what it stands on"),
+        ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
+    )
     screen.print(others)
     screen.print("Start with:  robot-ik reach, or robot-ik view", markup=False)
     screen.print("Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment", markup=False)

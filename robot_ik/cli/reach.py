@@ -11,11 +11,22 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, wrong
+from robot_ik.cli.arguments import (
+    ArmFile,
+    Lens,
+    RecordFile,
+    joint_degrees,
+    optional_path,
+    pose_option,
+    require_share,
+    robot_argument,
+    several,
+    wrong,
+)
 from robot_ik.cli.connection import bus_argument, robot_meant
 from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import InvalidGoalError, apart
+from robot_ik.errors import apart
 from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
@@ -29,9 +40,9 @@ if TYPE_CHECKING:
 class RehearseOptions:
     """What shall go wrong, to see that it is noticed (simulated servos, synthetic camera)."""
 
-    zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Servos whose shaft is some degrees ahead of what their registers say, e.g. joint2=2."""
-    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")] = ()
+    stuck: Annotated[tuple[str, ...], several("JOINT")] = ()
     """Servos whose shaft does not move."""
     cover_gripper: bool = False
     """Hide the gripper's markers when the camera looks again."""
@@ -41,7 +52,7 @@ class RehearseOptions:
     """Put the printed marker elsewhere: metres in the world, and degrees about the vertical."""
 
 
-_DEFAULT_ROBOT = f"(default: the arm file's, else {SHOWN_ROBOT}; at a port {SERVO_ROBOT})"
+_DEFAULT_ROBOT = f"the arm file's, else {SHOWN_ROBOT}; at a port {SERVO_ROBOT}"
 
 
 @dataclass(frozen=True)
@@ -55,8 +66,7 @@ class ReachOptions:
     2: wrong input or environment; nothing was sent to a servo.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=_DEFAULT_ROBOT)] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument(_DEFAULT_ROBOT)] = ""
     solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
     """Method: see `robot-ik solvers`."""
     goal: Annotated[
@@ -67,8 +77,7 @@ class ReachOptions:
     """What shall get there: a tool, site or body of the robot."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")] = ""
-    """Calibration of a real camera: OpenCV or ROS YAML."""
+    intrinsics: Lens = ""
     camera_pose: Annotated[
         tuple[float, ...],
         arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
@@ -85,8 +94,7 @@ class ReachOptions:
     dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, bus_argument(none=True)] = "pty"
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")] = ""
-    """Servo ids, signs, zeros and limits."""
+    arm: ArmFile = ""
     speed: float = 1.0
     """Share of the joints' speed limits, above 0 and up to 1."""
     line: bool = False
@@ -109,10 +117,7 @@ class ReachOptions:
     """Where reach.png, trajectory.csv and summary.json go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
-    record: Annotated[
-        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
-    ] = None
-    """Write every command and measurement while it happens (.mcap: extra `record`)."""
+    record: RecordFile = None
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
     json: bool = False
@@ -124,9 +129,9 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
-    from robot_ik.cli.console import results_folder
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import FILES
+    from robot_ik.jobs.results import results_folder
 
     if options.film:
         from robot_ik.jobs.reach_files import require_films
@@ -162,7 +167,7 @@ def _save_and_print(report: ReachReport, folder: Path, options: ReachOptions) ->
     else:
         print_report(report)
         names = "  ".join(file.name for file in files)
-        console.out().print(Text(f"files in {folder}: {names}"), soft_wrap=True)
+        console.result(f"files in {folder}: {names}")
     if report.problem is not None:
         console.show_error(report.problem)
     if options.view:
@@ -177,8 +182,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
     """
     from robot_ik.jobs.reach import ReachRequest
 
-    if not 0.0 < options.speed <= 1.0:
-        raise wrong("--speed", f"{options.speed:g} is no share of the speed limits", "above 0, at most 1")
+    require_share("--speed", options.speed)
     if not 0.0 < options.seconds < math.inf:
         raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
     if options.film and options.follow:
@@ -193,13 +197,13 @@ def make_request(options: ReachOptions) -> ReachRequest:
         goal=make_goal(options.goal, options.frame) if options.goal else None,
         frame=options.frame or None,
         camera=options.camera,
-        intrinsics=Path(options.intrinsics) if options.intrinsics else None,
+        intrinsics=optional_path(options.intrinsics),
         pose_world_camera=_camera_pose(options),
         marker_id=options.marker,
         marker_size=options.marker_size,
         dictionary=options.dictionary or None,
         bus=options.bus,
-        arm_file=Path(options.arm) if options.arm else None,
+        arm_file=optional_path(options.arm),
         speed=options.speed,
         line=options.line,
         record=options.record,
@@ -214,8 +218,6 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
 
 def _camera_pose(options: ReachOptions) -> Pose | None:
-    from robot_ik.geometry import Pose
-
     numbers = options.camera_pose
     if options.camera_extrinsics:
         if numbers or not options.intrinsics:
@@ -227,14 +229,9 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
         place = CameraExtrinsics.load(options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics))
         place.require_parent("world")
         return place.pose_parent_camera
-    if not numbers:
-        return None
-    if len(numbers) != 7:
+    if numbers and len(numbers) != 7:
         raise wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
-    try:
-        return Pose(numbers[:3], numbers[3:])
-    except ValueError as error:
-        raise InvalidGoalError(f"--camera-pose: {error}") from error
+    return pose_option(numbers, "--camera-pose")
 
 
 def _rehearsal(options: RehearseOptions) -> Rehearsal:

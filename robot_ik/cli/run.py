@@ -13,7 +13,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import RecordFile, optional_path, robot_argument, wrong
 from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
@@ -38,20 +38,16 @@ class RunOptions:
     script: Positional[Annotated[str, arg(metavar="[FILE.toml|NAME]", help_behavior_hint="")]] = ""
     """The script, or the name of one that comes along."""
     bus: Annotated[str, bus_argument()] = "sim"
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint="(default: the script's)")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument("the script's")] = ""
     arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: the script's)")] = ""
     """Servo ids, signs, zeros and limits."""
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the script's)")] = None
-    """Of the dice of faults, of restarts and of the synthetic camera's noise."""
+    """Of random faults, of restarts and of the synthetic camera's noise."""
     junit: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
     """Write the report as JUnit XML, for build servers."""
     json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
-    record: Annotated[
-        Path | None, arg(metavar="FILE.csv|FILE.mcap", help_behavior_hint="(default: none)")
-    ] = None
-    """Write every command and measurement while it happens (.mcap: extra `record`)."""
+    record: RecordFile = None
     overwrite: bool = False
     """These files may be there from an earlier run: they are replaced."""
 
@@ -77,7 +73,7 @@ def run(options: RunOptions) -> int:
 def _run(script: Script, options: RunOptions) -> int:
     from robot_ik.jobs.script import ScriptRequest, ScriptRun
 
-    arm = Path(options.arm) if options.arm else None
+    arm = optional_path(options.arm)
     this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed, options.record))
     try:
         with console.progress() as bar, _quiet(options.bus):

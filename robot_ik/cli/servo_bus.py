@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import glob
-import json
-import os
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 from rich.live import Live
 from rich.table import Table
@@ -17,11 +13,9 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
-from robot_ik.environment import named_users_of
-from robot_ik.files import claimed, plain
-from robot_ik.hardware.health import latency_ms, serial_row
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.hardware.backup import Change
@@ -29,11 +23,8 @@ if TYPE_CHECKING:
     from robot_ik.hardware.health import ServoState
 
 
-BY_ID = "/dev/serial/by-id"
-
-
 @dataclass(frozen=True)
-class PortsOptions:
+class ServoPortsOptions:
     """Lists serial ports: which adapter, how late it answers, who uses it. Opens none of them.
 
     Exit code 1 when there is no port at all.
@@ -43,31 +34,9 @@ class PortsOptions:
     """Print one JSON object instead of a table."""
 
 
-@dataclass(frozen=True)
-class PortRow:
-    """One serial port.
-
-    Attributes:
-        port: Name to open; ``stable``: a name that survives replugging, empty where there is none.
-        adapter: Its description; ``usb``: vendor:product, hexadecimal; ``serial``: number of the adapter.
-        latency_ms: Latency timer, None where the driver has none; ``used_by``: programs that have it open.
-        status: ok or note; ``do``: what to do about it.
-    """
-
-    port: str
-    stable: str
-    adapter: str
-    usb: str
-    serial: str
-    latency_ms: int | None
-    used_by: list[str]
-    status: str
-    do: str
-
-
-def run_ports(options: PortsOptions) -> int:
+def run_ports(options: ServoPortsOptions) -> int:
     """Prints the ports; 1 when there is none."""
-    from robot_ik.cli.connection import serial_ports
+    from robot_ik.hardware.ports import port_row, serial_ports
 
     rows = [port_row(port) for port in serial_ports()]
     if options.json:
@@ -80,33 +49,11 @@ def run_ports(options: PortsOptions) -> int:
             shown.add_row(row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do)
         console.out().print(shown)
     else:
-        console.say("error: there is no USB serial port on this machine", "bold red")
-        console.say("plug the adapter in; without servos: robot-ik sim-bus --link PATH", "cyan")
+        console.refused(
+            "there is no USB serial port on this machine",
+            "plug the adapter in; without servos: robot-ik sim-bus --link PATH",
+        )
     return console.DONE if rows else console.NOT_ACHIEVED
-
-
-def port_row(port: Any, system: str = sys.platform) -> PortRow:
-    """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
-    vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
-    about = port.description or "serial port"
-    row = serial_row(port.device, about, system=system, vendor=vendor)
-    return PortRow(
-        port.device,
-        stable_name(port.device),
-        port.description or "",
-        f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
-        getattr(port, "serial_number", None) or "",
-        latency_ms(port.device),
-        named_users_of(port.device),
-        row.status,
-        row.do,
-    )
-
-
-def stable_name(device: str, folder: str = BY_ID) -> str:
-    """The name by adapter that leads to ``device``; empty where the system keeps none."""
-    real = os.path.realpath(device)
-    return next((name for name in sorted(glob.glob(f"{folder}/*")) if os.path.realpath(name) == real), "")
 
 
 # ------------------------------------------------------------------------------------------
@@ -114,21 +61,21 @@ def stable_name(device: str, folder: str = BY_ID) -> str:
 
 
 @dataclass(frozen=True)
-class ScanOptions(BusOptions):
+class ServoScanOptions(BusOptions):
     """Asks at every baud rate which servos are there: id, model, firmware, supply, errors. Writes nothing.
 
     Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when nobody answers.
     """
 
-    baud: Annotated[tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")] = ()
+    baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Only these rates, bits/s."""
     json: bool = False
     """Print one JSON object instead of a table."""
 
 
-def run_scan(options: ScanOptions) -> int:
+def run_scan(options: ServoScanOptions) -> int:
     """Prints who answers; 1 when nobody does."""
-    from robot_ik.hardware.discovery import LIKELY, nobody_hint
+    from robot_ik.hardware.discovery import LIKELY, nobody_hint, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
     with served_or_real(options.bus, options.arm) as port:
@@ -139,33 +86,10 @@ def run_scan(options: ScanOptions) -> int:
     elif found:
         print_found(found)
     if not found:
-        console.say(f"error: no servo answers on {port}", "bold red")
-        console.say(nobody_hint(bauds), "cyan")
-    for note in _notes(found):
+        console.refused(f"no servo answers on {port}", nobody_hint(bauds))
+    for note in scan_notes(found):
         console.say(note, "yellow")
     return console.DONE if found else console.NOT_ACHIEVED
-
-
-def _notes(found: Sequence[FoundServo]) -> list[str]:
-    """What is wrong with all of them together."""
-    if len(found) > 1 and all(servo.shared for servo in found):
-        return ["every answer is damaged: check the cable, its contacts and the adapter"]
-    notes = [
-        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
-        "and give it another: robot-ik servo setup --id N"
-        for servo in found
-        if servo.shared
-    ]
-    rates: dict[int, list[str]] = {}
-    for servo in found:
-        rates.setdefault(servo.baud, []).append(str(servo.id))
-    if len(rates) > 1:
-        listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
-        notes.append(
-            f"they talk at different rates ({listed}). "
-            "Connect one alone: robot-ik servo setup --id N --baud RATE"
-        )
-    return notes
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
@@ -188,8 +112,7 @@ def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
     from robot_ik.hardware.discovery import scan
 
     with console.progress() as bar:
-        task = bar.add_task("scan", total=1.0, note="")
-        return scan(port, bauds, progress=lambda what, share: bar.update(task, completed=share, note=what))
+        return scan(port, bauds, progress=console.shares_on(bar, "scan"))
 
 
 def _state(servo: FoundServo) -> str:
@@ -223,7 +146,7 @@ def print_found(found: Sequence[FoundServo]) -> None:
 
 
 @dataclass(frozen=True)
-class SetupOptions(BusOptions):
+class ServoSetupOptions(BusOptions):
     """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
 
         robot-ik servo setup --joint joint3    (id and rate of the arm file)
@@ -238,13 +161,11 @@ class SetupOptions(BusOptions):
     """New id, 0 to 252."""
     baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
     """New rate, bits/s."""
-    from_baud: Annotated[
-        tuple[int, ...], arg(metavar="RATE …", help_behavior_hint="(default: all rates)")
-    ] = ()
+    from_baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Look for the servo at these rates only."""
 
 
-def run_setup(options: SetupOptions) -> int:
+def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
     from robot_ik.hardware.discovery import LIKELY, nobody_hint, set_up, the_only_one
 
@@ -262,17 +183,13 @@ def run_setup(options: SetupOptions) -> int:
     with served_or_real(options.bus, options.arm) as port:
         found = scanned(port, bauds)
         if not found:
-            console.say(f"error: no servo answers on {port}", "bold red")
-            console.say(nobody_hint(bauds), "cyan")
-            return console.NOT_ACHIEVED
+            return console.refused(f"no servo answers on {port}", nobody_hint(bauds))
         servo = the_only_one(found)
         if joint and servo.model != joint.model:
             raise wrong("--joint", f"{joint.name} has a {joint.model}, this is a {servo.model}", joint.model)
         set_up(port, servo, id, baud)
     print_found([servo])
-    console.out().print(
-        f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done", markup=False
-    )
+    console.result(f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done")
     return console.DONE
 
 
@@ -281,7 +198,7 @@ def run_setup(options: SetupOptions) -> int:
 
 
 @dataclass(frozen=True)
-class BackupOptions(BusOptions):
+class ServoBackupOptions(BusOptions):
     """Saves the whole control table of every servo of the arm as JSON. Writes nothing to any servo."""
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
@@ -290,7 +207,7 @@ class BackupOptions(BusOptions):
     """An older file of that name may go."""
 
 
-def run_backup(options: BackupOptions) -> int:
+def run_backup(options: ServoBackupOptions) -> int:
     """Reads all registers, writes the file."""
     from robot_ik.hardware.backup import read_tables, save_backup
 
@@ -299,14 +216,12 @@ def run_backup(options: BackupOptions) -> int:
             servos = read_tables(link.bus, link.config)
         save_backup(options.file, link.config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
-    console.out().print(
-        f"{options.file}: {len(servos)} servos, {count} registers", markup=False, soft_wrap=True
-    )
+    console.result(f"{options.file}: {len(servos)} servos, {count} registers")
     return console.DONE
 
 
 @dataclass(frozen=True)
-class RestoreOptions(BusOptions):
+class ServoRestoreOptions(BusOptions):
     """Puts the EEPROM of servos back as a backup has it: modes, limits, offsets, shutdown. Needs torque off.
 
     Only what differs is written, and read back. Ids, baud rates and RAM stay as they are. Another model
@@ -315,13 +230,13 @@ class RestoreOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.json")]]
     """A file of backup."""
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints of the file; all if none is named."""
     dry_run: bool = False
     """Only show what differs."""
 
 
-def run_restore(options: RestoreOptions) -> int:
+def run_restore(options: ServoRestoreOptions) -> int:
     """Writes what differs; shows it."""
     from robot_ik.hardware.backup import differences, load_backup, restore
 
@@ -356,7 +271,7 @@ FASTEST = 200.0
 
 
 @dataclass(frozen=True)
-class MonitorOptions(BusOptions):
+class ServoMonitorOptions(BusOptions):
     """Watches the servos: position, velocity, current, voltage, temperature, torque, errors. Moves nothing.
 
     Runs until Ctrl-C, or --count samples. Exit code 1 when a servo did not answer in the last one.
@@ -370,7 +285,7 @@ class MonitorOptions(BusOptions):
     """Print one JSON object a line for each sample."""
 
 
-def run_monitor(options: MonitorOptions) -> int:
+def run_monitor(options: ServoMonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
     if not 0.0 < options.rate <= FASTEST:
         raise wrong("--rate", f"{options.rate:g} Hz", f"above 0, at most {FASTEST:g}")
@@ -386,19 +301,17 @@ def run_monitor(options: MonitorOptions) -> int:
             return _watch(link, options, lambda states: live.update(states_table(states), refresh=True))
 
 
-def _lines(link: Link, options: MonitorOptions) -> int:
+def _lines(link: Link, options: ServoMonitorOptions) -> int:
     begin = link.clock.now()
 
     def show(states: Sequence[ServoState]) -> None:
-        servos = [plain(asdict(state)) for state in states]
-        sample = {"time": round(link.clock.now() - begin, 6), "servos": servos}
-        sys.stdout.write(json.dumps(sample, allow_nan=False) + "\n")
-        sys.stdout.flush()
+        servos = [asdict(state) for state in states]
+        console.print_json_line({"time": round(link.clock.now() - begin, 6), "servos": servos})
 
     return _watch(link, options, show)
 
 
-def _watch(link: Link, options: MonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
+def _watch(link: Link, options: ServoMonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
     from robot_ik.hardware.health import read_states
 
     due, done = link.clock.now(), 0

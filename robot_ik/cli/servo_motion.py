@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import OnExit, require_share, several, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Link,
     arm_on,
     driving,
-    joints_of,
     load_arm,
     opened,
     require_model,
@@ -28,13 +27,12 @@ from robot_ik.errors import apart
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.control_table import Register
     from robot_ik.hardware.joint_map import JointMap
     from robot_ik.hardware.recovery import ServoReset
 
 
 @dataclass(frozen=True)
-class MoveOptions(BusOptions):
+class ServoMoveOptions(BusOptions):
     """Moves joints to angles in degrees (slides: mm), slowly, within limits and caps of the arm file.
 
         robot-ik servo move joint1=30 joint3=-45
@@ -43,21 +41,19 @@ class MoveOptions(BusOptions):
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    to: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT=DEG|MM …|DEG|MM …", help_behavior_hint="")]]
+    to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG|MM …|DEG|MM")]]
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
     speed: Annotated[float, arg(metavar="SHARE")] = 0.25
     """Share of the speed caps, above 0 and up to 1."""
-    on_exit: Annotated[
-        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
-    ] = ""
-    """How to leave the arm; park: back to where it was first."""
+    on_exit: OnExit = ""
 
 
-def run_move(options: MoveOptions) -> int:
+def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
-    config = slowed(load_arm(options.arm), options.speed)
+    require_share("--speed", options.speed, "speed caps")
+    config = load_arm(options.arm).slowed(options.speed)
     require_model(config)
     angles = parse_angles(options.to, config)
     if not options.by:
@@ -79,21 +75,6 @@ def run_move(options: MoveOptions) -> int:
 
     with driving(arm):
         return tried(move)
-
-
-def slowed(config: ArmConfig, speed: float) -> ArmConfig:
-    """The arm with a share of its speed and acceleration caps.
-
-    Raises:
-        ConfigError: Not above 0 and up to 1.
-    """
-    if not 0.0 < speed <= 1.0:
-        raise wrong("--speed", f"{speed:g} is no share of the speed caps", "above 0, at most 1")
-    joints, auxiliary = (
-        tuple(replace(j, velocity=speed * j.velocity, acceleration=speed * j.acceleration) for j in row)
-        for row in (config.joints, config.auxiliary)
-    )
-    return replace(config, joints=joints, auxiliary=auxiliary)
 
 
 def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -166,11 +147,8 @@ def degrees(q: float) -> str:
 # ``robot-ik servo torque`` and ``reset-fault``: give and take torque, restart what has shut down.
 
 
-_ATTEMPTS = 3  # writes before a servo is given up
-
-
 @dataclass(frozen=True)
-class TorqueOptions(BusOptions):
+class ServoTorqueOptions(BusOptions):
     """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
 
     on checks the servos as any start of the arm does, and leaves them holding, with no watchdog armed.
@@ -179,22 +157,22 @@ class TorqueOptions(BusOptions):
 
     to: Positional[Annotated[Literal["on", "off"], arg(metavar="on|off")]]
     """What to do."""
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
-    ids: Annotated[tuple[int, ...], arg(metavar="N …", help_behavior_hint="")] = ()
+    ids: Annotated[tuple[int, ...], several("N")] = ()
     """For off: these servo ids, whatever the arm file says."""
     baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
     """For --ids: the rate of these servos, bits/s."""
 
 
-def run_torque(options: TorqueOptions) -> int:
+def run_torque(options: ServoTorqueOptions) -> int:
     """1 when a servo did not confirm it."""
     if options.ids and (options.joints or options.to == "on"):
         raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
     config = load_arm(options.arm)
     if options.to == "on":
         require_model(config)
-        arm = arm_on(options, joints_of(config, options.joints), "hold")
+        arm = arm_on(options, config.only(options.joints), "hold")
 
         def switch_on() -> int:
             arm.enable()
@@ -203,8 +181,7 @@ def run_torque(options: TorqueOptions) -> int:
         with driving(arm):
             code = tried(switch_on)
         return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
-    register = config.joints[0].table["torque_enable"]
-    servos = {servo.id: servo.name for servo in joints_of(config, options.joints).servos}
+    servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
         if bad := [id for id in options.ids if not 0 <= id <= 252]:
             raise wrong("--ids", f"{bad[0]} is no servo id", "0..252")
@@ -212,55 +189,40 @@ def run_torque(options: TorqueOptions) -> int:
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
     with opened(options, config) as link:
-        return _switch_off(link, register, servos, everyone=not options.ids and not options.joints)
+        return _switch_off(link, servos, everyone=not options.ids and not options.joints)
 
 
-def _switch_off(link: Link, register: Register, servos: Mapping[int, str], *, everyone: bool) -> int:
-    """All at once first, which needs no answer; then each by itself, read back."""
-    from robot_ik.errors import BusDisconnectedError, HardwareError
-    from robot_ik.hardware.bus import BROADCAST_ID
+def _switch_off(link: Link, servos: Mapping[int, str], *, everyone: bool) -> int:
+    from robot_ik.hardware.torque import force_torque_off
 
-    if everyone:
-        link.bus.write(BROADCAST_ID, register, 0)
-    limp = []
-    for id, name in servos.items():
-        for _ in range(_ATTEMPTS):
-            try:
-                link.bus.write(id, register, 0)
-                if link.bus.read(id, register).data == 0:
-                    limp.append(name)
-                    break
-            except BusDisconnectedError:
-                raise
-            except HardwareError as error:
-                reason = error
-        else:
-            console.say(f"error: {name}: {reason.args[0]}; its torque may be ON", "bold red")
-    if limp:
-        console.out().print(f"torque off, read back: {', '.join(limp)}", markup=False)
-    return console.DONE if len(limp) == len(servos) else console.NOT_ACHIEVED
+    failed = force_torque_off(link.bus, link.config, servos, everyone=everyone)
+    for id, error in failed.items():
+        console.say(f"error: {servos[id]}: {error.args[0]}; its torque may be ON", "bold red")
+    if limp := [name for id, name in servos.items() if id not in failed]:
+        console.result(f"torque off, read back: {', '.join(limp)}")
+    return console.NOT_ACHIEVED if failed else console.DONE
 
 
 # ------------------------------------------------------------------------------------ reset-fault
 
 
 @dataclass(frozen=True)
-class ResetFaultOptions(BusOptions):
+class ServoResetFaultOptions(BusOptions):
     """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
 
     Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched on.
     Exit code 1 when an error is still there, or a servo has forgotten whole turns.
     """
 
-    joints: Positional[Annotated[tuple[str, ...], arg(metavar="JOINT …", help_behavior_hint="")]] = ()
+    joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
     """Only these joints; all if none is named."""
 
 
-def run_reset_fault(options: ResetFaultOptions) -> int:
+def run_reset_fault(options: ServoResetFaultOptions) -> int:
     """1 when something is still wrong."""
     from robot_ik.hardware.recovery import reset_servos
 
-    config = joints_of(load_arm(options.arm), options.joints)
+    config = load_arm(options.arm).only(options.joints)
     with opened(options, config) as link:
         rows = reset_servos(link.bus, config, link.clock)
     shown = console.table("joint", "id", "was", "is", "what to do")

@@ -16,18 +16,15 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, wrong
+from robot_ik.cli.arguments import joint_degrees, several, wrong
 from robot_ik.cli.connection import load_arm
-from robot_ik.errors import RobotIkError
 from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.pty import PtyPort
-    from robot_ik.ports import Array
 
 
 ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
@@ -71,7 +68,7 @@ class SimBusOptions:
     silent: Annotated[
         tuple[str, ...], arg(metavar="JOINT …", help=_help("silent"), help_behavior_hint="")
     ] = ()
-    zero_offset: Annotated[tuple[str, ...], arg(metavar="JOINT=DEG …", help_behavior_hint="")] = ()
+    zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Joints whose zero is off by so many degrees, unknown to their registers."""
     corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt"))] = 0.0
     drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0
@@ -79,7 +76,7 @@ class SimBusOptions:
         Path | None, arg(metavar="FILE", help=_FILE_HELP, help_behavior_hint="(default: none)")
     ] = None
     seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the file's, or 0)")] = None
-    """Of the dice of all this: the same seed and traffic give the same faults."""
+    """Of all this: the same seed and traffic give the same faults."""
     physics: bool = False
     """Move the MuJoCo model of the arm: gravity shows up as current, and without torque it falls."""
 
@@ -92,8 +89,8 @@ def run(options: SimBusOptions) -> int:
         from robot_ik.hardware import no_pty
 
         raise no_pty(reason) from reason
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import load_faults
+    from robot_ik.jobs.virtual_arm import add_world, virtual_arm
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
@@ -101,10 +98,10 @@ def run(options: SimBusOptions) -> int:
     config = load_arm(options.arm)
     file = None if options.faults is None else load_faults(options.faults, config)
     seed = (file.seed if file else 0) if options.seed is None else options.seed
-    bus = VirtualBus.from_config(config, RealClock(), _home(config), seed=seed)
+    bus = virtual_arm(config, RealClock(), seed=seed)
     bus.inject(*_faults(options, config))
     if options.physics:
-        _add_world(config, bus)
+        add_world(config, bus)
     bus.inject(*(file.faults if file else ()))
     with (
         _ended_by_signal() as ended,
@@ -135,29 +132,6 @@ def _require_free(link: Path | None) -> None:
             "a name that is free",
             "is another robot-ik sim-bus running? If not, remove the link",
         )
-
-
-def _home(config: ArmConfig) -> Array | None:
-    """Where the servos stand at first: the robot's home, where its model is at hand, else q = 0."""
-    from robot_ik.robot import load_robot
-
-    try:
-        robot = load_robot(config.robot, joints=config.names)
-    except RobotIkError:
-        return None
-    return robot.home if robot.joints == config.names else None
-
-
-def _add_world(config: ArmConfig, bus: VirtualBus) -> None:
-    """From here on the robot's own MuJoCo model moves the shafts.
-
-    Raises:
-        RobotIkError: It has no model at hand, or not these joints.
-    """
-    from robot_ik.hardware.virtual.world import World
-    from robot_ik.robot import load_robot
-
-    World(load_robot(config.robot).model, config, bus)
 
 
 def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
@@ -217,11 +191,9 @@ def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
 
 def _client(arm: str, config: ArmConfig) -> str:
     """A command that works on these servos: reach, where the model is at hand and moved by them."""
-    from robot_ik.robot import load_robot
+    from robot_ik.jobs.virtual_arm import model_of
 
     servos = f"--arm {shlex.quote(arm)}"
-    try:
-        load_robot(config.robot, joints=config.names)
-    except RobotIkError:
+    if model_of(config) is None:
         return f"robot-ik servo monitor {servos}"
     return f"robot-ik reach --robot {arm}" if arm in catalogue() else f"robot-ik reach {servos}"

@@ -11,7 +11,7 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.cli.listing import joint_kinds
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import InvalidGoalError
@@ -48,9 +48,9 @@ class SolveOptions:
     """What shall get there: a tool, site or body of the robot."""
     solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
     """Method: see `robot-ik solvers`."""
-    set: Annotated[tuple[str, ...], arg(metavar="NAME=VALUE …", help_behavior_hint="")] = ()
+    set: Annotated[tuple[str, ...], several("NAME=VALUE")] = ()
     """Options of the method: see `robot-ik solvers NAME`."""
-    start: Annotated[tuple[float, ...], arg(metavar="Q …", help_behavior_hint="(default: home)")] = ()
+    start: Annotated[tuple[float, ...], several("Q", "home")] = ()
     """Joint angles to start from, rad (m for slides)."""
     seed: int = 0
     """Of the random restarts: the same seed gives the same answer."""

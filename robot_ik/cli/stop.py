@@ -53,5 +53,4 @@ def run(options: StopOptions) -> int:
 def _agreed(names: list[str]) -> bool:
     if not sys.stdin.isatty():
         raise wrong("--torque-off", "there is no terminal to ask at", "--torque-off --yes")
-    console.say(f"{', '.join(names)}: without torque an arm falls. Support it. Torque off? [y/N] ", "bold")
-    return sys.stdin.readline().strip().lower() in ("y", "yes")
+    return console.agreed(f"{', '.join(names)}: without torque an arm falls. Support it. Torque off?")

@@ -115,7 +115,7 @@ def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Calla
 
 
 @contextlib.contextmanager
-def _left_and_said(arm: Arm) -> Iterator[None]:
+def _left_at_the_end(arm: Arm) -> Iterator[None]:
     """As ``driving``, where the keys of the terminal have another reader."""
     try:
         with arm:
@@ -125,15 +125,15 @@ def _left_and_said(arm: Arm) -> Iterator[None]:
 
 
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
-    from robot_ik.jobs.teleop import JOINT_KEYS, Keys
+    from robot_ik.jobs.teleop import JOINT_KEYS, KeyboardJog
 
     typed = stack.enter_context(_typed(endless=options.seconds is not None))
-    keys = Keys(file, typed, stop=follower.request_stop, hand=options.by == "hand")
+    keys = KeyboardJog(file, typed, stop=follower.request_stop, hand=options.by == "hand")
     pairs = zip(keys.jog.joints, JOINT_KEYS, strict=False)
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
     console.say(f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
-    stack.enter_context(_left_and_said(follower))
+    stack.enter_context(_left_at_the_end(follower))
     return _lead(keys, follower, options, lambda: keys.over)
 
 

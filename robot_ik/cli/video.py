@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 from robot_ik.robot_file import SHOWN_ROBOT
@@ -39,7 +39,7 @@ class VideoOptions:
     """Without a log: a name of `robot-ik robots`, or any MJCF or URDF file."""
     count: int = 1
     """Without a log: robots side by side, 1, 2 or 4."""
-    method: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: usual ones)")] = ()
+    method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
     seconds: Annotated[float, arg(help_behavior_hint="(default: as long as the log)")] = 0.0
     """How long."""

@@ -6,14 +6,14 @@ import contextlib
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import robot_argument, several, wrong
 from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import MissingExtraError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.arm import ArmLink
-    from robot_ik.testbed.commands import CommandLog, Start
+    from robot_ik.testbed.commands import Start
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
@@ -44,13 +44,12 @@ class ViewOptions:
     Exit code 0: done. 1: a replay differs from what its log says. 2: wrong input or environment.
     """
 
-    robot: Annotated[str, arg(metavar="NAME|PATH", help_behavior_hint=f"(default: {SHOWN_ROBOT})")] = ""
-    """A name of `robot-ik robots`, or any MJCF or URDF file."""
+    robot: Annotated[str, robot_argument(f"{SHOWN_ROBOT}")] = ""
     viewer: Literal["auto", "browser", "window", "recorder"] = "auto"
     """auto: the browser; without the extra `web` the window; without a display the recorder."""
     count: int = 1
     """Robots side by side: 1, 2 or 4, each with its own method."""
-    method: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="(default: usual ones)")] = ()
+    method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
     arm: Annotated[
@@ -67,7 +66,7 @@ class ViewOptions:
     """Write the command log at the end."""
     host: str = "127.0.0.1"
     """Address to listen at. One that others can reach asks every browser for a token."""
-    host_name: Annotated[tuple[str, ...], arg(metavar="NAME …", help_behavior_hint="")] = ()
+    host_name: Annotated[tuple[str, ...], several("NAME")] = ()
     """Further names under which browsers may call this machine."""
     port: int = 8080
     """The next free one is taken where it is busy."""
@@ -154,7 +153,7 @@ def _open_server(options: ViewOptions) -> PageServer:
         options.host, options.port, token=real, names=options.host_name, dark=options.dark,
         shadows=options.shadows,
     )  # fmt: skip
-    console.out().print(f"the testbed is at {server.url}", markup=False, highlight=False, soft_wrap=True)
+    console.result(f"the testbed is at {server.url}")
     if options.open:
         webbrowser.open(server.url)
     return server
@@ -262,6 +261,7 @@ def _film(start: Start, options: ViewOptions) -> int:
 def _replay(path: Path) -> int:
     """Repeats a log; says whether it ends as it did."""
     from robot_ik.testbed.commands import CommandLog
+    from robot_ik.testbed.session import last_view
 
     log = CommandLog.load(path)
     view = last_view(log)
@@ -271,29 +271,9 @@ def _replay(path: Path) -> int:
         solved = f"{100.0 * one.statistics.solved:.0f} %"
         rows.add_row(f"{view.robot} {k + 1}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved)
     console.out().print(rows)
-    words = f"{len(log.commands)} commands, {view.tick} ticks: " + (
-        "the log has no digest to compare with"
-        if not log.digest
-        else "the same bits"
-        if same
-        else "other bits"
-    )
-    console.say(words, "" if same else "bold red")
+    found = "the same bits" if same else "other bits"
+    verdict = found if log.digest else "the log has no digest to compare with"
+    console.say(f"{len(log.commands)} commands, {view.tick} ticks: {verdict}", "" if same else "bold red")
     if not same:
-        console.say(
-            "another version of robot_ik or numba, another processor, or an edited log",
-            "yellow",
-        )
+        console.say("another version of robot_ik or numba, another processor, or an edited log", "yellow")
     return console.DONE if same else console.NOT_ACHIEVED
-
-
-def last_view(log: CommandLog) -> View:
-    """The view at the end of a log."""
-    from robot_ik.testbed.session import replayed
-
-    log = log if log.ticks or log.commands else replace(log, ticks=1)
-    found: Any = None
-    for session in replayed(log):
-        found = session
-    view: View = found.view()
-    return view

@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure, FrameRows
+from robot_ik.figure.figure import GRAVITY, Figure
+from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder
@@ -46,7 +47,7 @@ MAP_FILE = "abilities.npz"
 _FAR = -32768
 _PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
 # A ball that is so much nearer, m, to a point of the map than this share of the miss there is out of reach:
-# local minima tell a miss too large, far misses more so.
+# local minima report a miss too large, far misses more so.
 SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
 _STARTS, _FEW = 12, 3
@@ -336,7 +337,7 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
     for (kind, arm), found in maps.items():
         code = np.full(found.miss.shape, _FAR, dtype=np.int16)
         near = np.isfinite(found.miss)
-        # Rounded down: a miss that is told too small only costs a solve.
+        # Rounded down: a miss that is reported too small only costs a solve.
         code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
         coarse = np.rint(found.poses * _PER_UNIT).astype(np.int16)
         arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse, "origin": found.origin}

@@ -14,18 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import (
-    GRAVITY,
-    RATE,
-    Figure,
-    FrameRows,
-    Frames,
-    Slices,
-    finished,
-    minimum_jerk,
-    rotation,
-)
-from robot_ik.figure.gait import FLAT, Gait, Print, Walk, walk_slices
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, minimum_jerk, rotation
+from robot_ik.figure.footprints import Gait, Print
+from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
+from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 
@@ -99,10 +91,10 @@ def seen_from(stance: Array, point: Array) -> Array:
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
     """A motion of a figure at the origin, put where its stance is."""
-    turn = rotation("z", float(stance[2]))
+    matrix = rotation("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
-    target = None if motion.target is None else turn @ motion.target + [stance[0], stance[1], 0.0]
-    return replace(motion, q=q, zmp=motion.zmp @ turn[:2, :2].T + stance[:2], target=target)
+    target = None if motion.target is None else matrix @ motion.target + [stance[0], stance[1], 0.0]
+    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2], target=target)
 
 
 def _standing(action: str, frames: Frames, center: Array, **more: object) -> Motion:
@@ -117,9 +109,9 @@ def _look(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, with
     """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
     if figure.gaze is None:
         return
-    eyes, turn = figure.pose(q, figure.gaze)
+    eyes, matrix = figure.pose(q, figure.gaze)
     far = max(float(np.linalg.norm(ball - eyes)), 0.1)
-    ahead, to = turn[:, 0], (ball - eyes) / far
+    ahead, to = matrix[:, 0], (ball - eyes) / far
     angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
     s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
@@ -134,9 +126,9 @@ def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
     """How long the eyes take to a ball, s: a motion that ends before would stop the neck."""
     if figure.gaze is None or ball is None:
         return 0.0
-    eyes, turn = figure.pose(q, figure.gaze)
+    eyes, matrix = figure.pose(q, figure.gaze)
     to = (ball - eyes) / max(float(np.linalg.norm(ball - eyes)), 0.1)
-    return 1.875 * float(np.arccos(np.clip(turn[:, 0] @ to, -1.0, 1.0))) / _GLANCE
+    return 1.875 * float(np.arccos(np.clip(matrix[:, 0] @ to, -1.0, 1.0))) / _GLANCE
 
 
 def _times(duration: float, hold: float, dt: float) -> Array:
@@ -164,7 +156,7 @@ def rest_slices(
     seen = None if look is None else seen_from(stance, look)
     least = max(least, glance_time(figure, start, seen))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
-    turn = figure.pose(start, figure.trunk)[1]
+    matrix = figure.pose(start, figure.trunk)[1]
 
     def plan(duration: float, aside: float) -> Slices[_Try]:
         t = _times(duration, 0.1, dt)
@@ -174,7 +166,7 @@ def rest_slices(
             rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
-            rows.turned(figure.trunk, _turned(turn, np.eye(3), s), 3.0)
+            rows.turned(figure.trunk, _turned(matrix, np.eye(3), s), 3.0)
             if seen is not None:
                 _look(figure, rows, start, seen, t)
             posture = start + (figure.home - start) * s[:, None]
@@ -323,7 +315,7 @@ def take_slices(
     slowest = 1.875 * float((np.abs(way) / limit).max())
     length = float(np.linalg.norm(ball - hand))
     here, there = figure.center(start)[:2], figure.center(goal)[:2]
-    turns = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
+    matrices = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
     def plan(duration: float, aside: float) -> Slices[_Try]:
@@ -334,7 +326,7 @@ def take_slices(
             rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
-            rows.turned(figure.trunk, _turned(*turns, s), 20.0 if upright else 3.0)
+            rows.turned(figure.trunk, _turned(*matrices, s), 20.0 if upright else 3.0)
             if upright:
                 rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
             else:  # the last millimetres

@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import SLICE, Figure, Slices
+from robot_ik.figure.figure import Figure
+from robot_ik.figure.frames import SLICE, Slices
 
 Array = NDArray[np.float64]
 

@@ -151,7 +151,7 @@ class Decider:
         return found or self._walk(point, stance)
 
     def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:
-        """The ball as numbers, or why it concerns nobody."""
+        """The ball as numbers, or why it is out of every reach."""
         try:
             point = np.full(3, np.nan) if ball is None else np.asarray(ball, dtype=float)
         except (TypeError, ValueError) as error:
@@ -244,25 +244,25 @@ class Decider:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
         stands, balls, sides, arms = [], [], [], list(self.figure.hands)
         headings = _HEADINGS + stance[2]
-        turns = rotation("z", headings)[:, :2, :2]
+        matrices = rotation("z", headings)[:, :2, :2]
         for side, arm in enumerate(arms):
             if kind == "jump":
                 cells = self.abilities.under(arm)[None]
             else:
                 cells = self.abilities.maps[kind, arm].comfortable(float(ball[2]))
-            at = ball[:2] - np.einsum("hij,cj->hci", turns, cells)
+            at = ball[:2] - np.einsum("hij,cj->hci", matrices, cells)
             stands.append(np.column_stack([at.reshape(-1, 2), np.repeat(headings, len(cells))]))
             seen = np.column_stack([cells, np.full(len(cells), ball[2])])
             balls.append(np.tile(seen, (len(headings), 1)))
             sides.append(np.full(len(headings) * len(cells), side))
         points, locals_, which = np.concatenate(stands), np.concatenate(balls), np.concatenate(sides)
         way = points[:, :2] - stance[:2]
-        turn = np.abs((points[:, 2] - stance[2] + np.pi) % (2 * np.pi) - np.pi)
+        angle = np.abs((points[:, 2] - stance[2] + np.pi) % (2 * np.pi) - np.pi)
         far = np.linalg.norm(way, axis=1)
         # Comfortable: the ball before the chest on the side of the arm, half an arm away.
         aside = np.array([0.2 if arm == "left" else -0.2 for arm in arms])[which]
         comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - aside)
-        cost = far + _PER_RADIAN * turn + 0.8 * comfort
+        cost = far + _PER_RADIAN * angle + 0.8 * comfort
         cost[~self.free(points[:, :2])] = np.inf
         few = min(4 * _TRIES, len(cost))
         least = np.sort(np.argpartition(cost, few - 1)[:few])
@@ -340,12 +340,12 @@ class Decider:
 def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms aside, that holds a point seen from the feet; empty where none does."""
     model = figure.model
-    geoms, places, turns = _trunk_shapes(figure)
+    geoms, places, matrices = _trunk_shapes(figure)
     kinds = mujoco.mjtGeom
     away = local - places
     for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
         g = int(geoms[i])
-        x, size = turns[i].T @ away[i], model.geom_size[g]
+        x, size = matrices[i].T @ away[i], model.geom_size[g]
         kind = model.geom_type[g]
         if kind == kinds.mjGEOM_BOX:
             held = bool((np.abs(x) <= size).all())

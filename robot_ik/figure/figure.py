@@ -1,29 +1,24 @@
-"""``Figure``: a model with feet and hands, the shapes of its soles, and frames of its whole body.
+"""``Figure``: a model with feet and hands, and the shapes of its soles.
 
 Everything is found in the model and in the table ``[figure]`` of its ``robot.toml``; any model that names
-two feet
-there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0.
+two feet there can walk.  Angles rad, lengths m, world axes with z up; the floor is z = 0.
 """
 
 from __future__ import annotations
 
-import itertools
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ModelError
-from robot_ik.kernels import whole_body
-from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.kernels.whole_body import HARD
 from robot_ik.robot import Robot, load_robot
 
 Array = NDArray[np.float64]
@@ -35,22 +30,6 @@ RATE = 60.0
 
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom
-
-
-# Work that is done a little at a time yields between its parts and returns its result.
-_Result = TypeVar("_Result")
-Slices = Generator[None, None, _Result]
-SLICE, _STEPS = 60, 8
-"""Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
-
-
-def finished(slices: Slices[_Result]) -> _Result:
-    """The result of work in slices, done at once."""
-    while True:
-        try:
-            next(slices)
-        except StopIteration as end:
-            return cast(_Result, end.value)
 
 
 def rotation(axis: str, angle: ArrayLike) -> Array:
@@ -82,9 +61,9 @@ def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
     Raises:
         ModelError: A geom of another kind (a mesh has no exact lowest point here).
     """
-    turn, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
-    mujoco.mju_quat2Mat(turn, model.geom_quat[g])
-    axes = turn.reshape(3, 3)
+    matrix, size, kind = np.empty(9), model.geom_size[g], model.geom_type[g]
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[g])
+    axes = matrix.reshape(3, 3)
     down = -up @ axes
     ends = np.array([[0.0, 0.0, -size[1]], [0.0, 0.0, size[1]]])[:, None]
     if kind == _GEOM.mjGEOM_SPHERE:
@@ -238,19 +217,19 @@ class Figure:
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) place and (3, 3) rotation of a frame, by MuJoCo."""
-        places, turns = self.poses(q[None], frame)
-        return places[0], turns[0]
+        places, matrices = self.poses(q[None], frame)
+        return places[0], matrices[0]
 
     def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(n, 3) places and (n, 3, 3) rotations of a frame in frames (n, nq)."""
         at, data = self.robot.frame(frame), self.data
-        place, turn = np.empty((len(q), 3)), np.empty((len(q), 9))
+        place, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
         for i, row in enumerate(q):
             data.qpos[:] = row
             mujoco.mj_kinematics(self.model, data)
-            place[i], turn[i] = data.xpos[at.body], data.xmat[at.body]
-        turns = turn.reshape(-1, 3, 3)
-        return place + turns @ at.local.position, turns @ at.local.rotation
+            place[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
+        matrices = matrix.reshape(-1, 3, 3)
+        return place + matrices @ at.local.position, matrices @ at.local.rotation
 
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
@@ -277,9 +256,9 @@ class Figure:
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
         """``q`` (nq,) moved as a whole: turned about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
-        turn = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
+        quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
         moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
-        mujoco.mju_mulQuat(moved[3:7], turn, np.ascontiguousarray(q[3:7]))
+        mujoco.mju_mulQuat(moved[3:7], quaternion, np.ascontiguousarray(q[3:7]))
         return moved
 
     def stance(self, q: Array) -> Array:
@@ -367,12 +346,12 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
     if below:
         joint = int(model.body_jntadr[below[0]])
         toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    place, turn = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
+    place, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
     hip, knee, ankle = _leg(model, data, body, robot.frame(pelvis).body, frame)
     foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
     at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
     return Foot(
-        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(turn)),
+        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(matrix)),
         float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
     )  # fmt: skip
 
@@ -394,222 +373,14 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, nam
     return found[::-1]
 
 
-def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, turn: Array) -> Sole:
-    """``place`` and ``turn``: the foot's frame in its body."""
-    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ turn.T
+def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, matrix: Array) -> Sole:
+    """``place`` and ``matrix``: the foot's frame in its body."""
+    up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ matrix.T
     lowest, points = lowest_points(model, list(geoms), up)
     height = up @ place - lowest.min(axis=1)
     steps = (height[1:] + height[:-1]) / 2 * np.diff(_PITCHES)
     rolled = np.concatenate([[0.0], np.cumsum(steps)])
     flat = int(np.abs(_PITCHES).argmin())
     # Where the sole ends: the lowest points just before and behind flat.
-    ends = [float(((points[i, lowest[i].argmin()] - place) @ turn)[0]) for i in (flat - 8, flat + 8)]
+    ends = [float(((points[i, lowest[i].argmin()] - place) @ matrix)[0]) for i in (flat - 8, flat + 8)]
     return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])
-
-
-class FrameRows:
-    """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
-
-    def __init__(self, figure: Figure, frames: int) -> None:
-        self.figure, self.frames = figure, frames
-        self._kind: list[int] = []
-        self._node: list[int] = []
-        self._local: list[Array] = []
-        self._axes: list[int] = []
-        self._share: list[Array] = []
-        self._target: list[Array] = []
-        self._weight: list[Array] = []
-
-    def _add(
-        self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
-        joints: tuple[str, ...] | None = None,
-    ) -> None:  # fmt: skip
-        node, local = self.figure.robot.attachment(frame) if frame else (-1, np.zeros(12))
-        share = np.ones(self.figure.robot.nv)
-        if joints is not None:
-            share[:] = 0.0
-            share[[self.figure.place(joint)[1] for joint in joints]] = 1.0
-        row = np.zeros((self.frames, 12))
-        row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
-        self._kind.append(kind)
-        self._node.append(node)
-        self._local.append(local)
-        self._axes.append(sum(1 << "xyz".index(axis) for axis in axes))
-        self._share.append(share)
-        self._target.append(row)
-        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=float), self.frames))
-
-    def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
-        """A frame's origin at (3,) or (n, 3)."""
-        self._add(whole_body.POSITION, frame, target, weight, axes)
-
-    def turned(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
-        """A frame's rotation (3, 3) or (n, 3, 3)."""
-        self._add(whole_body.ROTATION, frame, target.reshape(*target.shape[:-2], 9), weight)
-
-    def center(self, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
-        """The centre of mass at (3,) or (n, 3)."""
-        self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
-
-    def aim(
-        self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
-    ) -> None:
-        """The x axis of a frame at (3,) or (n, 3), served by some joints only.
-
-        Eyes that follow bend no trunk.
-        """
-        self._add(whole_body.AIM, frame, target, weight, joints=joints)
-
-    def momentum(self, weight: ArrayLike = HARD) -> None:
-        """No angular momentum about the centre of mass between a frame and the one before."""
-        self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
-
-    def feet(self, place: Mapping[str, Array], turn: Mapping[str, Array]) -> None:
-        """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
-        for side, foot in self.figure.feet.items():
-            self.position(foot.frame, place[side])
-            self.turned(foot.frame, turn[side])
-
-    def solve(
-        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Frames:  # fmt: skip
-        """The frames.
-
-        Args:
-            posture: (nq,) or (n, nq) wanted where the rows leave freedom.
-            stiffness: (nv,) or (n, nv) weights of the posture.
-            start: (nq,) the frame before the first.
-            second: (nq,) the frame before that; default: at rest.
-            limits: (nv,) lower and upper limits inside the model's.
-            speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
-            dt: Time between frames, s.
-            steps: Most steps a frame.
-            rest: A step shorter than this (rad, m) was the last …
-            close: … if hard rows are this close.
-        """
-        return finished(
-            self.slices(
-                posture, stiffness, start, second, limits=limits, speeds=speeds, dt=dt, steps=steps,
-                rest=rest, close=close,
-            )
-        )  # fmt: skip
-
-    def slices(
-        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Slices[Frames]:  # fmt: skip
-        """As ``solve``, some frames at a time: the same bits."""
-        each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
-        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
-        n, nq = self.frames, self.figure.robot.nq
-        changes = np.flatnonzero((np.diff(each, axis=0) != 0.0).any(axis=1)) + 1
-        found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
-        before, here = np.array(start if second is None else second), np.array(start)
-        some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
-        cuts = sorted({*range(0, n, some), *changes.tolist(), n})
-        for a, b in itertools.pairwise(cuts):
-            ready.stiffness[:] = each[a]
-            ready.solve(found, a, b, here, before, steps, rest, close)
-            before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
-            if b < n and b % some == 0:
-                yield
-        return found
-
-    def prepare(
-        self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
-        speeds: str | None = "daily", dt: float = 1.0 / RATE,
-    ) -> PreparedRows:  # fmt: skip
-        """The rows with their tables, for many solves; arguments as those of ``solve``."""
-        robot = self.figure.robot
-        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
-        ready = PreparedRows(
-            robot.tree.handle,
-            np.ascontiguousarray(np.stack(self._target, axis=1)),
-            np.ascontiguousarray(np.stack(self._weight, axis=1)),
-            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
-            np.array(stiffness),
-        )
-        ready.body = self._table(ready.stiffness, stride, limits)
-        return ready
-
-    def _table(
-        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
-    ) -> NDArray[np.int64]:
-        robot, groups = self.figure.robot, len(self._kind)
-        lower, upper = limits or (robot.tree.lower, robot.tree.upper)
-        n, nv, hard = robot.tree.size, robot.nv, 3 * groups
-        arrays: dict[str, NDArray[Any]] = {
-            "kind": np.array(self._kind, dtype=np.int64),
-            "node": np.array(self._node, dtype=np.int64),
-            "local": np.array(self._local).reshape(groups, 12),
-            "axes": np.array(self._axes, dtype=np.int64),
-            "share": np.array(self._share),
-            "inertia": self.figure.inertia,
-            "stiffness": np.ascontiguousarray(stiffness),
-            "lower": lower,
-            "upper": upper,
-            "stride": np.ascontiguousarray(stride),
-            "held": np.zeros(nv, dtype=np.int64),
-        }
-        for name, shape in {
-            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
-            "row": (3, nv),
-            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv),
-            "schur": (hard, hard),
-            "center": (3,), "previous": (robot.nq,), "way": (nv,), "miss": (3,), "wanted": (hard,),
-            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
-            "multiplier": (hard,),
-        }.items():  # fmt: skip
-            arrays[name] = np.zeros(shape)
-        return whole_body.WHOLE_BODY.pack(arrays)
-
-
-@dataclass(eq=False)
-class PreparedRows:
-    """Rows with their tables.  All but the tables may change between solves, in place.
-
-    Attributes:
-        tree, body: Tables of the kernel.
-        target: (frames, groups, 12), in the order in which the rows were added.
-        weight: (frames, groups).
-        posture: (frames, nq).
-        stiffness: (nv,).
-    """
-
-    tree: NDArray[np.int64]
-    target: Array
-    weight: Array
-    posture: Array
-    stiffness: Array
-    body: NDArray[np.int64] = field(init=False, repr=False)
-
-    def table(self, name: str) -> NDArray[Any]:
-        """An array of ``whole_body.WHOLE_BODY``: work space holds what the last gathering of rows left."""
-        return owned(self.body)[list(whole_body.WHOLE_BODY.fields).index(name)]
-
-    def solve(
-        self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
-    ) -> None:
-        """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
-        whole_body.solve_frames(
-            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
-            found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
-        )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Frames:
-    """What ``FrameRows.solve`` found.
-
-    Attributes:
-        q: (n, nq).
-        miss: (n,) largest miss of a hard row in each frame, m or rad.
-        steps: (n,) steps taken.
-    """
-
-    q: Array
-    miss: Array
-    steps: NDArray[np.int64]

@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, seen_from, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import (
-    GRAVITY,
-    RATE,
-    SIDES,
-    Figure,
-    FrameRows,
-    Frames,
-    Slices,
-    finished,
-    minimum_jerk,
-    rotation,
-)
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
+from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, touches_itself
 from robot_ik.kernels.whole_body import HARD
@@ -347,7 +337,7 @@ def _frames(
     for side, foot in figure.feet.items():
         at = figure.pose(plan.ready, foot.frame)[0]
         place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
-    turn = rotation("y", pitch)
+    matrix = rotation("y", pitch)
     # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
     # leave the floor and come back to it they are where the floor wants them.
     up, down = T[2] + _AFTER_TAKE_OFF, T[3] - _BEFORE_LANDING
@@ -356,7 +346,7 @@ def _frames(
     standing = np.where(loose, 10.0 ** (3.5 - _YIELD * near_apex), HARD)
     for side, foot in figure.feet.items():
         rows.position(foot.frame, place[side], standing)
-        rows.turned(foot.frame, turn, standing)
+        rows.turned(foot.frame, matrix, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands

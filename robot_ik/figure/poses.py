@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, FrameRows, Frames, lowest_points, rotation, shape_points
+from robot_ik.figure.figure import Figure, lowest_points, rotation, shape_points
+from robot_ik.figure.frames import FrameRows, Frames
 
 Array = NDArray[np.float64]
 
@@ -148,7 +149,7 @@ def best_pose(
     """The first admissible pose by short steps from ``starts`` (n, nq), or the nearest; None without starts.
 
     Starts nearby agree on what is out of reach: ``quick``, a ball that is missed by far is not tried again,
-    nor is it told by how much.  ``untouched``: one in which no bodies touch is preferred.
+    nor is it reported by how much.  ``untouched``: one in which no bodies touch is preferred.
     """
     best: FigurePose | None = None
     polish, spent = _polish(figure, arm, kind), 0
@@ -225,9 +226,9 @@ class _Polish:
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
         self.figure, self.arm, self.tried = figure, arm, 0
         rows = FrameRows(figure, 1)
-        for side, (place, turn) in figure.feet_at_home.items():
+        for side, (place, matrix) in figure.feet_at_home.items():
             rows.position(figure.feet[side].frame, place, _STAND)
-            rows.turned(figure.feet[side].frame, turn, _STAND)
+            rows.turned(figure.feet[side].frame, matrix, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
         rows.position(figure.hands[arm], np.array([0.0, 0.0, _CLEAR]), 0.0, axes="z")  # of what is lowest
@@ -239,7 +240,7 @@ class _Polish:
         self.pose, self.center = self.ready.table("pose"), self.ready.table("center")
         self.node, self.local = self.ready.table("node"), self.ready.table("local")
         at_home = list(figure.feet_at_home.values())
-        self.feet = np.array([np.concatenate([place, turn.ravel()]) for place, turn in at_home])
+        self.feet = np.array([np.concatenate([place, matrix.ravel()]) for place, matrix in at_home])
 
     def __call__(self, start: Array, ball: Array, *, quick: bool = False, above: bool = False) -> FigurePose:
         """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it.
@@ -297,7 +298,7 @@ class _Polish:
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
         away = self.pose[n, :3] - ball
         body, point, height = _lowest(self.figure, q) if above else (0, center, np.inf)
-        under = 10.0 * min(height, 0.0)  # nobody takes a ball with a finger in the floor
+        under = 10.0 * min(height, 0.0)  # no finger goes into the floor for a ball
         short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2 + under**2))
         outside = inset(normal, offset, center, BALANCED + 0.001) if missing else None
         return short, off, outside, self._place(body, point) if height < _CLEAR else None
@@ -359,9 +360,9 @@ def support(figure: Figure) -> tuple[Array, Array, Array]:
         mujoco.mj_kinematics(figure.model, data)
         for foot in figure.feet.values():
             for body, geoms in foot.parts:
-                turn = data.xmat[body].reshape(3, 3)
-                points = np.concatenate([shape_points(figure.model, g, turn[2:3])[:, 0] for g in geoms])
-                world = data.xpos[body] + points @ turn.T
+                matrix = data.xmat[body].reshape(3, 3)
+                points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
+                world = data.xpos[body] + points @ matrix.T
                 found.append(world[world[:, 2] < 0.003, :2])
         corners = hull(np.concatenate(found))
         edge = np.concatenate([corners[1:], corners[:1]]) - corners

@@ -30,18 +30,10 @@ from robot_ik.figure.actions import (
     walk_motion,
 )
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, SLICE, Figure, Slices
-from robot_ik.figure.gait import (
-    FLAT,
-    SHUFFLE,
-    WALK,
-    Gait,
-    Walk,
-    prints_of,
-    shuffle_prints,
-    walk_prints,
-    walk_slices,
-)
+from robot_ik.figure.figure import RATE, Figure
+from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.frames import SLICE, Slices
+from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.ports import JointSink
@@ -74,7 +66,7 @@ class ResetFigure:
 
 
 @dataclass(frozen=True)
-class Place:
+class PlaceFigure:
     """Puts the figure somewhere, at rest: m, m, rad."""
 
     x: float
@@ -89,7 +81,7 @@ class SetObstacles:
     obstacles: tuple[Obstacle, ...]
 
 
-Command = SetBall | SetMode | StartPassive | ResetFigure | Place | SetObstacles
+Command = SetBall | SetMode | StartPassive | ResetFigure | PlaceFigure | SetObstacles
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +258,7 @@ class FigureSession:
                 self._served = None
             case ResetFigure():
                 self._reset(self._began)
-            case Place(x, y, heading):
+            case PlaceFigure(x, y, heading):
                 self._began = (x, y, heading)
                 self._reset(self._began)
             case SetObstacles(obstacles):

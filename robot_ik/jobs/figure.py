@@ -355,9 +355,9 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
     mujoco.mj_kinematics(figure.model, data)
     best = np.array([0.0, 0.0, np.inf])
     for body, geoms in foot.parts:
-        turn = data.xmat[body].reshape(3, 3)
-        low, points = lowest_points(figure.model, list(geoms), turn[2:3])
-        point = data.xpos[body] + turn @ points[0, int(low[0].argmin())]
+        matrix = data.xmat[body].reshape(3, 3)
+        low, points = lowest_points(figure.model, list(geoms), matrix[2:3])
+        point = data.xpos[body] + matrix @ points[0, int(low[0].argmin())]
         best = point if point[2] < best[2] else best
     return best
 
@@ -464,6 +464,10 @@ def _gif(images: Sequence[Image]) -> bytes:
     return out.getvalue()
 
 
+_STRIP_WIDTH = 165
+"""px of each picture of a film strip."""
+
+
 def strip(
     figure: Figure,
     q: Array,
@@ -471,12 +475,11 @@ def strip(
     view_deg: tuple[float, float],
     *,
     follow: bool = False,
-    width: int = 165,
 ) -> Image:
     """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
     import cv2
 
-    optics = lens(2 * width, 560)
+    optics = lens(2 * _STRIP_WIDTH, 560)
     picks = np.linspace(0, len(q) - 1, count).astype(int)
     moved = q[picks].copy()
     if follow:

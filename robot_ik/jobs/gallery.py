@@ -102,8 +102,8 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
     back = np.array(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     )
-    turn = look_at(back, np.zeros(3)).rotation
-    seen = points @ turn  # camera axes, origin in the world's
+    rotation = look_at(back, np.zeros(3)).rotation
+    seen = points @ rotation  # camera axes, origin in the world's
     low, high = seen.min(axis=0), seen.max(axis=0)
     centre, size = (low + high) / 2, float(np.linalg.norm(high - low))
     space = np.array(intrinsics.size) * (1 - 2 * _MARGIN)
@@ -115,7 +115,7 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
         centre[:2] += (low + high) / 2 * distance / intrinsics.fx
         # Half of what it takes: what reaches far towards the camera grows much faster than it comes nearer.
         distance = max(distance * math.sqrt(float(((high - low) / space).max())), 0.51 * size)
-    return Pose.from_rotation(turn, turn @ centre + distance * back)
+    return Pose.from_rotation(rotation, rotation @ centre + distance * back)
 
 
 def photograph(

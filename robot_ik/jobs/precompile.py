@@ -46,12 +46,12 @@ def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
     return (closed_form, lm)
 
 
-class CompiledAhead:
+class Precompilation:
     """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
 
     Args:
         kernels: Where one of them has been compiled, nothing is to be done.
-        what: They are, in the line that tells the user.
+        what: They are, in the line that reports it.
         arguments: Of Python.
     """
 

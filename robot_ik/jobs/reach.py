@@ -27,7 +27,7 @@ from robot_ik.execution import Execution, FollowReport, execute
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs import JobReport, Progress
-from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.recording import open_recording
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
@@ -257,7 +257,7 @@ def run_reach(
         )  # fmt: skip
     method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
-        ahead = stack.enter_context(CompiledAhead.solver(request.robot, method))
+        compiling = stack.enter_context(Precompilation.solver(request.robot, method))
         setup = prepare_robot(request)
         if request.record is not None:
             setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
@@ -266,7 +266,7 @@ def run_reach(
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
         with setup.connected():
             try:
-                _run_phases(report, _Phases(request, setup, vision, window, method, progress), ahead)
+                _run_phases(report, _ReachPhases(request, setup, vision, window, method, progress), compiling)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -276,14 +276,14 @@ def run_reach(
     return report
 
 
-def _run_phases(report: ReachReport, phases: _Phases, ahead: CompiledAhead) -> None:
+def _run_phases(report: ReachReport, phases: _ReachPhases, compiling: Precompilation) -> None:
     """One phase after the other; the report keeps those that ended, whatever becomes of the next."""
     try:
         looked = report.keep(phases.look())
     finally:
         if phases.vision is not None:
             report.before = phases.vision.last_image
-    ahead.wait()
+    compiling.wait()
     if phases.window is not None:
         phases.window.show_goal(looked.target)
     solved = report.keep(phases.solve(looked))
@@ -380,7 +380,7 @@ class SeenArrived:
 
 
 @dataclass(frozen=True, eq=False)
-class _Phases:
+class _ReachPhases:
     """What a reach does, one thing after the other, and what all of it needs."""
 
     request: ReachRequest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import datetime
 import importlib.util
 import io
 import json
@@ -27,7 +26,7 @@ from robot_ik.camera.drawing.overlay import (
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import MissingExtraError, apart
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
@@ -39,19 +38,6 @@ SCHEMA = 1
 FILES = ("reach.png", "trajectory.csv", "summary.json", "reach.mp4")
 _AXES_PER_HOVER = 0.6
 FILM_RATE_HZ = 25.0
-
-
-def run_folder(out: Path | None, job: str) -> Path:
-    """The folder for a run, not made yet: as asked, or ``runs/<time>-<job>``."""
-    if out is not None:
-        return out
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    base, k = Path("runs") / f"{stamp}-{job}", 1
-    folder = base
-    while folder.exists():
-        k += 1
-        folder = base.with_name(f"{base.name}-{k}")
-    return folder
 
 
 def save_reach(report: ReachReport, folder: Path) -> list[Path]:
@@ -164,7 +150,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
     return {
         "schema": SCHEMA,
         "job": "reach",
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "created": timestamp(),
         "reached": report.reached,
         "problem": None if report.problem is None else str(report.problem),
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},

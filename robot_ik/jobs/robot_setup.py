@@ -84,7 +84,7 @@ class RobotSetup:
         frame: What shall be moved.
         freedoms: How many joints move it.
         limits: How that intersection came about.
-        recorder: Writes what is commanded and measured; empty: nobody does.
+        recorder: Writes what is commanded and measured; empty: nothing does.
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
         scene: Driven by what is read back (by what is commanded, without a bus).

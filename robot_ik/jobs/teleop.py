@@ -305,13 +305,13 @@ class Jog:
 
     def move_hand(self, along: Array, about: Array) -> None:
         """The hand ``along`` (3,), metres, and ``about`` (3,), radians, the axes of the world."""
-        turn = Pose.exp(np.concatenate([np.zeros(3), about])).rotation
+        rotation = Pose.exp(np.concatenate([np.zeros(3), about])).rotation
         pose = self._hand.pose
-        pose = Pose.from_rotation(turn @ pose.rotation, pose.position + along)
+        pose = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
         self.angles |= self._hand.go(pose, exactly=True)
 
 
-class Keys:
+class KeyboardJog:
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
     A terminal says when a key goes down and not how long it stays: each press is one step.

@@ -26,10 +26,10 @@ from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed.arm import ArmLink
+from robot_ik.testbed.arrangement import GOAL_COLOUR
 from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
-from robot_ik.testbed.staging import GOAL_COLOUR
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig

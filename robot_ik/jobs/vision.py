@@ -106,7 +106,7 @@ class SeenTarget:
         goal: The tool in front of it.
         observation: Of the marker, camera frame.
         pose_world_marker: In the world.
-        true_pose: Where it really is, world; None where nobody knows (every real camera).
+        true_pose: Where it really is, world; None where it is unknown (every real camera).
     """
 
     goal: PoseGoal | PositionGoal
@@ -129,7 +129,7 @@ class Vision:
         sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
         last_image: The last picture taken.
         delays: After following: from grab to goal, and the age of the picture at each tick.
-        path: From following on: where the synthetic marker truly is, by time; None where nobody knows.
+        path: From following on: where the synthetic marker truly is, by time; None where it is unknown.
     """
 
     def __init__(

@@ -28,6 +28,7 @@ from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
+from numba.core.targetconfig import TargetConfig
 from numba.extending import intrinsic
 
 from robot_ik.errors import ConfigError
@@ -59,6 +60,25 @@ def _load_arrays_without_blas() -> None:
 
 
 _load_arrays_without_blas()
+
+def _compare_options_quickly() -> None:
+    """Lets equal options of the compiler be equal without a look at each.
+
+    numba compares them at every operation whose type it infers, and makes two tables of forty options for
+    that: a tenth of a first compile.  Its own hash of options is one number for all of a kind, too.
+    """
+    slowly = TargetConfig.__eq__
+
+    def equal(self: Any, other: object) -> Any:
+        same = self is other or (type(self) is type(other) and self._values == getattr(other, "_values", None))
+        return same or slowly(self, other)
+
+    setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)
+    setattr(TargetConfig, "__hash__", lambda self: hash(type(self)))  # noqa: B010
+
+
+if hasattr(TargetConfig, "_values"):
+    _compare_options_quickly()
 
 F = TypeVar("F", bound=Callable[..., Any])
 

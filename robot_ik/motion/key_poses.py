@@ -169,7 +169,7 @@ class KeyPoses:
         return book
 
 
-class _Motion(Table):
+class _KeySequenceTable(Table):
     poses: Annotated[Several[str], Field(description="names of poses")]
     durations: Annotated[Several[float], Field(description="seconds")] = ()
     loop: bool = False
@@ -179,7 +179,7 @@ class _KeyPosesFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     robot: str = ""
     poses: dict[str, dict[str, float | Several[float]]] = Field(default={})
-    motions: dict[str, _Motion] = Field(default={})
+    motions: dict[str, _KeySequenceTable] = Field(default={})
 
 
 def _stated_limits(robot: Robot) -> Array:

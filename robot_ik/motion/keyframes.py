@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import read_csv, shown, write_atomically
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
 from robot_ik.motion.trajectory import Trajectory, require_positive
 from robot_ik.ports import Array
 
@@ -47,28 +47,34 @@ _CONE_POINTS = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 33))
 
 def column_names(robot: Robot) -> tuple[str, ...]:
     """Names of the nq numbers of q: the joint's; of balls and free joints with _x … _qz behind it."""
-    turn = ("_qw", "_qx", "_qy", "_qz")
-    ends = {FREE: ("_x", "_y", "_z", *turn), BALL: turn}
+    wxyz = ("_qw", "_qx", "_qy", "_qz")
+    ends = {FREE: ("_x", "_y", "_z", *wxyz), BALL: wxyz}
     names: list[str] = []
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
         names += [joint + end for end in ends.get(int(kind), ("",))]
     return tuple(names)
 
 
+def qpos_addresses(robot: Robot) -> list[int]:
+    """Where the numbers of q stand in MuJoCo's qpos."""
+    joints = zip(robot.tree.joint_ids, robot.tree.kind, strict=True)
+    return [int(robot.model.jnt_qposadr[j]) + i for j, kind in joints for i in range(Q_WIDTH[int(kind)])]
+
+
 def sign_continuous(robot: Robot, q: ArrayLike) -> Array:
     """(n, nq) the same poses; each quaternion has length one and the sign nearer to the row before."""
     rows = np.array(q, dtype=float)
     for first in _quaternions(robot):
-        turn = rows[:, first : first + 4]
-        size = np.linalg.norm(turn, axis=1, keepdims=True)
+        wxyz = rows[:, first : first + 4]
+        size = np.linalg.norm(wxyz, axis=1, keepdims=True)
         if not (size > 1e-9).all():
             raise TrajectoryError(
                 f"key {int(np.argmin(size))} has a zero quaternion", hint="quaternions are w, x, y, z"
             )
         off = np.abs(size - 1.0) > 1e-12  # what is of length one stays as it is, to the bit
-        turn /= np.where(off, size, 1.0)
-        flips = np.cumprod(np.where(np.sum(turn[1:] * turn[:-1], axis=1) < 0.0, -1.0, 1.0))
-        turn[1:] *= flips[:, None]
+        wxyz /= np.where(off, size, 1.0)
+        flips = np.cumprod(np.where(np.sum(wxyz[1:] * wxyz[:-1], axis=1) < 0.0, -1.0, 1.0))
+        wxyz[1:] *= flips[:, None]
     return rows
 
 
@@ -427,15 +433,15 @@ class Keyframes:
         slopes[1:-1] = _harmonic(speeds[:-1], speeds[1:], gaps[:-1], gaps[1:])
         if self.loop and len(gaps):
             before = speeds[-1].copy()
-            v, turn = None, np.eye(2)
+            v, rotation = None, np.eye(2)
             if self._base is not None:  # the base goes on in the direction in which the first step leads
                 v = int(self.robot.tree.vadr[list(self.robot.tree.kind).index(FREE)])
                 c, s = math.cos(self._base[1].heading), math.sin(self._base[1].heading)
-                turn = np.array([[c, -s], [s, c]])
-                before[v : v + 2] = turn.T @ before[v : v + 2]
+                rotation = np.array([[c, -s], [s, c]])
+                before[v : v + 2] = rotation.T @ before[v : v + 2]
             slopes[0] = slopes[-1] = _harmonic(before, speeds[0], gaps[-1], gaps[0])
             if v is not None:
-                slopes[-1, v : v + 2] = turn @ slopes[0, v : v + 2]
+                slopes[-1, v : v + 2] = rotation @ slopes[0, v : v + 2]
         return slopes
 
     def _coefficients(self, ways: Array, gaps: Array, slopes: Array) -> Array:
@@ -545,14 +551,14 @@ def _harmonic(one: Array, two: Array, before: Array | float, after: Array | floa
     return np.where(one * two > 0.0, mean, 0.0)
 
 
-def _inverse_right_jacobian(turn: Array, rate: Array) -> Array:
+def _inverse_right_jacobian(rotation_vector: Array, rate: Array) -> Array:
     """J_r⁻¹(φ) ω of rows (n, 3): the h' of angular velocity ω at exp(φ) (Solà et al. 2018, eq. 144)."""
-    square = np.sum(turn * turn, axis=1, keepdims=True)
+    square = np.sum(rotation_vector * rotation_vector, axis=1, keepdims=True)
     half = 0.5 * np.sqrt(square)
     with np.errstate(divide="ignore", invalid="ignore"):
         k = np.where(square < 1e-6, 1.0 / 12.0, (1.0 - half / np.tan(half)) / square)
-    once = np.cross(turn, rate)
-    return np.asarray(rate + 0.5 * once + k * np.cross(turn, once))
+    once = np.cross(rotation_vector, rate)
+    return np.asarray(rate + 0.5 * once + k * np.cross(rotation_vector, once))
 
 
 def _row(row: list[str], places: Sequence[int], width: int, file: Path, line: int) -> list[float]:

@@ -49,12 +49,12 @@ class _Line:
 
     begin: Pose
     shift: Array
-    turn: Array
+    rotation_vector: Array
 
     @classmethod
     def between(cls, begin: Pose, end: Pose) -> _Line:
-        turn = rotation_log(quat_multiply(begin.inverse().wxyz, end.wxyz))
-        return cls(begin, end.position - begin.position, turn)
+        rotation_vector = rotation_log(quat_multiply(begin.inverse().wxyz, end.wxyz))
+        return cls(begin, end.position - begin.position, rotation_vector)
 
     @property
     def length(self) -> float:
@@ -62,10 +62,10 @@ class _Line:
 
     @property
     def angle(self) -> float:
-        return float(np.linalg.norm(self.turn))
+        return float(np.linalg.norm(self.rotation_vector))
 
     def pose(self, s: float) -> Pose:
-        wxyz = quat_multiply(self.begin.wxyz, rotation_exp(s * self.turn))
+        wxyz = quat_multiply(self.begin.wxyz, rotation_exp(s * self.rotation_vector))
         return Pose(self.begin.position + s * self.shift, wxyz)
 
     def off(self, position: Array) -> float:

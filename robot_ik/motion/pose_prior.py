@@ -52,8 +52,8 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
         if kind in (BALL, FREE):
             shift = 3 if kind == FREE else 0
             out[:, to : to + shift] = rows[:, source : source + shift] * [1.0, -1.0, 1.0][:shift]
-            turn = slice(source + shift, source + shift + 4)
-            out[:, to + shift : to + shift + 4] = rows[:, turn] * [1.0, -1.0, 1.0, -1.0]
+            quaternion = slice(source + shift, source + shift + 4)
+            out[:, to + shift : to + shift + 4] = rows[:, quaternion] * [1.0, -1.0, 1.0, -1.0]
             continue
         axes = data.xaxis[robot.tree.joint_ids[k]], data.xaxis[robot.tree.joint_ids[other]]
         along = float(axes[0] @ (axes[1] * (flip if kind == HINGE else -flip)))

@@ -25,8 +25,8 @@ from pydantic import Field, field_validator
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
-from robot_ik.motion.bvh import Bvh, qpos_places
-from robot_ik.motion.keyframes import Keyframes, free_base
+from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
@@ -175,7 +175,7 @@ class _Measures:
                 raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
         self.frames = bodies
         self.places = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
-        rest = robot.model.qpos0[qpos_places(robot)]
+        rest = robot.model.qpos0[qpos_addresses(robot)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
             role: robot.measure(rest, body).position - self.places[role] for role, body in bodies.items()
@@ -258,9 +258,9 @@ def _targets(
     still, turned = rest.poses()
     upright = {role: still[0, j] for role, j in joints.items()}
     axes = _alignment(upright, up)
-    moved, turns = bvh.poses()
+    moved, rotations = bvh.poses()
     places = {role: moved[:, j] @ axes.T for role, j in joints.items()}
-    deltas = {r: axes @ turns[:, j] @ turned[0, j].T @ axes.T for r, j in joints.items()}
+    deltas = {r: axes @ rotations[:, j] @ turned[0, j].T @ axes.T for r, j in joints.items()}
     legs, arms, trunk, girdle = _ratios(ours.places, upright)
     lowest = np.minimum(places["left_ankle"][:, 2], places["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
@@ -274,24 +274,26 @@ def _targets(
         from_shoulder = ours_chest + girdle * (shoulder - chest) - arms * shoulder
         elbows.append(from_shoulder + arms * places[f"{side}_elbow"])
         palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
-        along = _hand_direction(bvh, joints, side, moved, turns) @ axes.T
+        along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
         hands.append(from_shoulder + arms * places[f"{side}_wrist"] + palm * along)
     rests = np.stack([_rests(ankle, ours.ankle, bvh.rate) for ankle in ankles], axis=1)
     feet = [
         _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
         for k, side in enumerate(SIDES)
     ]
-    head = [Pose.from_rotation(turn) for turn in deltas["head"]]
-    hips = [Pose.from_rotation(turn, place) for turn, place in zip(deltas["pelvis"], pelvis, strict=True)]
+    head = [Pose.from_rotation(rotation) for rotation in deltas["head"]]
+    hips = [
+        Pose.from_rotation(rotation, place) for rotation, place in zip(deltas["pelvis"], pelvis, strict=True)
+    ]
     return _Targets(hips, head, (feet[0], feet[1]), (hands[0], hands[1]), (elbows[0], elbows[1]), rests), legs
 
 
-def _hand_direction(bvh: Bvh, joints: Mapping[str, int], side: str, places: Array, turns: Array) -> Array:
+def _hand_direction(bvh: Bvh, joints: Mapping[str, int], side: str, places: Array, rotations: Array) -> Array:
     """(n, 3) unit vectors along the hand, the file's axes: to its first child or End Site."""
     j = joints[f"{side}_wrist"]
     bone = next((np.array(other.offset) for other in bvh.joints if other.parent == j), None)
     bone = np.array(bvh.joints[j].end) if bone is None and bvh.joints[j].end is not None else bone
-    along = places[:, j] - places[:, joints[f"{side}_elbow"]] if bone is None else turns[:, j] @ bone
+    along = places[:, j] - places[:, joints[f"{side}_elbow"]] if bone is None else rotations[:, j] @ bone
     if not np.linalg.norm(along, axis=1).min() > 1e-9:
         along = places[:, j] - places[:, joints[f"{side}_elbow"]]
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
@@ -317,20 +319,22 @@ def _runs(marks: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _foot_path(
-    ankle: Array, turns: Array, ours: _Measures, side: str, rests: NDArray[np.bool_], rate: float
+    ankle: Array, rotations: Array, ours: _Measures, side: str, rests: NDArray[np.bool_], rate: float
 ) -> list[Pose]:
     """The sole's pose in each frame: where it rests one pose, flat on the floor; smoothly there and back.
 
     No end of it goes under the floor.
     """
-    places = ankle + turns @ ours.offsets[f"{side}_ankle"]
-    lowest = (places[:, None, :] + ours.soles[side] @ turns.transpose(0, 2, 1))[..., 2].min(axis=1)
+    places = ankle + rotations @ ours.offsets[f"{side}_ankle"]
+    lowest = (places[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(axis=1)
     places[:, 2] -= np.minimum(lowest, 0.0)
-    free = [Pose.from_rotation(turn, place) for turn, place in zip(turns, places, strict=True)]
+    free = [Pose.from_rotation(rotation, place) for rotation, place in zip(rotations, places, strict=True)]
     path = list(free)
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):
-        heading = math.atan2(float(turns[first:end, 1, 0].mean()), float(turns[first:end, 0, 0].mean()))
+        heading = math.atan2(
+            float(rotations[first:end, 1, 0].mean()), float(rotations[first:end, 0, 0].mean())
+        )
         place = np.array([pose.position for pose in free[first:end]]).mean(axis=0)
         half = 0.5 * heading
         pin = Pose((place[0], place[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))

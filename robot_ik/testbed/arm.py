@@ -27,7 +27,7 @@ from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 
-Wish = Literal["follow", "hold", "release", "teach", "replay"]
+ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
 STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""
 TEACH_LIMIT = 600.0
@@ -43,7 +43,7 @@ class ArmView:
 
     Attributes:
         state: Of the arm's life cycle, in words.
-        wish: What was asked for last.
+        mode: What was asked for last.
         port: Where it is.
         q: (nq,) measured joint angles, in the robot's order; None before the first reading.
         xpos, xquat: Bodies' poses at the measured angles; None when not known.
@@ -54,7 +54,7 @@ class ArmView:
     """
 
     state: str
-    wish: Wish
+    mode: ArmMode
     port: str
     q: Array | None
     xpos: Array | None
@@ -78,7 +78,7 @@ class ArmLink:
         self._arm, self._robot, self._port = arm, robot, port
         self._order = [robot.joints.index(joint) for joint in arm.joints]
         self._data = mujoco.MjData(robot.model)
-        self._wish: Wish = "hold"
+        self._mode: ArmMode = "hold"
         self._wanted: tuple[Array, float] | None = None
         self._measured: Array | None = None
         self._servos: Sequence[ServoState] = ()
@@ -105,12 +105,12 @@ class ArmLink:
 
     # ---------------------------------------------------------------------------- from the session's loop
 
-    def ask(self, wish: Wish) -> None:
+    def ask(self, mode: ArmMode) -> None:
         """Follow the session, hold where it stands, let go, record a hand, or repeat what it has shown."""
-        if wish == "replay" and self._wish != "teach" and self.recording is None:
+        if mode == "replay" and self._mode != "teach" and self.recording is None:
             self._message = "nothing was recorded yet: press Teach, guide the arm, press Replay"
             return
-        self._wish, self._message = wish, ""
+        self._mode, self._message = mode, ""
 
     def follow(self, robot: Robot, q: Array, running: bool) -> None:
         """Leaves the newest joint angles (nq,) of a robot for the arm; another robot's are none of them."""
@@ -136,7 +136,7 @@ class ArmLink:
             q = whole
         state, servos = self._arm.state.value, tuple(self._servos)
         shown = self.recording.duration if self.recording is not None else 0.0
-        return ArmView(state, self._wish, self._port, q, *poses, apart, servos, shown, self._message)
+        return ArmView(state, self._mode, self._port, q, *poses, apart, servos, shown, self._message)
 
     def close(self) -> None:
         """Leaves the arm by its exit policy."""
@@ -172,39 +172,39 @@ class ArmLink:
 
     def _cycle(self, period: float) -> None:
         """One look at what is wanted, one cycle of the bus."""
-        arm, wish = self._arm, self._wish
+        arm, mode = self._arm, self._mode
         if isinstance(arm.clock, VirtualClock):  # its time passes only when somebody sleeps
             arm.clock.sleep_until(arm.clock.now() + period)
         if arm.state is ArmState.FAULT:
             return
-        if wish != "teach":
+        if mode != "teach":
             self._end_recording()
-        if wish != "replay":
+        if mode != "replay":
             self._plan = None
         fresh = time.monotonic() - self._alive < STALE
-        if wish in ("release", "teach"):
+        if mode in ("release", "teach"):
             if arm.state is not ArmState.CONNECTED:
                 self._let_go()
         elif arm.state is ArmState.CONNECTED:
-            if wish in ("follow", "replay"):
+            if mode in ("follow", "replay"):
                 arm.enable()
-        elif wish == "follow" and fresh and self._wanted is not None:
+        elif mode == "follow" and fresh and self._wanted is not None:
             arm.send(self._wanted[0], arm.clock.now())
-        elif wish == "replay" and fresh:
+        elif mode == "replay" and fresh:
             self._replay()
         elif arm.state is ArmState.ENABLED:
             arm.hold()
-            if wish == "replay" and not self._running:
-                self._wish, self._message = "hold", "stopped: press Replay to begin it anew"
+            if mode == "replay" and not self._running:
+                self._mode, self._message = "hold", "stopped: press Replay to begin it anew"
         self._measured = arm.read().q
-        if wish == "teach" and arm.state is ArmState.CONNECTED:
+        if mode == "teach" and arm.state is ArmState.CONNECTED:
             self._record(self._measured)
 
     def _replay(self) -> None:
         """The next sample of what the hand has shown, after a slow way to where it begins; then hold."""
         arm, shown = self._arm, self.recording
         if shown is None:
-            self._wish = "hold"
+            self._mode = "hold"
             return
         if self._plan is None:
             motion, _ = playable(shown, arm.config, 1.0)
@@ -213,7 +213,7 @@ class ArmLink:
             self._plan = iter([*way.q, *motion.q, *rest])
         q = next(self._plan, None)
         if q is None:
-            self._wish, self._plan = "hold", None
+            self._mode, self._plan = "hold", None
         else:
             arm.send(q, arm.clock.now())
 
@@ -231,7 +231,7 @@ class ArmLink:
                     ticks = servo.position(end) - servo.position(begin)
                     arm.virtual_bus.servo(servo.id).turn_by_hand(ticks)
         if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
-            self._wish, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
+            self._mode, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
 
     def _end_recording(self) -> None:
         """What was recorded becomes the motion to repeat."""
@@ -252,4 +252,4 @@ class ArmLink:
     def _fail(self, error: RobotIkError) -> None:
         self._message = str(error).splitlines()[0]
         if isinstance(error, ArmStateError | HardwareError):
-            self._wish = "hold"
+            self._mode = "hold"

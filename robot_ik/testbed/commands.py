@@ -184,7 +184,7 @@ class PickBranch(Command):
 
 @dataclass(frozen=True)
 class SetFigure(SetupCommand):
-    """A figure decides by itself: it follows the ball (active), acts when it is told to (passive), or not."""
+    """A figure decides by itself: it follows the ball (active), acts on demand (passive), or not."""
 
     mode: Literal["off", "active", "passive"]
 

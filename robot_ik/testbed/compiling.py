@@ -132,8 +132,9 @@ class _Reporter(event.Listener):
 
     def on_end(self, event: Any) -> None:
         """One more."""
-        with contextlib.suppress(OSError):  # nobody reads it any more
-            print(event.data["dispatcher"].py_func.__name__, file=self._out, flush=True)
+        with contextlib.suppress(OSError):  # the parent has closed its end of the pipe
+            self._out.write(event.data["dispatcher"].py_func.__name__ + "\n")
+            self._out.flush()
 
 
 def step_of(name: str) -> Any:
@@ -162,6 +163,7 @@ def main(arguments: Sequence[str]) -> None:
     """One process; see the module."""
     if hasattr(os, "nice"):
         os.nice(_NICE)
+    # Standard output is a pipe to the parent, which counts its lines.
     event.register("numba:compile", _Reporter(sys.stdout))
     job, *names = arguments
     if job == "setup":

@@ -281,12 +281,12 @@ class FigureView:
     """What is seen of a figure that decides.
 
     Attributes:
-        mode: ``active``: it follows the ball; ``passive``: it acts on the ball as it was when told to act.
+        mode: ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command.
         action, phase: What it does now, and how far it has come, from 0 to 1.
         decision, arm: What it decided to do, and with which arm; empty: none.
         reason: Why, in one sentence.
         then: What it does where it walks to; empty: it does not walk.
-        waiting: Passive, and not told to act yet.
+        waiting: Passive, and not asked to act yet.
     """
 
     mode: FigureMode

@@ -8,7 +8,6 @@ loop, and takes effect at the tick where it is ready.
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import hashlib
 import json
@@ -25,12 +24,9 @@ import numpy as np
 
 from robot_ik.errors import RobotIkError
 from robot_ik.geometry import Pose
-from robot_ik.kernels import jit
-from robot_ik.kernels.priorities import lm_levels
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, short_switch_interval
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import (
     Act,
     Command,
@@ -53,19 +49,16 @@ from robot_ik.testbed.commands import (
     checked_command,
     checked_start,
 )
-from robot_ik.testbed.compiling import Compilers, is_compiled
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
+from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.setup import (
     ExtraGoal,
     Ready,
-    RobotGoals,
     Setup,
     branches_of,
     first_ball,
-    prepare,
     usual_extras,
     usual_kind,
-    warm_drag,
 )
 
 if TYPE_CHECKING:
@@ -157,15 +150,6 @@ class View:
         return seen.hexdigest()[:32]
 
 
-@dataclass(frozen=True)
-class _Prepared(Command):
-    """A command that was prepared beside the loop, and what came of it."""
-
-    command: Command | None = None
-    ready: Ready | None = None
-    error: str = ""
-
-
 class Session:
     """One model, one ball, one to four instances that follow it.
 
@@ -202,7 +186,7 @@ class Session:
         self.instances: list[Instance]
         self._stand(load_robot(self.name), self.start.count)
         done = self._queue.put if beside else self._adopt
-        self._preparer = _Preparer(setup, self.robot, done, beside=beside)
+        self._preparer = Preparer(setup, self.robot, done, beside=beside)
         if not beside:
             self._preparer.ask(None)
 
@@ -329,7 +313,7 @@ class Session:
 
     def _take(self, command: Command) -> None:
         """Does what was asked; what cannot be done is said in the view, never raised."""
-        if isinstance(command, _Prepared):
+        if isinstance(command, SetupDone):
             self._adopt(command)
             return
         try:
@@ -416,7 +400,7 @@ class Session:
             return
         self._drag = command
 
-    def _adopt(self, found: _Prepared) -> None:
+    def _adopt(self, found: SetupDone) -> None:
         """What was prepared takes effect now."""
         if found.ready is None:
             self._say(found.error)
@@ -488,114 +472,6 @@ class Session:
         self._message = text, self._tick + round(MESSAGE_SECONDS * self.start.rate)
 
 
-class _Preparer:
-    """Makes setups ready, one after the other.
-
-    Args:
-        setup: What the session begins with.
-        robot: That of the setup.
-        done: Called with what came of each.
-        beside: On a thread, from ``begin`` on; else at once.
-    """
-
-    def __init__(
-        self, setup: Setup, robot: Robot, done: Callable[[_Prepared], None], *, beside: bool
-    ) -> None:
-        self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
-        self._ready: Ready | None = None
-        self._jobs: queue.SimpleQueue[Command | type[_Preparer] | None] = queue.SimpleQueue()
-        self._thread: threading.Thread | None = None
-        self._waiting = 0
-        self._compilers = Compilers()
-        self.can_drag = False
-        self._lock = threading.Lock()
-        self._text = "preparing …"
-
-    @property
-    def doing(self) -> str:
-        """In words; empty: nothing."""
-        return self._text if self._waiting else ""
-
-    def begin(self) -> None:
-        """What the session begins with, beside the loop; once."""
-        if self._beside and self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="testbed-preparer", daemon=True)
-            self._thread.start()
-            self.ask(None)
-
-    def ask(self, command: Command | None) -> None:
-        """Prepares what the command asks for; None: what the session begins with."""
-        self._count(1)
-        if self._beside:
-            self._jobs.put(command)
-        else:
-            self._do(command)
-
-    def close(self) -> None:
-        """No more; what is being compiled is not waited for."""
-        self._compilers.close()
-        self._jobs.put(_Preparer)
-
-    def _work(self) -> None:
-        while True:
-            job = self._jobs.get()
-            if job is _Preparer:
-                return
-            self._do(job)  # type: ignore[arg-type]
-
-    def _do(self, command: Command | None) -> None:
-        self._text = "preparing …"
-        try:
-            wanted = self._setup if command is None else self._setup.after(command)
-            if isinstance(command, SetRobot):
-                self._say(f"loading {command.name} …")
-                robot = load_robot(wanted.robot)
-            else:
-                robot = self._robot
-            ready = prepare(wanted, robot, self._ready, self._say, self._compile)
-        except RobotIkError as error:
-            self._done(_Prepared(command, error=str(error).splitlines()[0]))
-        except Exception as error:  # on a thread nobody else would see it, and the page would wait for ever
-            _log.exception("cannot prepare %s", command)
-            self._done(_Prepared(command, error=f"cannot do that: {error}"))
-        else:
-            self._setup, self._robot, self._ready = ready.setup, robot, ready
-            self._done(_Prepared(command, ready=ready))
-            self._warm_drag(robot)
-        finally:
-            self._count(-1)
-
-    def _compile(self, setup: Setup, robot: Robot, goals: RobotGoals, solvers: Sequence[Solver]) -> None:
-        """In other processes, what takes long: a compiler here would hold up the page."""
-        if not self._beside:
-            return
-        missing = []
-        for solver in solvers:
-            with contextlib.suppress(RobotIkError):  # it cannot serve these goals: ``prepare`` says why
-                if not is_compiled(robot, goals.all(first_ball(robot), solver), solver):
-                    missing.append(solver)
-        if missing:
-            self._say("starting to compile …")
-            self._compilers.setup(setup, missing, self._say)
-
-    def _warm_drag(self, robot: Robot) -> None:
-        """After the first answer: nobody has to wait for it who drags nothing."""
-        if not self.can_drag:
-            self._say("preparing to drag parts …")
-            if self._beside and not jit.compiled(lm_levels):
-                self._compilers.drag(self._setup.robot, self._say)
-            with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
-                warm_drag(robot)
-            self.can_drag = True
-
-    def _count(self, change: int) -> None:
-        with self._lock:
-            self._waiting += change
-
-    def _say(self, text: str) -> None:
-        self._text = text
-
-
 def replayed(log: CommandLog) -> Iterator[Session]:
     """The session of a log, tick by tick; the last one is over all its commands.
 
@@ -610,6 +486,14 @@ def replayed(log: CommandLog) -> Iterator[Session]:
                 session.send(waiting.pop(0)[1])
             session.tick()
             yield session
+
+
+def last_view(log: CommandLog) -> View:
+    """The view at the end of a log; of an empty one, after one tick."""
+    log = log if log.ticks or log.commands else dataclasses.replace(log, ticks=1)
+    for session in replayed(log):
+        last = session
+    return last.view()
 
 
 def run(

@@ -59,7 +59,7 @@ def test_kernels_and_batches(
     assert main([*words.split(), str(tmp_path)]) == 0
     reported = capsys.readouterr()
     results = read_results(tmp_path / "bench.json")
-    assert not results.cells and [one.joints for one in results.floors] == [7, 6]
+    assert not results.cells and [one.joints for one in results.lower_bounds] == [7, 6]
     points = {(point.solver, point.across, point.size): point for point in results.growth}
     lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
     assert set(points) == lm  # a closed form takes no steps

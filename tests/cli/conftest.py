@@ -192,11 +192,10 @@ def calibrate(
 ) -> Callable[..., Run]:
     """``calibrate(hand, options …)``: ``hand(step, sample)`` does what the step asks for."""
     from robot_ik.cli import servo_hand
+    from robot_ik.jobs import hand_calibration
 
     def run(hand: Hand, *options: object) -> Run:
         class Scripted:
-            patient = False
-
             def __init__(self, clock: object, seconds: object) -> None:
                 pass
 
@@ -204,8 +203,14 @@ def calibrate(
                 hand(text, sample)
                 sample()
 
+            def note(self, text: str) -> None:
+                pass
+
+            def again(self, error: Exception) -> bool:
+                return False
+
         monkeypatch.setattr(servo_hand, "Prompts", Scripted)
-        monkeypatch.setattr(servo_hand, "STILL_SAMPLES", 2)
+        monkeypatch.setattr(hand_calibration, "STILL_SAMPLES", 2)
         where = ("--bus", desk.port, "--arm", nominal)
         return robot_ik("servo", "calibrate", tmp_path / "mine.toml", *where, *options)
 

@@ -127,15 +127,15 @@ def test_views_are_added_to_those_that_are_given_and_to_no_others(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sources, "open_source", lambda text, **_: opened(text, KeyboardInterrupt()))
-    views, wish = tmp_path / "camera-views", ("--out", tmp_path / "camera.yaml")
+    views, out = tmp_path / "camera-views", ("--out", tmp_path / "camera.yaml")
     views.mkdir()
     grey = np.full((480, 640), 128, np.uint8)
     for name in ("view01.png", "view04.png"):
         cv2.imwrite(str(views / name), grey)
-    robot_ik("camera", "calibrate", views, "0", *wish)
+    robot_ik("camera", "calibrate", views, "0", *out)
     assert sorted(p.name for p in views.iterdir()) == [f"view0{k}.png" for k in (1, 4, 5, 6)]
     assert (cv2.imread(str(views / "view04.png")) == 128).all()
-    robot_ik("camera", "calibrate", "0", *wish)  # a fresh start, perhaps with another focus
+    robot_ik("camera", "calibrate", "0", *out)  # a fresh start, perhaps with another focus
     assert len(list(views.iterdir())) == 4 and len(list((tmp_path / "camera-views-2").iterdir())) == 2
 
 

@@ -1,4 +1,4 @@
-"""The doctor: what it finds, what it advises, and that it cannot hang or fall ill."""
+"""The doctor: what it finds, what it advises, and that it neither hangs nor crashes."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pytest
 from robot_ik import environment
 from robot_ik.camera import device
 from robot_ik.camera.device import CameraDevice
-from robot_ik.cli import doctor
 from robot_ik.environment import Probe
-from robot_ik.hardware import health
+from robot_ik.hardware import ports
+from robot_ik.jobs import doctor
 
 SOON = time.monotonic() + 1e6  # a moment that never comes in a test
 linux = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc and /sys")
@@ -151,13 +151,13 @@ def test_free_port_then_used_port() -> None:
     path = os.ttyname(slave)
     client = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
-        used = health.serial_row(path, "a pty")
+        used = ports.serial_row(path, "a pty")
         assert used.status == environment.NOTE and f"({os.getpid()})" in used.found
     finally:
         os.close(client)
     try:  # who serves the terminal has both of its ends open and is no user of it
         assert environment.named_users_of(path) == []
-        assert health.serial_row(path, "a pty").status == environment.OK
+        assert ports.serial_row(path, "a pty").status == environment.OK
     finally:
         os.close(master)
         os.close(slave)
@@ -173,7 +173,7 @@ def test_latency_timer(text: str, status: str, tmp_path: Path) -> None:
     timer = tmp_path / "bus/usb-serial/devices/ttyUSB7/latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text(text)
-    row = health.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
+    row = ports.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
     assert row.status == status
     assert ("ttyUSB7/latency_timer" in row.do) == (status == environment.NOTE)
 
@@ -181,10 +181,10 @@ def test_latency_timer(text: str, status: str, tmp_path: Path) -> None:
 def test_port_without_permission(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "access", lambda *a, **k: False)
     monkeypatch.setattr(environment, "_group_of", lambda path: "dialout")
-    row = health.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
+    row = ports.serial_row(str(tmp_path / "ttyACM0"), "U2D2")
     assert row.status == environment.NOTE and "usermod -aG dialout" in row.do
     monkeypatch.setattr(environment, "_group_of", lambda path: "root")
-    assert "usermod" not in health.serial_row("x", "y").do  # nobody should join the group root
+    assert "usermod" not in ports.serial_row("x", "y").do  # nobody should join the group root
 
 
 @linux

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import Bvh, own_motion
+from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.bvh_robot import own_motion
 from robot_ik.robot import load_robot
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli.console import results_folder
 from robot_ik.errors import OutputError
+from robot_ik.jobs.results import results_folder
 
 OWN = ("reach.png", "summary.json")
 

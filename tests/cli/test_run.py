@@ -107,7 +107,7 @@ def test_without_a_script_those_that_come_along(robot_ik: Any) -> None:
 
 
 @pytest.mark.parametrize("option", [("--junit", "f"), ("--json", "f"), ("--json", "-"), ("--seed", 3)])
-def test_options_without_a_script_are_no_wish_for_the_list(
+def test_options_without_a_script_do_not_ask_for_the_list(
     tmp_path: Path, robot_ik: Any, option: tuple[Any, ...]
 ) -> None:
     run = robot_ik("run", *option)

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.cli.servo_hand import _by_hand
 from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.calibration import CalibrationMismatchError, calibrated, check_calibration
@@ -20,6 +19,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import JointMap, Twin
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.jobs.hand_calibration import calibrate_by_hand
 from robot_ik.ports import VirtualClock
 
 MODE = OperatingMode.EXTENDED_POSITION
@@ -69,6 +69,12 @@ class Hand:
             elif joint.name in text:
                 self.put(joint.name, 0.2 * joint.lever, sample)
 
+    def note(self, text: str) -> None:
+        pass
+
+    def again(self, error: Exception) -> bool:
+        return False
+
 
 def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object] = lambda bus: 0) -> Any:
     true = true_arm(twin)
@@ -76,7 +82,7 @@ def measured(twin: Twin, slip: float = 1.0, fault: Callable[[VirtualBus], object
     fault(bus)
     arm = open_arm(unknown_arm(true), "sim", virtual_bus=bus)
     with arm:
-        found = _by_hand(arm, Hand(true, bus, slip), dict.fromkeys(REACH, 0.0), LIMITS)  # type: ignore[arg-type]
+        found = calibrate_by_hand(arm, Hand(true, bus, slip), dict.fromkeys(REACH, 0.0), LIMITS)
         made = calibrated(arm.config, found)
         check_calibration(arm.bus, made, found, LIMITS)
     return true, bus, found, made

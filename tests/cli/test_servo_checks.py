@@ -1,4 +1,4 @@
-"""The doctor at the servos' bedside: each illness is named with its cure, nothing is written."""
+"""The doctor's checks of servos: each fault is named with what to do about it, nothing is written."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from robot_ik import environment
-from robot_ik.cli import doctor as cli_doctor
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.jobs import doctor
 from robot_ik.ports import RealClock
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
@@ -25,7 +25,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch, desk: Any) -> None:
     monkeypatch.setattr(discovery, "listening_time", lambda baud: 0.03)
     monkeypatch.setattr(discovery, "PING_WAIT", 0.012)
     monkeypatch.setattr(discovery, "IDS", range(8))
-    monkeypatch.setattr(cli_doctor, "CHECKS", [])
+    monkeypatch.setattr(doctor, "CHECKS", [])
     for servo in desk.bus.servos:
         servo.memory.set("return_delay_time", 0)
 

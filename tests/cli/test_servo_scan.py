@@ -12,6 +12,7 @@ import pytest
 from robot_ik.cli import servo_bus
 from robot_ik.cli.arguments import gather
 from robot_ik.cli.reach import ReachOptions
+from robot_ik.hardware import discovery
 from robot_ik.hardware.discovery import FoundServo
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.ports import RealClock
@@ -65,7 +66,7 @@ def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk:
 
 
 def test_a_name_that_survives_replugging(tmp_path: Any) -> None:
-    from robot_ik.cli.servo_bus import stable_name
+    from robot_ik.hardware.ports import stable_name
 
     names = tmp_path / "by-id"
     names.mkdir()
@@ -138,8 +139,8 @@ def test_rates_may_be_given_one_by_one(words: tuple[str, ...], robot_ik: Any, de
 
 def test_only_options_of_any_number_of_values_are_gathered() -> None:
     words = ["--arm", "a", "--baud", "1", "-x", "--arm", "b", "--baud=2"]
-    assert gather(servo_bus.ScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
-    assert gather(servo_bus.ScanOptions, words[:6]) == words[:6]
+    assert gather(servo_bus.ServoScanOptions, words) == ["--arm", "a", "-x", "--arm", "b", "--baud", "1", "2"]
+    assert gather(servo_bus.ServoScanOptions, words[:6]) == words[:6]
     flag = "--rehearse.zero-offset"  # of options within options
     assert gather(ReachOptions, [flag, "a=1", flag, "b=2"]) == [flag, "a=1", "b=2"]
 
@@ -239,7 +240,7 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
     ],
 )
 def test_what_is_wrong_with_all_of_them_together(found: list[FoundServo], reported: list[str]) -> None:
-    notes = servo_bus._notes(found)
+    notes = discovery.scan_notes(found)
     assert len(notes) == len(reported) and all(
         part in note for part, note in zip(reported, notes, strict=True)
     )

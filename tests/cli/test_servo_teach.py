@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.cli import servo_hand
+from robot_ik.jobs import teach
 from robot_ik.motion import Trajectory, recording
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
@@ -48,7 +48,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
     run = robot_ik("servo", "teach", file, *desk.at, "--seconds", 0.4, "--rate", 100)
     hand.join()
     assert run.code == 0 and done.is_set(), run.err
-    motion = servo_hand.load_motion(file, JOINTS)
+    motion = teach.load_motion(file, JOINTS)
     assert np.degrees(motion.q[0] - motion.q[-1])[1] == pytest.approx(0.0, abs=0.1)
     assert np.degrees(motion.q[-1]) == pytest.approx([30.0, 0.0, -15.0], abs=0.3)
     assert 0.3 < motion.duration < 3.0 and motion.times[0] == 0.0
@@ -62,7 +62,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
 
 def record(path: Path, degrees: list[list[float]], seconds: float) -> Path:
     times = np.linspace(0.0, seconds, len(degrees))
-    servo_hand.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
+    teach.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
     return path
 
 
@@ -176,7 +176,7 @@ def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tm
 def test_joints_in_another_order_are_put_right(robot_ik: Any, desk: Any, tmp_path: Path) -> None:
     file = tmp_path / "m.csv"
     Trajectory([0.0, 0.2], np.radians([[0, 0, 0], [5, 10, 15]]), JOINTS[::-1]).save_csv(file)
-    assert np.degrees(servo_hand.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
+    assert np.degrees(teach.load_motion(file, JOINTS).q[-1]) == pytest.approx([15, 10, 5])
 
 
 def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     finally:
         child.kill()
     assert child.returncode == 130 and "Traceback" not in err
-    assert len(servo_hand.load_motion(file, JOINTS)) > 2
+    assert len(teach.load_motion(file, JOINTS)) > 2
 
 
 def test_in_process(robot_ik: Any, tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
 from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
-from robot_ik.figure.figure import Figure, Frames, PreparedRows, load_figure, rotation
+from robot_ik.figure.figure import Figure, load_figure, rotation
+from robot_ik.figure.frames import Frames, PreparedRows
 from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
 from robot_ik.robot import load_robot
 

@@ -19,7 +19,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import (
     FigureFrame,
     FigureSession,
-    Place,
+    PlaceFigure,
     ResetFigure,
     SetBall,
     SetMode,
@@ -95,7 +95,7 @@ def test_passive_mode_acts_on_the_ball_as_it_was(abilities: Abilities) -> None:
     session.send(ResetFigure())
     frame = play(session, 0.1)[-1]
     assert np.isnan(frame.ball).all() and frame.q == pytest.approx(session.figure.home)
-    session.send(Place(2.0, 1.0, 1.5))
+    session.send(PlaceFigure(2.0, 1.0, 1.5))
     assert session.figure.stance(session.step().q) == pytest.approx([2.0, 1.0, 1.5])
 
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import RATE, Figure, FrameRows, minimum_jerk
+from robot_ik.figure.figure import RATE, Figure, minimum_jerk
+from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.poses import STIFF, pinned
 
 Array = NDArray[np.float64]

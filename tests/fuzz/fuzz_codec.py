@@ -82,10 +82,10 @@ def seed_corpus(folder: Path, names: list[str]) -> None:
     for k, (name, data) in enumerate(laws.known_inputs()):
         if name in names:
             folder.joinpath(f"known{k}").write_bytes(bytes([names.index(name)]) + data)
-    dice = random.Random(1)
+    rng = random.Random(1)
     for name in dict.fromkeys(names):
         for k in range(SEEDS):
-            data = bytes([names.index(name)]) + laws.random_input(dice)
+            data = bytes([names.index(name)]) + laws.random_input(rng)
             folder.joinpath(f"{name}{k}").write_bytes(data)
 
 

@@ -41,14 +41,14 @@ def known_inputs() -> list[tuple[str, bytes]]:
     return [(name, bytes.fromhex(digits)) for name, digits in rows]
 
 
-def random_input(dice: random.Random) -> bytes:
+def random_input(rng: random.Random) -> bytes:
     """A story for ``pieces``: of all kinds and lengths, full of what headers and addresses are made of."""
     data = bytearray()
-    for _ in range(dice.randint(1, 10)):
-        size = dice.choice((0, 2, 3, 6, 7, 10, 20, 31))
-        data.append(dice.randrange(8) | size << 3)
+    for _ in range(rng.randint(1, 10)):
+        size = rng.choice((0, 2, 3, 6, 7, 10, 20, 31))
+        data.append(rng.randrange(8) | size << 3)
         data += bytes(
-            dice.choice((*b"\x00\x01\x02\x03\xff\xfd\x55\x40\x74", dice.randrange(256))) for _ in range(size)
+            rng.choice((*b"\x00\x01\x02\x03\xff\xfd\x55\x40\x74", rng.randrange(256))) for _ in range(size)
         )
     return bytes(data)
 

@@ -35,9 +35,9 @@ def test_what_once_broke_a_law_does_so_no_more(law: str, data: bytes) -> None:
 
 @pytest.mark.parametrize("law", laws.LAWS)
 def test_random_stories_break_no_law(law: str) -> None:
-    dice = random.Random(2)
+    rng = random.Random(2)
     for _ in range(25 if law in CHEAP else 5):
-        laws.LAWS[law](laws.random_input(dice))
+        laws.LAWS[law](laws.random_input(rng))
 
 
 @pytest.mark.parametrize("law", CHEAP)

@@ -18,7 +18,6 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.cli.main import main
-from robot_ik.cli.servo_hand import _by_hand
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
@@ -29,6 +28,7 @@ from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.jobs.hand_calibration import calibrate_by_hand
 from robot_ik.ports import VirtualClock
 
 ARMS = ("koch_v11", "omx_f", "vx300s", "wx250s")
@@ -327,6 +327,12 @@ class Hand:
             elif f"move {joint.name} alone" in text:
                 self.put(joint.name, self.q[joint.name] + 0.2 * joint.lever, sample)
 
+    def note(self, text: str) -> None:
+        pass
+
+    def again(self, error: Exception) -> bool:
+        return False
+
 
 def true_arm(name: str) -> ArmConfig:
     """An arm as somebody has built it: a Koch's horns sit anywhere, and two of its joints count backwards."""
@@ -350,7 +356,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     limits = {joint.name: (joint.lower, joint.upper) for joint in true.joints}
     unknown = dataclasses.replace(arm_file(name).whole, file=None)
     with open_arm(unknown, "sim", virtual_bus=servos) as arm:
-        found = _by_hand(arm, Hand(true, servos), pose, limits)  # type: ignore[arg-type]
+        found = calibrate_by_hand(arm, Hand(true, servos), pose, limits)
         made = calibrated(arm.config, found)
         check_calibration(arm.bus, made, found, limits)
     for mine, truth in zip(made.servos, true.servos, strict=True):

@@ -20,7 +20,7 @@ from robot_ik.hardware.bus import BROADCAST_ID, Counters
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
 from robot_ik.hardware.packets import FastParser, StatusParser
-from robot_ik.hardware.serial_port import ANSWER_TIME, LONGEST_DRAIN, QuietPortHandler
+from robot_ik.hardware.serial_port import ANSWER_TIME, LONGEST_DRAIN, SleepingPortHandler
 from robot_ik.hardware.virtual.protocol import build_status
 
 XM = CONTROL_TABLES["XM430-W350"]
@@ -159,7 +159,7 @@ def test_a_parser_keeps_no_more_than_a_packet(
 def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile(real_time: None) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
-    port = QuietPortHandler(os.ttyname(slave), 1_000_000, Counters())
+    port = SleepingPortHandler(os.ttyname(slave), 1_000_000, Counters())
     try:
         port.openPort()
         port.setPacketTimeoutMillis(1.0)
@@ -177,7 +177,7 @@ def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile(real_
 
 
 def test_a_port_that_takes_bytes_one_by_one_is_given_up(real_time: None) -> None:
-    class Slow(QuietPortHandler):
+    class Slow(SleepingPortHandler):
         def _write(self, data: bytes) -> int:
             time.sleep(0.05)
             return 1

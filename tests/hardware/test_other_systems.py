@@ -12,15 +12,14 @@ from typing import Any
 import pytest
 import serial
 
-from robot_ik.cli.connection import serial_ports, served_or_real
-from robot_ik.cli.servo_bus import port_row
+from robot_ik.cli.connection import served_or_real
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware import open_bus
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.health import serial_row
-from robot_ik.hardware.serial_port import QuietPortHandler, describe_failure
+from robot_ik.hardware.ports import port_row, serial_ports, serial_row
+from robot_ik.hardware.serial_port import SleepingPortHandler, describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import ending_signals
 
@@ -114,8 +113,8 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
         made.append(WindowsPort(bus, **options))
         return made[-1]
 
-    def handler(name: str, baud: int, counters: Counters, answer_time: float) -> QuietPortHandler:
-        return QuietPortHandler(name, baud, counters, answer_time, posix=False, make_serial=make_serial)
+    def handler(name: str, baud: int, counters: Counters, answer_time: float) -> SleepingPortHandler:
+        return SleepingPortHandler(name, baud, counters, answer_time, posix=False, make_serial=make_serial)
 
     driver = DynamixelBus("COM3", make_handler=handler)
     driver.open()

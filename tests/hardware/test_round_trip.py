@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.dynamixel import SHORTEST_WAIT, SLOWNESS, STEADY, AnswerTimes
-from robot_ik.hardware.serial_port import QuietPortHandler
+from robot_ik.hardware.dynamixel import SHORTEST_WAIT, SLOWNESS, STEADY, RoundTripEstimator
+from robot_ik.hardware.serial_port import SleepingPortHandler
 
 AT_MOST = 0.034
 
 
 def learned(times):
-    known = AnswerTimes()
+    known = RoundTripEstimator()
     for took in times:
         known.add(took)
     return known
@@ -34,8 +34,8 @@ def test_who_answered_so_late_once_is_given_that_time_again(times):
 
 
 def test_a_new_line_gets_all_the_time_and_is_not_watched():
-    assert AnswerTimes().patience(AT_MOST) == AT_MOST
-    assert AnswerTimes().expected is None
+    assert RoundTripEstimator().patience(AT_MOST) == AT_MOST
+    assert RoundTripEstimator().expected is None
 
 
 @given(st.floats(0.0, 0.02), st.lists(st.floats(-STEADY / 4, STEADY / 4), min_size=60, max_size=80))
@@ -56,7 +56,7 @@ def test_watching_changes_nothing_but_the_moment(answer, expected):
     """Bytes come whether they are expected earlier or later; without any the deadline holds."""
     master, slave = pty.openpty()
     tty.setraw(slave)
-    port = QuietPortHandler(os.ttyname(slave), 1_000_000, Counters())
+    port = SleepingPortHandler(os.ttyname(slave), 1_000_000, Counters())
     port.openPort()
     writer = threading.Timer(0.01, os.write, (master, answer)) if answer else None
     begin = time.monotonic()

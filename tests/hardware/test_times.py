@@ -15,7 +15,7 @@ from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
-from robot_ik.hardware.serial_port import QuietPortHandler
+from robot_ik.hardware.serial_port import SleepingPortHandler
 from robot_ik.hardware.simulated import InProcessPort
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -58,9 +58,9 @@ class WaitingPort(InProcessPort):
         self._pass(quiet)
 
     # those of a real port
-    setPacketTimeout = QuietPortHandler.setPacketTimeout
-    setPacketTimeoutMillis = QuietPortHandler.setPacketTimeoutMillis
-    isPacketTimeout = QuietPortHandler.isPacketTimeout
+    setPacketTimeout = SleepingPortHandler.setPacketTimeout
+    setPacketTimeoutMillis = SleepingPortHandler.setPacketTimeoutMillis
+    isPacketTimeout = SleepingPortHandler.isPacketTimeout
 
 
 def _arm(config: ArmConfig, start: Any) -> Arm:

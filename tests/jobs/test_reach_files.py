@@ -17,7 +17,8 @@ from robot_ik.errors import OutputError
 from robot_ik.files import folder_for_results, plain
 from robot_ik.jobs import scene
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.reach_files import reach_picture, reach_summary, run_folder, save_reach
+from robot_ik.jobs.reach_files import reach_picture, reach_summary, save_reach
+from robot_ik.jobs.results import run_folder
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {
@@ -163,11 +164,10 @@ def test_without_a_camera_there_is_no_picture(
 
 def test_folders_are_named_by_time_and_never_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    first = run_folder(None, "reach")
+    first = run_folder("reach")
     assert first.parent.name == "runs" and first.name.endswith("-reach") and not first.exists()
     first.mkdir(parents=True)
-    assert run_folder(None, "reach") != first
-    assert run_folder(Path("here"), "reach") == Path("here")
+    assert run_folder("reach") != first
 
 
 def test_a_folder_is_taken_back_when_it_stays_empty(tmp_path: Path) -> None:

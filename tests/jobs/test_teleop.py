@@ -18,7 +18,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.teleop import (
     Blend,
     JointCoupling,
-    Keys,
+    KeyboardJog,
     LeaderArm,
     TeleopTick,
     open_pair,
@@ -192,7 +192,7 @@ def keyed(text: str, hand: bool, seconds: float = 1.5) -> tuple[Array, Array, Ar
     begin = home("tabletop_puma")
     _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
     waiting = list(text)
-    keys = Keys(follower.config, lambda: waiting.pop(0) if waiting else "", hand=hand)
+    keys = KeyboardJog(follower.config, lambda: waiting.pop(0) if waiting else "", hand=hand)
     with follower:
         teleoperate(keys, follower, seconds=seconds, over=lambda: keys.over)
         return begin, follower.read().q, follower

@@ -1,4 +1,4 @@
-"""The two judgements: bounds against brute force, uncertainty against dice, limits from both sides."""
+"""The two judgements: bounds against brute force, uncertainty against draws, limits from both sides."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_goal_of_a_place_asks_for_no_angle(puma: Robot) -> None:
     assert judged.passed and judged.angle == 0.0
 
 
-def test_uncertainty_at_the_tool_against_dice() -> None:
+def test_uncertainty_at_the_tool_against_random_draws() -> None:
     rng = np.random.default_rng(3)
     root = rng.standard_normal((6, 6)) * np.array([1e-3] * 3 + [4e-3] * 3)[:, None]
     covariance, lever = root @ root.T, np.array([0.05, -0.1, 0.2])

@@ -1,6 +1,8 @@
 """One word, one meaning: names that were given up do not come back."""
 
+import ast
 import re
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -8,10 +10,13 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # What stands in their place today.  Words that are plain English as well (ease, room, bend) cannot be here.
 FORMER = {
+    "AnswerTimes": "RoundTripEstimator",
     "answer_times": "round-trip estimator",
     "arm_zeros": "kinematic calibration",
     "Blindfold": "WithoutTruth",
     "CameraPlace": "CameraExtrinsics",
+    "CompiledAhead": "Precompilation",
+    "dice": "rng, a random generator",
     "grain": "sensor noise",
     "heed": "joint_weights",
     "honours": "capabilities",
@@ -23,6 +28,7 @@ FORMER = {
     "Mixture": "Unobservable",
     "on_demand": "lazy imports",
     "quiet_port": "SleepingPortHandler",
+    "QuietPortHandler": "SleepingPortHandler",
     "Remedies": "LatencyOptions",
     "shout": "broadcast_ping",
     "Sight": "PlacedObservation",
@@ -31,8 +37,10 @@ FORMER = {
     "stage_for": "scene_for",
     "suspicion": "diagnosis",
     "unbend": "undistort",
+    "wish": "mode, target",
     "wished": "wanted, target",
 }
+LETTER = r"[^\W\d_]"
 FOLDERS = ("robot_ik", "hardware", "models", "examples", "docs", "tests")
 
 
@@ -49,8 +57,8 @@ def texts() -> Iterator[tuple[str, str]]:
 def test_no_word_of_the_former_glossary_is_left() -> None:
     """As a whole name or as a part of one: ``heed``, ``heed_goals``, ``_HEED``."""
     words = "|".join(FORMER)
-    former = re.compile(rf"(?<![A-Za-z])(?:{words})(?![A-Za-z])")
-    constants = re.compile(rf"(?<![A-Za-z])_?(?:{words.upper()})(?![A-Za-z])")
+    former = re.compile(rf"(?<!{LETTER})(?:{words})(?!{LETTER})")
+    constants = re.compile(rf"(?<!{LETTER})_?(?:{words.upper()})(?!{LETTER})")
     found = [
         f"{file}:{number}: {line.strip()}"
         for file, text in texts()
@@ -58,3 +66,15 @@ def test_no_word_of_the_former_glossary_is_left() -> None:
         if former.search(line) or constants.search(line)
     ]
     assert found == []
+
+
+def test_each_class_name_stands_for_one_class() -> None:
+    """In the whole package; a leading underscore makes no other name."""
+    places = defaultdict(list)
+    for folder in ("robot_ik", "hardware"):
+        for file in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ClassDef):
+                    places[node.name.lstrip("_")].append(f"{file.relative_to(ROOT)}:{node.lineno}")
+    assert len(places) > 500
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

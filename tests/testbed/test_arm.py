@@ -96,7 +96,7 @@ def test_a_ball_that_jumps_makes_the_arm_walk(session: Session, link: ArmLink) -
 def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmLink) -> None:
     session.send(SetArm("replay"))
     view = until(session, lambda v: v.arm and v.arm.message, "an empty recording is repeated")
-    assert view.arm is not None and "Teach" in view.arm.message and view.arm.wish == "hold"
+    assert view.arm is not None and "Teach" in view.arm.message and view.arm.mode == "hold"
     session.send(MoveGoal((0.2, 0.05, 0.1)))
     session.send(SetArm("teach"))  # simulated servos are guided by the page's robot
     until(session, lambda v: v.arm and v.arm.apart < 0.02 and v.arm.state == "connected", "nobody guides it")
@@ -112,7 +112,7 @@ def test_what_a_hand_shows_is_recorded_and_repeated(session: Session, link: ArmL
         link._arm.virtual_bus.servo(servo.id).turn_by_hand(100.0)  # type: ignore[union-attr]
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
-    until(session, lambda v: v.arm and v.arm.wish == "hold", "it does not end")
+    until(session, lambda v: v.arm and v.arm.mode == "hold", "it does not end")
     assert np.abs(link.view().q - link.recording.q[-1]).max() < 0.01
 
 
@@ -122,7 +122,7 @@ def test_stop_ends_a_replay(session: Session, link: ArmLink) -> None:
     session.send(SetArm("replay"))
     until(session, lambda v: v.arm and v.arm.state == "enabled", "it does not begin")
     session.send(SetRunning(False))
-    view = until(session, lambda v: v.arm and v.arm.state == "hold" and v.arm.wish == "hold", "it goes on")
+    view = until(session, lambda v: v.arm and v.arm.state == "hold" and v.arm.mode == "hold", "it goes on")
     assert view.arm is not None and "stopped" in view.arm.message
 
 

@@ -253,7 +253,7 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     bed.until(lambda view: view.robot == "humanoid" and not view.busy and not view.running)
     window.page.get_by_role("tab", name="Figure", exact=True).click()
     window.page.get_by_role("combobox", name="Moved by").click()
-    window.page.get_by_role("option", name="itself, when told").click()
+    window.page.get_by_role("option", name="itself, on demand").click()
     bed.until(lambda view: view.figure and view.figure.mode == "passive", "nobody decides")
     bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
     window.page.get_by_text("drag the ball, then press Act now").wait_for()

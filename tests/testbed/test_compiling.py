@@ -50,7 +50,7 @@ def test_a_session_says_how_far_it_is_and_is_ready_though_the_processes_fail(
     if there:
         program.write_text(FAILING)
         program.chmod(0o755)
-    monkeypatch.setattr("robot_ik.testbed.session.is_compiled", lambda *given: False)
+    monkeypatch.setattr("robot_ik.testbed.preparing.is_compiled", lambda *given: False)
     monkeypatch.setattr(sys, "executable", str(program))
     said, progress = set(), "compiling dls, once on this machine: 2 functions so far …"
     with Session(Start()) as session:

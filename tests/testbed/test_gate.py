@@ -316,7 +316,7 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
                 bed.until(lambda view: arm_is("enabled", view), "it does not follow")
                 lose()
                 bed.until(
-                    lambda view: arm_is("hold", view) and view.arm.wish == "hold",
+                    lambda view: arm_is("hold", view) and view.arm.mode == "hold",
                     "it goes on following a page that is gone",
                 )
         finally:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from robot_ik.robot import load_robot
-from robot_ik.testbed.staging import bodies_shown
+from robot_ik.testbed.arrangement import bodies_shown
 
 pytest.importorskip("viser", reason="needs the extra web")
 import trimesh

@@ -127,7 +127,7 @@ def _view_of(robot: Arm) -> Pose:
 
 
 def drawing(effort: Effort) -> Iterator[Quantity]:
-    """Painting a robot over a picture of 1280×720, without its shadow, which is told apart."""
+    """Painting a robot over a picture of 1280×720, without its shadow, which is reported apart."""
     from robot_ik.robot import load_robot
 
     camera, artist = CAMERAS[1], PainterArtist()

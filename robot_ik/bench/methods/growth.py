@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
-from robot_ik.bench.methods.results import Batch, Floor, Growth
+from robot_ik.bench.methods.results import Batch, Growth, LowerBound
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
@@ -61,7 +61,7 @@ def loop_jacobian(tree, nodes, node, local, qs, q, world, scratch, out, jacobian
         frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian)
 
 
-def floor(robot: Robot, seed: int = 0) -> Floor:
+def lower_bound(robot: Robot, seed: int = 0) -> LowerBound:
     """µs per forward pass, and per forward pass with Jacobian, of the tool; the best of some loops."""
     jit.announce(loop_jacobian, "the loops of the benchmark")
     rng = np.random.default_rng(seed)
@@ -73,7 +73,7 @@ def floor(robot: Robot, seed: int = 0) -> Floor:
     jacobian = np.empty((6, robot.nv))
     forward_us = _best(lambda: loop_forward(*common)) / _LOOP
     jacobian_us = _best(lambda: loop_jacobian(*common, jacobian)) / _LOOP
-    return Floor(
+    return LowerBound(
         robot=robot.name,
         joints=len(nodes),
         forward_us=round(forward_us, 4),

@@ -40,7 +40,7 @@ class Machine(_Data):
     """Where it was measured.
 
     Attributes:
-        calibration_us: Median time of a fixed loop of plain Python: tells how fast, and how busy, it was.
+        calibration_us: Median time of a fixed loop of plain Python: shows how fast, and how busy, it was.
         load: Load average of the last minute at the start.
     """
 
@@ -124,7 +124,7 @@ class Curve(_Data):
     miss: list[float]
 
 
-class Floor(_Data):
+class LowerBound(_Data):
     """Cost of the kinematics alone, measured in a compiled loop, µs."""
 
     robot: str
@@ -169,7 +169,7 @@ class Results(_Data):
     settings: Settings
     cells: list[Cell] = []
     curves: list[Curve] = []
-    floors: list[Floor] = []
+    lower_bounds: list[LowerBound] = []
     growth: list[Growth] = []
     batches: list[Batch] = []
 

@@ -50,7 +50,7 @@ HIS: dict[str, tuple[tuple[float, int, int], ...]] = {
 
 
 @dataclass(frozen=True)
-class Case:
+class ArmCase:
     """One of the four: where the targets come from, and whether joints are limited."""
 
     number: int
@@ -63,7 +63,7 @@ class Case:
         return f"{'curve' if self.curve else 'random'}, {f'±{LIMIT:g}°' if self.limited else 'no limits'}"
 
 
-CASES = (Case(1, True, False), Case(2, False, False), Case(3, True, True), Case(4, False, True))
+CASES = (ArmCase(1, True, False), ArmCase(2, False, False), ArmCase(3, True, True), ArmCase(4, False, True))
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def make_arm(limited: bool) -> Robot:
     return arm.with_limits(-bend, bend)
 
 
-def make_witnesses(arm: Robot, case: Case, frames: int, seed: int) -> Array:
+def make_witnesses(arm: Robot, case: ArmCase, frames: int, seed: int) -> Array:
     """(frames, nq) joint angles inside the limits of ±45°; where they put the tip are the targets."""
     if case.curve:
         return np.array([_curve(arm, k / LAP) for k in range(frames)])
@@ -233,7 +233,7 @@ def s12_picture(report: S12Report) -> bytes:
     return stream.getvalue()
 
 
-def _draw(axes: Any, report: S12Report, case: Case) -> None:
+def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
     """One case: the upper axes get η, the lower t."""
     methods = BEST_METHODS
     for place, kind in enumerate(("S12", "same", "best")):
@@ -258,7 +258,7 @@ def _draw(axes: Any, report: S12Report, case: Case) -> None:
         axis.spines[["top", "right"]].set_visible(False)
 
 
-def _cell(report: S12Report, kind: str, name: str, case: Case) -> tuple[float, float] | None:
+def _cell(report: S12Report, kind: str, name: str, case: ArmCase) -> tuple[float, float] | None:
     """(ms, %) of a method, or None where there is no such number."""
     if kind == "S12":
         return (HIS[name][case.number - 1][0], HIS[name][case.number - 1][2]) if name in HIS else None

@@ -437,7 +437,7 @@ def describe(pattern: Pattern) -> str:
 
 PatternKind = Literal["charuco", "chessboard"]
 
-#: A marker's side in squares, where nobody says it.
+#: A marker's side in squares, where it is not given.
 MARKER_SHARE = 0.73
 
 

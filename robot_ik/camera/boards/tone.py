@@ -146,7 +146,7 @@ def _edge(profile: Array) -> tuple[float, float, float, float] | None:
         _crossing(d, part, k, value) for k, value in ((middle, 0.5), (low, _LOWER), (high, _UPPER))
     )
     sigma = 0.5 * (upper - lower)
-    # The plateaus must be seen, or nobody knows where half of them is.
+    # The plateaus must be seen, or the level half way between them is unknown.
     if not 0.0 < 2.2 * sigma < d[-1]:
         return None
     return -half, sigma, last, float(part.max()) - 1.0

@@ -225,7 +225,7 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
         restless.append(float(np.median(far)))
         weights = cauchy_weight(far / max(float(np.median(far)), 0.01))
         means.append(np.average(pixels, axis=0, weights=weights))
-    # Of two pictures nobody knows which one is wrong: their residuals say so.
+    # Of two pictures it is unknown which one is wrong: their residuals say so.
     if len(views) > 2 and np.median(restless) > _RESTLESS_PX:
         raise CalibrationError(
             f"the board's corners move by {np.median(restless):.1f} px between the pictures: a place can be "

@@ -101,7 +101,7 @@ Array = NDArray[np.float64]
 
 # A homography gives two equations for five unknowns of a pinhole; lens and noise want many more.
 FEWEST_VIEWS = 6
-# Without perspective nobody can tell a long lens from a far board.
+# Without perspective a long lens and a far board look alike.
 _LEAST_TILT_DEG = 12.0
 _GROUPS = 5
 # A view is left out when it is so many times worse than the middle one, and worse than a good one, px.

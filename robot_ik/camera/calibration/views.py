@@ -169,7 +169,7 @@ class ViewGatherer:
             )
 
     def _doubt_the_count(self) -> None:
-        """Tells a chessboard that was counted wrongly although it was found: in part, or by chance."""
+        """Reports a chessboard that was counted wrongly although it was found: in part, or by chance."""
         larger = larger_chessboard(self.pattern, self._first)
         if larger is not None:
             self.notices.append(

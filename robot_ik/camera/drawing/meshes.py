@@ -77,7 +77,7 @@ def _grid(points: Array) -> tuple[Array, Index]:
 
 
 def usual_segments(radius: float) -> int:
-    """Faces round a lathe of this radius in metres, when nobody knows how large it is seen."""
+    """Faces round a lathe of this radius in metres, when it is unknown how large it is seen."""
     return next(count for limit, count in _USUAL if radius <= limit)
 
 
@@ -460,7 +460,7 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
 
 
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
-    """How finely each round geom must be cut so that nobody sees corners: one of ``SEGMENTS`` each.
+    """How finely each round geom must be cut so that no corners are seen: one of ``SEGMENTS`` each.
 
     Cut so, an outline is off by at most ``ROUND_PX`` in the picture, at the geom's nearest point: inwards at
     the middles of faces, outwards at corners.

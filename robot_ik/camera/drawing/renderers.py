@@ -31,7 +31,7 @@ Mask = NDArray[np.bool_]
 # Shadows fall from the light that the robot is drawn with, at least so steeply (cosine to the vertical); they
 # are softened over so much of the robot's height in the picture, and take so much of the light.
 _STEEP, _SOFT, _DARK = 0.6, 0.012, 0.42
-# They are drawn so many times coarser than the picture: nobody can tell.
+# They are drawn so many times coarser than the picture: the difference is not seen.
 _COARSE = 3
 
 

@@ -26,7 +26,7 @@ from robot_ik.jobs import JobReport
 from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
-from robot_ik.jobs.precompile import CompiledAhead
+from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.robot import load_robot
 
@@ -132,7 +132,7 @@ class ArReport(JobReport):
         return self.pictures / self.seconds if self.seconds > 0 else float("nan")
 
 
-#: Called with how many pictures are done, and of how many (0: nobody knows).
+#: Called with how many pictures are done, and of how many (0: unknown).
 PictureProgress = Callable[[int, int], None]
 Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
 
@@ -148,7 +148,7 @@ def run_ar(
 
     Args:
         request: What to draw on what.
-        progress: Called with how many pictures are done, and of how many (0: nobody knows).
+        progress: Called with how many pictures are done, and of how many (0: unknown).
         robot: Who is drawn; default: the request's.
         mover: Makes what moves the robot, in place of ``request.motion``.
 
@@ -159,8 +159,8 @@ def run_ar(
     with contextlib.ExitStack() as stack:
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
-        ahead = stack.enter_context(CompiledAhead.overlay())
-        phases = _Phases(request, robot, mover, sink, ahead, progress, stack)
+        compiling = stack.enter_context(Precompilation.overlay())
+        phases = _ArPhases(request, robot, mover, sink, compiling, progress, stack)
         placed = phases.place()
         opened = phases.open(placed)
         placed = phases.fit(placed, opened)
@@ -199,7 +199,7 @@ class Placed:
 
 @dataclass(frozen=True, eq=False)
 class Opened:
-    """The pictures: ``total`` of them (0: nobody knows), their optics; ``scene`` None: real ones."""
+    """The pictures: ``total`` of them (0: unknown), their optics; ``scene`` None: real ones."""
 
     frames: Iterator[Frame]
     intrinsics: CameraIntrinsics
@@ -220,14 +220,14 @@ class Drawn:
 
 
 @dataclass(frozen=True, eq=False)
-class _Phases:
+class _ArPhases:
     """What drawing a robot does, one thing after the other, and what all of it needs."""
 
     request: ArRequest
     robot: Robot
     mover: Mover | None
     sink: PictureSink
-    ahead: CompiledAhead
+    compiling: Precompilation
     progress: PictureProgress
     stack: contextlib.ExitStack
 
@@ -263,7 +263,7 @@ class _Phases:
                 begin = tracked.time if begin is None else begin
                 start = time.perf_counter()
                 seen = registrar.track(tracked)
-                self.ahead.wait()
+                self.compiling.wait()
                 qpos = self.robot.qpos(placed.motion.q(shown.time - begin, seen))
                 made = registrar.compose(seen, shown, qpos)
                 spent += time.perf_counter() - start

@@ -23,7 +23,7 @@ BOARD = "grid:2x2:50:12.5"
 #: Marker that can be followed: id and side in metres.
 FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
-# An id that nobody looks for.
+# An id that is not searched for.
 _SHEET = 49
 _EYE, _LOOK = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
 
@@ -39,7 +39,7 @@ class SteppedClock:
         return self.ticks / self.rate_hz
 
     def sleep_until(self, deadline: float) -> None:
-        """Nobody waits for a synthetic picture."""
+        """A synthetic picture is not waited for."""
 
 
 @dataclass(frozen=True, eq=False)

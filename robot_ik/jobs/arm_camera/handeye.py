@@ -32,7 +32,7 @@ from robot_ik.robot import Robot
 # Camera and board of a hand-eye calibration: real ones, or simulated ones with a truth to compare with.
 
 
-# What is planned with is wrong by this much on purpose: nobody knows his camera's place before.
+# What is planned with is wrong by this much on purpose: before calibration a camera's place is known roughly.
 _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 # The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
 _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
@@ -66,7 +66,7 @@ class HandEyeScene:
         task: For planning.
         board: How it is seen.
         source: The camera.
-        truth: Where camera and board really are; None where nobody knows.
+        truth: Where camera and board really are; None where it is unknown.
         stale: Pictures to throw away before one counts.
     """
 
@@ -150,7 +150,7 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
     )
     if reach <= 0.0:
         return beside
-    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, turn])).compose(beside) for turn in _SIDES]
+    sides = [Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside) for angle in _SIDES]
     clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
     ahead = _SEEN_AHEAD * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
     for side in sides:
@@ -201,7 +201,7 @@ class HandEyeReport(JobReport):
 
     Attributes:
         samples: What was measured.
-        truth: Where camera and board really are; None where nobody knows.
+        truth: Where camera and board really are; None where it is unknown.
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
         result: None for a dry run.

@@ -355,7 +355,7 @@ class VerifySamples:
         samples: Joint angles and what was seen there.
         camera, board: Their poses as they were known.
         by_arm: Whether the camera's place was found by moving the arm.
-        true_offsets: (nv,) rad; None where nobody knows.
+        true_offsets: (nv,) rad; None where it is unknown.
         servos: Each joint's row of the arm file, as JSON holds it: what ``q`` was read with.
     """
 

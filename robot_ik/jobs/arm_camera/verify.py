@@ -217,7 +217,7 @@ def run_verify(
         scene = open_scene(_scene_request(request), setup, stack)
         place = _given_place(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        phases = _Phases(request, setup, scene, progress)
+        phases = _VerifyPhases(request, setup, scene, progress)
         known = phases.locate(place)
         report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
@@ -316,7 +316,7 @@ def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> Camera
 
 
 @dataclass(frozen=True, eq=False)
-class _Phases(ViewPhases):
+class _VerifyPhases(ViewPhases):
     """What a check does before the camera, one thing after the other."""
 
     request: VerifyRequest

@@ -99,8 +99,8 @@ class Clearance:
         table = self._table
         if table is None or not len(self._geoms):
             return set()
-        turn = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
-        corners = self._corners @ turn.transpose(0, 2, 1) + self._data.geom_xpos[self._geoms][:, None]
+        rotation = self._data.geom_xmat[self._geoms].reshape(-1, 3, 3)
+        corners = self._corners @ rotation.transpose(0, 2, 1) + self._data.geom_xpos[self._geoms][:, None]
         low, high = corners.min(axis=1), corners.max(axis=1)
         over = (
             (high[:, 0] > table.x[0] - _AIR) & (low[:, 0] < table.x[1] + _AIR)
@@ -318,8 +318,8 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
     # The place of the camera stays; its view turns so that the board's middle comes to a random place in it.
     middle = board.apply(np.mean([pose.position for _, pose in task.layout.values()], axis=0))
     place = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
-    turn = _turn_onto(middle, task.intrinsics.unproject(place.reshape(1, 2))[0], rng)
-    board = Pose(wxyz=turn).compose(board)
+    rotation = _rotation_onto(middle, task.intrinsics.unproject(place.reshape(1, 2))[0], rng)
+    board = Pose(wxyz=rotation).compose(board)
     if not task.shown(board):
         return None
     world_camera = mount.pose_other_board.compose(board.inverse())
@@ -329,13 +329,13 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
 def _tilted(position: Array, rng: np.random.Generator) -> Pose:
     """``pose_camera_marker`` at a place (3,), facing the camera but for a random tilt and roll."""
     back = -position / np.linalg.norm(position)
-    facing = _turn_onto(np.array([0.0, 0.0, 1.0]), back, rng)
+    facing = _rotation_onto(np.array([0.0, 0.0, 1.0]), back, rng)
     tilt, way = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
     lean = rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0])
     return Pose(position, facing).compose(Pose(wxyz=lean))
 
 
-def _turn_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:
+def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:
     """A rotation (4,), wxyz, that turns ``source`` into the direction ``target``, else at random."""
     a, b = source / np.linalg.norm(source), target / np.linalg.norm(target)
     axis = np.cross(a, b)

@@ -40,7 +40,7 @@ class ScriptFile(Table):
         version: ``schema`` in the file (the name is taken in pydantic's base class).
         robot: Catalogue name, or a path seen from the script.
         arm: Path of an arm file, likewise; by default the one beside the model.
-        seed: Of the dice of faults, restarts and the synthetic camera's noise.
+        seed: Of random faults, restarts and the synthetic camera's noise.
         speed: Share of the speed limits of all moves that do not say it themselves.
         marker_at: x, y, z in metres and yaw in degrees of the printed marker; by default the scene's own.
         physics: The robot's MuJoCo model moves the simulated shafts.

@@ -59,7 +59,7 @@ def open_camera(
         yaw = marker_at[3] if len(marker_at) == 4 else 0.0
         pose = Pose(marker_at[:3], rotation_exp([0.0, 0.0, np.radians(yaw)]))
         scene = replace(scene, pose_world_marker=pose)
-    synthetic = replace(scene, cube={}).synthetic(setup.robot)  # nobody judges by the gripper's markers here
+    synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     vision = Vision(
         scene,

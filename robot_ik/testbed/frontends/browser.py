@@ -20,24 +20,22 @@ import viser
 from numpy.typing import NDArray
 from viser import _messages as vm
 
+from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
 from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
-    Control,
     FigurePanel,
     GoalsPanel,
     MeasuredPanel,
     MethodPanel,
     RunPanel,
     key_table,
-    page,
-    pressed,
 )
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
+from robot_ik.testbed.frontends.widgets import Control, page, pressed
 from robot_ik.testbed.keymap import KEYMAP, Key
 from robot_ik.testbed.session import Session, View
-from robot_ik.testbed.staging import FIELD_OF_VIEW, corners, fitted_camera
 
 if TYPE_CHECKING:
     from robot_ik.motion.trajectory import Trajectory
@@ -239,7 +237,7 @@ class Page:
         scene.show_axes(self._axes.value)
         if self._reach.value:
             self._show_reach(True)
-        self._gizmo.scale = _GIZMO * scene.stage.extent
+        self._gizmo.scale = _GIZMO * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
@@ -293,8 +291,8 @@ class Page:
         scene, aspect = self._scene, client.camera.aspect
         if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
             return
-        points = corners(scene.robot, scene.stage, self.session.way())
-        position, look = fitted_camera(points, scene.stage, aspect, phone=aspect < _PHONE_ASPECT)
+        points = corners(scene.robot, scene.arrangement, self.session.way())
+        position, look = fitted_camera(points, scene.arrangement, aspect, phone=aspect < _PHONE_ASPECT)
         with client.atomic():
             client.camera.position = position
             client.camera.look_at = look
@@ -317,11 +315,11 @@ class Page:
             )
 
     def _driver_left(self) -> None:
-        """Nobody drags any more, and a servo arm holds."""
+        """No drag goes on, and a servo arm holds."""
         self._grab = None
         if self._view.dragged:
             self.session.send(Release())
-        if self._view.arm is not None and self._view.arm.wish in ("follow", "replay"):
+        if self._view.arm is not None and self._view.arm.mode in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 
     # -------------------------------------------------------------------------------------- drawing
@@ -338,7 +336,7 @@ class Page:
             if scene is None or (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
                 scene = self._rebuild(view)
             scene.draw(view)
-            self._gizmo.position = view.ball.position + scene.stage.offsets[0]
+            self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
             if view.motion != "hand":
                 self._gizmo.wxyz = view.ball.wxyz
             self._show_panels(view, scene)
@@ -419,7 +417,7 @@ class _CameraThread:
         """The next picture, and what is said of it."""
         try:
             return self._read() or (None, self._NOTHING)
-        except Exception as error:  # on a thread nobody else would see it, and the picture would stand still
+        except Exception as error:  # on a thread it is seen nowhere else, and the picture stands still
             LOG.debug("no picture", exc_info=True)
             return None, f'<span class="no">no picture: {html.escape(str(error).splitlines()[0])}</span>'
 

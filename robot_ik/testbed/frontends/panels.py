@@ -10,7 +10,6 @@ import dataclasses
 import functools
 import html
 import math
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +20,12 @@ from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
 from robot_ik.robot import Robot
+from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 from robot_ik.testbed.commands import (
     COUNTS,
     GOAL_KINDS,
     MOTIONS,
     Act,
-    Command,
     PickBranch,
     Reset,
     SetArm,
@@ -43,33 +42,16 @@ from robot_ik.testbed.commands import (
     SetSpeed,
     ShowBranches,
 )
+from robot_ik.testbed.frontends.widgets import Control, Send, is_usual, option_widget, page, pressed, word_of
 from robot_ik.testbed.keymap import KEYMAP
 from robot_ik.testbed.session import View
-from robot_ik.testbed.staging import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 
 if TYPE_CHECKING:
     from robot_ik.hardware.health import ServoState
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.testbed.instance import InstanceView
 
-Send = Callable[[Command], None]
-
 HINT = "Drag the orange ball, or any part of the robot."
-STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
-.rk table{width:100%;border-collapse:collapse}
-.rk td,.rk th{padding:3px 4px;text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
-.rk th{font-weight:500;opacity:.65;font-size:11.5px}.rk td:first-child,.rk th:first-child{text-align:left}
-.rk tr+tr td{border-top:1px solid rgba(128,128,128,.25)}
-.rk i{display:inline-block;width:10px;height:10px;border-radius:3px;margin-right:6px}
-.rk i.dot{border-radius:5px}.rk small{opacity:.65}
-.rk .bar{position:relative;height:6px;border-radius:3px;background:rgba(128,128,128,.28)}
-.rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
-.rk .w{width:55%}.rk .no{color:#dc2626;white-space:normal;text-align:left}
-.rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
-[role="tab"]{padding-inline:8px!important}
-@media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
-[style*="max-height: 60%"] [style*="width: 20em"]{width:100%!important}}</style>"""
-
 _COUNT_WORDS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
 _MOTION_WORDS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
 _KIND_WORDS = dict(
@@ -79,62 +61,13 @@ _KIND_WORDS = dict(
         strict=True,
     )
 )
-_WISH_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
+_MODE_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_WORDS = {"teach": "Teach", "replay": "Replay"}
-_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, when told": "passive"}
+_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
 _JOINTS_SHOWN = 8
 _STOP_HEIGHT = 52  # px
-_HAND_SECONDS = 1.5  # after a person changed a widget it does not follow for so long
-
-
-def page(text: str) -> str:
-    """HTML in the page's style; whoever calls this has escaped names and errors."""
-    return f'{STYLE}<div class="rk">{text}</div>'
-
-
-class Control:
-    """A widget that people change and that follows the session.
-
-    Args:
-        handle: viser's.
-        act: Called with the value when a person changed it.
-    """
-
-    def __init__(self, handle: Any, act: Callable[[Any], None]) -> None:
-        self.handle, self._touched = handle, -math.inf
-
-        async def changed(event: Any) -> None:
-            if event.client is not None:  # what the program sets has none
-                self._touched = time.monotonic()
-                act(event.target.value)
-
-        handle.on_update(changed)
-
-    @property
-    def value(self) -> Any:
-        """What it shows."""
-        return self.handle.value
-
-    def follow(self, value: Any) -> None:
-        """Shows what the session has; not under the hand that moves it."""
-        if self.handle.value != value and time.monotonic() - self._touched > _HAND_SECONDS:
-            self.handle.value = value
-
-
-def pressed(button: Any, act: Callable[[Any], None]) -> None:
-    """Calls ``act(event)`` when a person pressed the button."""
-
-    async def clicked(event: Any) -> None:
-        act(event)
-
-    button.on_click(clicked)
-
-
-def word_of(words: Mapping[str, Any], value: Any) -> str:
-    """The word for a value."""
-    return next(word for word, one in words.items() if one == value)
 
 
 class RunPanel:
@@ -283,33 +216,6 @@ class _MethodFolder:
         self._widgets[field.name] = Control(widget, changed)
 
 
-def is_usual(meta: Mapping[str, Any], value: Any) -> bool:
-    """Whether an option stands first: it has a usual range, choices, or is yes or no."""
-    return isinstance(value, bool) or bool(meta.get("choices")) or meta.get("usual") is not None
-
-
-def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: Any) -> Any:
-    """From a field's type and ranges: a box, a menu, a slider over its usual range, or a number."""
-    label, unit = name.replace("_", " "), f" ({meta['unit']})" if meta["unit"] else ""
-    text = f"{meta['help']}{unit}".replace("``", "")
-    if isinstance(value, bool):
-        return gui.add_checkbox(label, value, hint=text)
-    if meta["choices"]:
-        return gui.add_dropdown(label, meta["choices"], initial_value=value, hint=text)
-    if isinstance(value, str):
-        return gui.add_text(label, value, hint=text)
-    low, high = meta["low"], meta["high"]
-    text += f"; {low:g} … {high:g}"
-    if meta.get("usual") is None:
-        step = 1 if isinstance(value, int) else None
-        return gui.add_number(label, value, min=low, max=high, step=step, hint=text)
-    first, last = meta["usual"]
-    if isinstance(value, int):
-        return gui.add_slider(label, min(first, value), max(last, value), 1, value, hint=text)
-    fine = 10.0 ** math.floor(math.log10((last - first) / 100.0))
-    return gui.add_slider(label, min(first, value), max(last, value), fine, value, hint=text)
-
-
 class GoalsPanel:
     """What the ball asks of the tool, goals beside it with their priorities, branches to pick from."""
 
@@ -400,7 +306,7 @@ class FigurePanel:
         self._mode = Control(
             gui.add_dropdown(
                 "Moved by", tuple(_FIGURE_WORDS), visible=view.can_act,
-                hint="Following: it acts whenever the ball moves. When told: on the ball as it is then",
+                hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
             lambda word: send(SetFigure(_FIGURE_WORDS[word])),  # type: ignore[arg-type]
         )  # fmt: skip
@@ -454,7 +360,7 @@ class ArmPanel:
     ) -> None:
         self._text, there = gui.add_html(""), view.arm is not None
         for label, words, hint in (
-            ("Arm", _WISH_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+            ("Arm", _MODE_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
             (
                 "By hand",
                 _TEACH_WORDS,
@@ -472,8 +378,8 @@ class ArmPanel:
 
     @staticmethod
     def _pressed(send: Send, words: Mapping[str, str], event: Any) -> None:
-        wish = next(wish for wish, word in words.items() if word == event.target.value)
-        send(SetArm(wish))  # type: ignore[arg-type]
+        mode = next(mode for mode, word in words.items() if word == event.target.value)
+        send(SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -497,7 +403,7 @@ class ArmPanel:
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
-            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.wish)}<br>"
+            f"<b>{html.escape(arm.state)}</b> on {html.escape(arm.port)}; asked: {html.escape(arm.mode)}<br>"
             f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
             f"recorded: {arm.recorded:.1f} s</small>{said}"
         )

@@ -24,18 +24,18 @@ from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
-from robot_ik.testbed.session import Session, View
-from robot_ik.testbed.staging import (
+from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     FIELD_OF_VIEW,
     GOAL_COLOUR,
     INSTANCE_COLOURS,
+    Arrangement,
     Colour,
-    Stage,
+    arranged,
     corners,
     fitted_camera,
-    staged,
 )
+from robot_ik.testbed.session import Session, View
 
 Image = NDArray[np.uint8]
 
@@ -108,7 +108,7 @@ class Recorder:
         image = np.full((height, width, 3), _GROUND, np.uint8)
         self._lines(image, self._grid, _CELL, 1)
         for k in self._order:
-            one, offset = view.instances[k], self._stage.offsets[k]
+            one, offset = view.instances[k], self._arrangement.offsets[k]
             if view.count > 1:
                 self._plate(image, k)
             figure = DrawnRobot(self.session.robot.model)
@@ -126,13 +126,13 @@ class Recorder:
         width, height = self._size
         focal = 0.5 * height / math.tan(0.5 * FIELD_OF_VIEW)
         self._lens = CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-        self._stage: Stage = staged(robot, count)
-        points = corners(robot, self._stage, self.session.way())
-        position, look = fitted_camera(points, self._stage, width / height)
+        self._arrangement: Arrangement = arranged(robot, count)
+        points = corners(robot, self._arrangement, self.session.way())
+        position, look = fitted_camera(points, self._arrangement, width / height)
         self._camera = look_at(position, look)
-        away = np.linalg.norm(self._stage.offsets - position, axis=1)
+        away = np.linalg.norm(self._arrangement.offsets - position, axis=1)
         self._order = np.argsort(-away).tolist()
-        reach = _GRID_CELLS * _GRID_STEP * max(0.5, self._stage.extent)
+        reach = _GRID_CELLS * _GRID_STEP * max(0.5, self._arrangement.extent)
         ticks = np.linspace(-reach, reach, 2 * _GRID_CELLS + 1)
         along = np.linspace(-reach, reach, 60)
         self._grid = [np.column_stack([np.full(60, x), along, np.zeros(60)]) for x in ticks]
@@ -155,9 +155,9 @@ class Recorder:
 
     def _plate(self, image: Image, k: int) -> None:
         angle = np.linspace(0.0, 2.0 * np.pi, 48)
-        radius = 0.21 * self._stage.extent
+        radius = 0.21 * self._arrangement.extent
         ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(48)])
-        pixels, depth = self._seen(ring + self._stage.offsets[k])
+        pixels, depth = self._seen(ring + self._arrangement.offsets[k])
         if (depth > _NEAR).all():
             shade = image.copy()
             cv2.fillPoly(shade, [np.round(pixels).astype(np.int32)], INSTANCE_COLOURS[k][::-1], cv2.LINE_AA)
@@ -166,7 +166,7 @@ class Recorder:
     def _ball(self, image: Image, place: Array) -> None:
         pixels, depth = self._seen(place[None])
         if depth[0] > _NEAR and (np.abs(pixels) < 1e4).all():
-            radius = BALL_RADIUS * self._stage.extent * self._lens.fx / float(depth[0])
+            radius = BALL_RADIUS * self._arrangement.extent * self._lens.fx / float(depth[0])
             x, y = np.round(16.0 * pixels[0]).astype(int).tolist()
             cv2.circle(image, (x, y), round(16.0 * radius), GOAL_COLOUR[::-1], -1, cv2.LINE_AA, 4)
 

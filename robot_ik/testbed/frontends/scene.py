@@ -21,16 +21,16 @@ from viser import _messages as vm
 from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
-from robot_ik.testbed.session import View
-from robot_ik.testbed.staging import (
+from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     GOAL_COLOUR,
     INSTANCE_COLOURS,
     Colour,
+    arranged,
     bodies_shown,
     linear,
-    staged,
 )
+from robot_ik.testbed.session import View
 
 Floats = NDArray[np.float32]
 
@@ -215,8 +215,8 @@ class BrowserScene:
 
     def __init__(self, server: viser.ViserServer, robot: Robot, count: int) -> None:
         self._server, self.robot, self.count = server, robot, count
-        self.stage = staged(robot, count)
-        self.offsets = self.stage.offsets.astype(np.float32)
+        self.arrangement = arranged(robot, count)
+        self.offsets = self.arrangement.offsets.astype(np.float32)
         self.bodies: list[tuple[int, Any]] = []
         self._ghosts: dict[str, Ghosts] = {}
         self._cloud: Any = None
@@ -238,7 +238,7 @@ class BrowserScene:
             self.bodies.append((body, handle))
 
     def _add_ball(self) -> None:
-        ball = sphere(np.array([BALL_RADIUS * self.stage.extent]), _BALL_FACES)
+        ball = sphere(np.array([BALL_RADIUS * self.arrangement.extent]), _BALL_FACES)
         self.ball = self._server.scene.add_batched_meshes_simple(
             "/robot/ball", ball.vertices, _triangles(ball.faces), *_poses(self.count),
             batched_colors=linear(GOAL_COLOUR), lod="off", receive_shadow=False,
@@ -256,13 +256,13 @@ class BrowserScene:
     def _label(self, k: int) -> Any:
         scene, several = self._server.scene, self.count > 1
         scene.add_cylinder(
-            f"/robot/plate_{k}", radius=_PLATE_RADIUS * self.stage.extent, height=0.004,
+            f"/robot/plate_{k}", radius=_PLATE_RADIUS * self.arrangement.extent, height=0.004,
             color=INSTANCE_COLOURS[k], opacity=0.4, visible=several, cast_shadow=False,
-            position=self.stage.offsets[k] + np.array((0.0, 0.0, 0.003)),
+            position=self.arrangement.offsets[k] + np.array((0.0, 0.0, 0.003)),
         )  # fmt: skip
         return scene.add_label(
-            f"/robot/label_{k}", "", position=self.stage.labels[k], anchor="top-center", visible=several,
-            font_screen_scale=1.1,
+            f"/robot/label_{k}", "", position=self.arrangement.labels[k], anchor="top-center",
+            visible=several, font_screen_scale=1.1,
         )  # fmt: skip
 
     def remove(self) -> None:
@@ -292,8 +292,8 @@ class BrowserScene:
         """The tool's frame of each instance."""
         if on and self._axes is None:
             self._axes = self._server.scene.add_batched_axes(
-                "/robot/tools", *_poses(self.count), axes_length=0.1 * self.stage.extent,
-                axes_radius=0.004 * self.stage.extent,
+                "/robot/tools", *_poses(self.count), axes_length=0.1 * self.arrangement.extent,
+                axes_radius=0.004 * self.arrangement.extent,
             )  # fmt: skip
         if self._axes is not None:
             self._axes.visible = on
@@ -306,7 +306,7 @@ class BrowserScene:
         if points is not None:
             self._cloud = self._server.scene.add_point_cloud(
                 "/robot/reach", points.astype(np.float32), colors=GOAL_COLOUR,
-                point_size=0.006 * self.stage.extent, point_shape="circle",
+                point_size=0.006 * self.arrangement.extent, point_shape="circle",
             )  # fmt: skip
 
     def name_instances(self, view: View) -> None:
@@ -347,12 +347,12 @@ class BrowserScene:
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
-        places, turns = np.empty((self.count, 3)), np.empty((self.count, 4))
+        places, quaternions = np.empty((self.count, 3)), np.empty((self.count, 4))
         for k in range(self.count):
             mujoco.mju_rotVecQuat(places[k], frame.local.position, xquat[k, frame.body].astype(float))
-            mujoco.mju_mulQuat(turns[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
+            mujoco.mju_mulQuat(quaternions[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
         self._axes.batched_positions = (xpos[:, frame.body] + places).astype(np.float32)
-        self._axes.batched_wxyzs = turns.astype(np.float32)
+        self._axes.batched_wxyzs = quaternions.astype(np.float32)
 
     def _draw_ghosts(self, view: View) -> None:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]
@@ -366,7 +366,7 @@ class BrowserScene:
             if poses and name not in self._ghosts:
                 self._ghosts[name] = Ghosts(self._server, self.robot.model, name, colour, count)
             if name in self._ghosts:
-                self._ghosts[name].draw(poses, self.stage.offsets[0])
+                self._ghosts[name].draw(poses, self.arrangement.offsets[0])
 
 
 def reach_cloud(robot: Robot) -> Array:

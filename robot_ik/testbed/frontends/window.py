@@ -22,17 +22,17 @@ import numpy as np
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.ports import Array
-from robot_ik.testbed.commands import MoveGoal
-from robot_ik.testbed.keymap import KEYMAP
-from robot_ik.testbed.session import Session, View
-from robot_ik.testbed.staging import (
+from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     GOAL_COLOUR,
     INSTANCE_COLOURS,
+    arranged,
     corners,
     fitted_camera,
-    staged,
 )
+from robot_ik.testbed.commands import MoveGoal
+from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.session import Session, View
 from robot_ik.urdf import Urdf
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ CLOSE_LIMIT = 5.0
 _AXIS_WIDTH = 0.04
 #: Seconds between two looks whether the window is closed.
 _LOOK_AGAIN = 0.05
-# Where a ball is that nobody shall see, metres.
+# Where a ball is that shall not be seen, metres.
 _NOWHERE = np.array([0.0, 0.0, -99.0])
 # Of the light at the eye, where the model has none.
 _AMBIENT, _DIFFUSE = 0.35, 0.55
@@ -153,7 +153,7 @@ class WindowSink:
         instead: What to run where there can be no window, for the hint of the error.
 
     Attributes:
-        data: The ``MjData`` that is shown; nobody else may write it.
+        data: The ``MjData`` that is shown; only its owner may write it.
 
     Raises:
         ViewerError: No display, no OpenGL on it, or macOS without ``mjpython``; the hint says what
@@ -334,14 +334,13 @@ class SessionWindow:
 
     Args:
         session: What is shown and driven.
-        limit: Seconds the window may take to appear.
 
     Raises:
         ViewerError: As ``WindowSink``.
     """
 
-    def __init__(self, session: Session, limit: float = OPEN_LIMIT) -> None:
-        self.session, self._limit = session, limit
+    def __init__(self, session: Session) -> None:
+        self.session = session
         self._view = session.view()
         self._overlay = True
         self._robot: Robot | None = None
@@ -365,7 +364,7 @@ class SessionWindow:
         self._option = mujoco.MjvOption()
         before = set(threading.enumerate())
         self._viewer = _launch(
-            self._model, self._data, self._limit, _WITHOUT_VIEWER, key_callback=self._on_key
+            self._model, self._data, OPEN_LIMIT, _WITHOUT_VIEWER, key_callback=self._on_key
         )
         self._threads = [thread for thread in threading.enumerate() if thread not in before]
         body = int(self._model.body(_BALL).id)
@@ -384,11 +383,11 @@ class SessionWindow:
         The window stays open: while another one opens, keys are lost.
         """
         robot, self._count = self.session.robot, self._view.count
-        stage = staged(robot, self._count)
-        self._offsets = stage.offsets - stage.offsets[0]
+        arrangement = arranged(robot, self._count)
+        self._offsets = arrangement.offsets - arrangement.offsets[0]
         self._others = [self._mujoco.MjData(robot.model) for _ in range(self._count - 1)]
-        points = corners(robot, stage, self.session.way()) - stage.offsets[0]
-        position, look = fitted_camera(points, stage, aspect=1.5)
+        points = corners(robot, arrangement, self.session.way()) - arrangement.offsets[0]
+        position, look = fitted_camera(points, arrangement, aspect=1.5)
         with self._viewer.lock():
             camera = self._viewer.cam
             way = look - position

@@ -109,7 +109,7 @@ def test_the_kernels_grow() -> None:
     from robot_ik.bench.methods import growth
     from robot_ik.robot import load_robot
 
-    floor = growth.floor(load_robot("puma560"))
-    assert floor.joints == 6 and 0.0 < floor.forward_us < 50.0 and floor.jacobian_us > 0.0
+    bound = growth.lower_bound(load_robot("puma560"))
+    assert bound.joints == 6 and 0.0 < bound.forward_us < 50.0 and bound.jacobian_us > 0.0
     chain = growth.hinge_chain(9)
     assert chain.nv == 9 and chain.forward(chain.home).position == pytest.approx((0, 0, 2.0))

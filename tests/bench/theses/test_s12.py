@@ -35,7 +35,7 @@ def test_lm_and_auto_reach_everything(report: s12.S12Report) -> None:
 
 
 @pytest.mark.parametrize("case", s12.CASES, ids=lambda case: case.title)
-def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.Case) -> None:
+def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.ArmCase) -> None:
     arm = s12.make_arm(case.limited)
     bends = [k for k, name in enumerate(arm.joints) if not name.endswith("twist")]
     assert np.all(arm.upper[bends] == (np.radians(45.0) if case.limited else np.inf))
@@ -56,7 +56,7 @@ def test_witnesses_are_inside_the_limits_and_targets_move(case: s12.Case) -> Non
 
 
 @pytest.mark.parametrize(("name", "case"), [(n, c) for n in s12.METHODS[1:] for c in (s12.CASES[1],)])
-def test_his_parameters_make_his_step(name: str, case: s12.Case) -> None:
+def test_his_parameters_make_his_step(name: str, case: s12.ArmCase) -> None:
     """One step of each Jacobian method against his formulas, written with NumPy on MuJoCo's Jacobian."""
     arm, rng = s12.make_arm(case.limited), np.random.default_rng(8)
     q, target = arm.sample(rng), arm.measure(arm.sample(rng)).position

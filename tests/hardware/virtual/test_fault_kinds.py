@@ -1,4 +1,4 @@
-"""Faults that happen while a virtual bus runs: each kind, its time, its end, and the dice."""
+"""Faults that happen while a virtual bus runs: each kind, its time, its end, and the random ones."""
 
 from __future__ import annotations
 

@@ -189,7 +189,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
 
 
 def _place_of(now: RunState, name: str) -> Array:
-    """(3,) m where an object lies, which nobody measures: the world knows."""
+    """(3,) m where an object lies, as the world has it; it is not measured."""
     assert now.servos.world is not None
     with now.servos.lock:
         now.servos.advance()

@@ -31,7 +31,7 @@ _SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is 
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class Arrangement:
     """Where things stand.
 
     Attributes:
@@ -48,7 +48,7 @@ class Stage:
     extent: float
 
 
-def staged(robot: Robot, count: int) -> Stage:
+def arranged(robot: Robot, count: int) -> Arrangement:
     """The places of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
     gallery = robot.file.gallery
     azimuth = math.radians(gallery.view_deg[0] if gallery else _USUAL_VIEW_DEG)
@@ -63,10 +63,10 @@ def staged(robot: Robot, count: int) -> Stage:
     flat = np.array([0.5 * extent * (x * right + y * ahead) for x, y in grid])
     offsets = np.column_stack([flat, np.zeros(count)])
     labels = offsets - np.array((*(_PLATE_DISTANCE * extent * ahead), 0.0))
-    return Stage(offsets, labels, ahead, right, extent)
+    return Arrangement(offsets, labels, ahead, right, extent)
 
 
-def corners(robot: Robot, stage: Stage, way: Array) -> Array:
+def corners(robot: Robot, arrangement: Arrangement, way: Array) -> Array:
     """(n, 3) what a camera should see: boxes round the instances at home and round the ball's way (m, 3)."""
     model = robot.model
     data = mujoco.MjData(model)
@@ -81,20 +81,22 @@ def corners(robot: Robot, stage: Stage, way: Array) -> Array:
     box = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
-    return (stage.offsets[:, None] + box).reshape(-1, 3)
+    return (arrangement.offsets[:, None] + box).reshape(-1, 3)
 
 
-def fitted_camera(points: Array, stage: Stage, aspect: float, *, phone: bool = False) -> tuple[Array, Array]:
+def fitted_camera(
+    points: Array, arrangement: Arrangement, aspect: float, *, phone: bool = False
+) -> tuple[Array, Array]:
     """Position (3,) and look-at (3,) of a camera that sees all points, from ahead and a little above.
 
     Args:
         points: (n, 3) what has to be seen.
-        stage: Says where ahead is.
+        arrangement: Says where ahead is.
         aspect: Width of the picture over its height.
         phone: Keep the lower half of the picture free.
     """
-    ahead = np.array((*stage.ahead, -_DOWN)) / math.hypot(1.0, _DOWN)
-    right = np.array((*stage.right, 0.0))
+    ahead = np.array((*arrangement.ahead, -_DOWN)) / math.hypot(1.0, _DOWN)
+    right = np.array((*arrangement.right, 0.0))
     up = np.cross(right, ahead)
     x, y, z = points @ right, points @ up, points @ ahead
     wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect

@@ -1,0 +1,241 @@
+"""Frames of a figure's whole body: what they shall do, row by row, solved a few at a time."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_ik.figure.figure import RATE, Figure
+from robot_ik.kernels import whole_body
+from robot_ik.kernels.bundle import owned
+from robot_ik.kernels.whole_body import HARD
+
+Array = NDArray[np.float64]
+
+# Work that is done a little at a time yields between its parts and returns its result.
+_Result = TypeVar("_Result")
+Slices = Generator[None, None, _Result]
+SLICE, _STEPS = 60, 8
+"""Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
+
+
+def finished(slices: Slices[_Result]) -> _Result:
+    """The result of work in slices, done at once."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as end:
+            return cast(_Result, end.value)
+
+
+class FrameRows:
+    """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
+
+    def __init__(self, figure: Figure, frames: int) -> None:
+        self.figure, self.frames = figure, frames
+        self._kind: list[int] = []
+        self._node: list[int] = []
+        self._local: list[Array] = []
+        self._axes: list[int] = []
+        self._share: list[Array] = []
+        self._target: list[Array] = []
+        self._weight: list[Array] = []
+
+    def _add(
+        self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
+        joints: tuple[str, ...] | None = None,
+    ) -> None:  # fmt: skip
+        node, local = self.figure.robot.attachment(frame) if frame else (-1, np.zeros(12))
+        share = np.ones(self.figure.robot.nv)
+        if joints is not None:
+            share[:] = 0.0
+            share[[self.figure.place(joint)[1] for joint in joints]] = 1.0
+        row = np.zeros((self.frames, 12))
+        row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
+        self._kind.append(kind)
+        self._node.append(node)
+        self._local.append(local)
+        self._axes.append(sum(1 << "xyz".index(axis) for axis in axes))
+        self._share.append(share)
+        self._target.append(row)
+        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=float), self.frames))
+
+    def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
+        """A frame's origin at (3,) or (n, 3)."""
+        self._add(whole_body.POSITION, frame, target, weight, axes)
+
+    def turned(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
+        """A frame's rotation (3, 3) or (n, 3, 3)."""
+        self._add(whole_body.ROTATION, frame, target.reshape(*target.shape[:-2], 9), weight)
+
+    def center(self, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
+        """The centre of mass at (3,) or (n, 3)."""
+        self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
+
+    def aim(
+        self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
+    ) -> None:
+        """The x axis of a frame at (3,) or (n, 3), served by some joints only.
+
+        Eyes that follow bend no trunk.
+        """
+        self._add(whole_body.AIM, frame, target, weight, joints=joints)
+
+    def momentum(self, weight: ArrayLike = HARD) -> None:
+        """No angular momentum about the centre of mass between a frame and the one before."""
+        self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
+
+    def feet(self, place: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
+        """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
+        for side, foot in self.figure.feet.items():
+            self.position(foot.frame, place[side])
+            self.turned(foot.frame, matrices[side])
+
+    def solve(
+        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
+    ) -> Frames:  # fmt: skip
+        """The frames.
+
+        Args:
+            posture: (nq,) or (n, nq) wanted where the rows leave freedom.
+            stiffness: (nv,) or (n, nv) weights of the posture.
+            start: (nq,) the frame before the first.
+            second: (nq,) the frame before that; default: at rest.
+            limits: (nv,) lower and upper limits inside the model's.
+            speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
+            dt: Time between frames, s.
+            steps: Most steps a frame.
+            rest: A step shorter than this (rad, m) was the last …
+            close: … if hard rows are this close.
+        """
+        return finished(
+            self.slices(
+                posture, stiffness, start, second, limits=limits, speeds=speeds, dt=dt, steps=steps,
+                rest=rest, close=close,
+            )
+        )  # fmt: skip
+
+    def slices(
+        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
+    ) -> Slices[Frames]:  # fmt: skip
+        """As ``solve``, some frames at a time: the same bits."""
+        each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
+        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
+        n, nq = self.frames, self.figure.robot.nq
+        changes = np.flatnonzero((np.diff(each, axis=0) != 0.0).any(axis=1)) + 1
+        found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
+        before, here = np.array(start if second is None else second), np.array(start)
+        some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
+        cuts = sorted({*range(0, n, some), *changes.tolist(), n})
+        for a, b in itertools.pairwise(cuts):
+            ready.stiffness[:] = each[a]
+            ready.solve(found, a, b, here, before, steps, rest, close)
+            before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
+            if b < n and b % some == 0:
+                yield
+        return found
+
+    def prepare(
+        self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
+        speeds: str | None = "daily", dt: float = 1.0 / RATE,
+    ) -> PreparedRows:  # fmt: skip
+        """The rows with their tables, for many solves; arguments as those of ``solve``."""
+        robot = self.figure.robot
+        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
+        ready = PreparedRows(
+            robot.tree.handle,
+            np.ascontiguousarray(np.stack(self._target, axis=1)),
+            np.ascontiguousarray(np.stack(self._weight, axis=1)),
+            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
+            np.array(stiffness),
+        )
+        ready.body = self._table(ready.stiffness, stride, limits)
+        return ready
+
+    def _table(
+        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
+    ) -> NDArray[np.int64]:
+        robot, groups = self.figure.robot, len(self._kind)
+        lower, upper = limits or (robot.tree.lower, robot.tree.upper)
+        n, nv, hard = robot.tree.size, robot.nv, 3 * groups
+        arrays: dict[str, NDArray[Any]] = {
+            "kind": np.array(self._kind, dtype=np.int64),
+            "node": np.array(self._node, dtype=np.int64),
+            "local": np.array(self._local).reshape(groups, 12),
+            "axes": np.array(self._axes, dtype=np.int64),
+            "share": np.array(self._share),
+            "inertia": self.figure.inertia,
+            "stiffness": np.ascontiguousarray(stiffness),
+            "lower": lower,
+            "upper": upper,
+            "stride": np.ascontiguousarray(stride),
+            "held": np.zeros(nv, dtype=np.int64),
+        }
+        for name, shape in {
+            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
+            "row": (3, nv),
+            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv),
+            "schur": (hard, hard),
+            "center": (3,), "previous": (robot.nq,), "way": (nv,), "miss": (3,), "wanted": (hard,),
+            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
+            "multiplier": (hard,),
+        }.items():  # fmt: skip
+            arrays[name] = np.zeros(shape)
+        return whole_body.WHOLE_BODY.pack(arrays)
+
+
+@dataclass(eq=False)
+class PreparedRows:
+    """Rows with their tables.  All but the tables may change between solves, in place.
+
+    Attributes:
+        tree, body: Tables of the kernel.
+        target: (frames, groups, 12), in the order in which the rows were added.
+        weight: (frames, groups).
+        posture: (frames, nq).
+        stiffness: (nv,).
+    """
+
+    tree: NDArray[np.int64]
+    target: Array
+    weight: Array
+    posture: Array
+    stiffness: Array
+    body: NDArray[np.int64] = field(init=False, repr=False)
+
+    def table(self, name: str) -> NDArray[Any]:
+        """An array of ``whole_body.WHOLE_BODY``: work space holds what the last gathering of rows left."""
+        return owned(self.body)[list(whole_body.WHOLE_BODY.fields).index(name)]
+
+    def solve(
+        self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
+    ) -> None:
+        """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
+        whole_body.solve_frames(
+            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Frames:
+    """What ``FrameRows.solve`` found.
+
+    Attributes:
+        q: (n, nq).
+        miss: (n,) largest miss of a hard row in each frame, m or rad.
+        steps: (n,) steps taken.
+    """
+
+    q: Array
+    miss: Array
+    steps: NDArray[np.int64]

@@ -1,0 +1,147 @@
+"""An arm calibrated by a person: without torque, a hand shows ranges, zeros and directions."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+from robot_ik.errors import ArmStateError
+from robot_ik.files import timestamp
+from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.bus import read_all, shared_register
+from robot_ik.hardware.calibration import (
+    ASKED_WIGGLE,
+    STILL_TICKS,
+    HandError,
+    Measured,
+    Sweep,
+    check_sweep,
+    measured_calibration,
+    wiggled,
+)
+from robot_ik.hardware.calibration_file import Calibration, completed, load_lerobot
+from robot_ik.hardware.joint_map import JointMap, Sign
+
+STILL_SAMPLES = 10
+"""At 20 Hz: a hand that only passes through the pose is noticed."""
+
+Found = TypeVar("Found")
+
+Limits = Mapping[str, tuple[float, float]]
+"""Joint -> limits, rad (m of a slide)."""
+
+
+class Person(Protocol):
+    """Somebody who moves the arm as asked."""
+
+    def step(self, text: str, sample: Callable[[], object]) -> None:
+        """Asks for a step, calls ``sample`` while it is done, and once more at its end."""
+
+    def note(self, text: str) -> None:
+        """Shows what a step has given."""
+
+    def again(self, error: HandError) -> bool:
+        """Shows why a step was not done as asked; whether it is to be asked for once more."""
+
+
+def require_limp(arm: Arm) -> None:
+    """Raises ``ArmStateError`` where torque is on: the arm cannot be moved by hand."""
+    torque = read_all(arm.bus, arm.config, "torque_enable")
+    if on := [servo.name for servo in arm.config.servos if torque.get(servo.id)]:
+        raise ArmStateError(
+            f"torque of {', '.join(on)} is on: the arm cannot be moved by hand",
+            hint="support the arm, then: robot-ik servo torque off",
+        )
+
+
+def calibrate_by_hand(
+    arm: Arm,
+    person: Person,
+    pose: Mapping[str, float],
+    limits: Limits,
+) -> Calibration:
+    """Ranges, zeros and directions of an arm, as a person shows them.
+
+    Args:
+        arm: Connected, torque off.
+        person: Moves it.
+        pose: Joint -> rad (m of a slide) at which the zeros are taken.
+        limits: Joint -> limits of the model, rad (m).
+
+    Raises:
+        HandError: A step was not done as asked, and is not to be repeated.
+        HardwareError: A servo did not answer, or what it shows cannot be used.
+    """
+    config, bus = arm.config, arm.bus
+    present = shared_register(config, "present_position")
+    sweep = Sweep(config, read_all(bus, config, "present_position"))
+
+    def sample() -> None:
+        sweep.take({id: status.data for id, status in bus.sync_read(config.servo_ids, present).items()})
+
+    def swept() -> None:
+        check_sweep(config, sweep)
+
+    def turned(joint: JointMap, before: Mapping[int, int]) -> dict[int, Sign]:
+        return wiggled(config, joint, before, sweep.now)
+
+    _step(person, "1. sweep: move every joint from one stop to the other", sample, swept)
+    for servo in config.servos:
+        ticks = f"ticks {sweep.low[servo.id]} to {sweep.high[servo.id]}"
+        person.note(f"   {servo.name}: id {servo.id}, {ticks}, {servo.text(sweep.way(servo), 0)}")
+    where = ", ".join(f"{name} {config.joint(name).text(q)}" for name, q in pose.items())
+    text = f"2. zero: put the arm into the pose {where} and hold it"
+    zero = _step(person, text, sample, lambda: _held(arm, sweep, sample))
+    swept()  # that pose may lie beyond what was swept
+    directions: dict[int, Sign] = {}
+    for k, joint in enumerate(config.joints, 1):
+        about = joint.text(ASKED_WIGGLE * joint.lever, 0)
+        text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
+        directions |= _step(person, text, sample, functools.partial(turned, joint, dict(sweep.now)))
+    measured = Measured(sweep, zero, pose, directions, limits)
+    return measured_calibration(bus, config, measured, sweep.now, timestamp())
+
+
+def _step(person: Person, text: str, sample: Callable[[], None], judge: Callable[[], Found]) -> Found:
+    """What a step shows; it is repeated until it was done as asked, where the person can do that."""
+    while True:
+        person.step(text, sample)
+        try:
+            return judge()
+        except HandError as error:
+            if not person.again(error):
+                raise
+
+
+def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
+    """Servo id -> ticks of an arm that is held still, which is checked."""
+    zero = dict(sweep.now)
+    for _ in range(STILL_SAMPLES):
+        arm.clock.sleep_until(arm.clock.now() + 0.05)
+        sample()
+        for servo in arm.config.servos:
+            if abs(sweep.now[servo.id] - zero[servo.id]) > STILL_TICKS:
+                raise HandError(f"joint {servo.name!r} moved while its zero was taken", hint="hold it still")
+    return zero
+
+
+def calibration_from_lerobot(arm: Arm, path: Path, limits: Limits) -> Calibration:
+    """LeRobot's calibration instead of a hand's; what its file does not say comes from servos and model.
+
+    Args:
+        arm: Connected.
+        path: LeRobot's JSON file.
+        limits: Joint -> limits of the model, rad (m).
+
+    Raises:
+        ConfigError: Unreadable, or not of this arm.
+        HardwareError: A servo did not answer.
+    """
+    found = load_lerobot(path, arm.config, timestamp())
+    firmware = read_all(arm.bus, arm.config, "firmware_version")
+    present = read_all(arm.bus, arm.config, "present_position")
+    units = {joint.name: joint.per_unit for joint in arm.config.joints}
+    shown = {name: (low / units[name], high / units[name]) for name, (low, high) in limits.items()}
+    return completed(found, firmware, present, shown)

@@ -1,0 +1,298 @@
+"""Pictures of cameras, films and folders, one after the other: markers in them, views of a board in them."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robot_ik.camera import sources
+from robot_ik.camera.boards.board import Board, BoardView
+from robot_ik.camera.boards.patterns import describe
+from robot_ik.camera.bodies import MarkerBody
+from robot_ik.camera.calibration.views import ViewGatherer, missing_words
+from robot_ik.camera.image import write_image
+from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
+from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
+from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, FrameTimeoutError
+from robot_ik.files import make_folder
+from robot_ik.geometry import Pose
+
+#: More views than these teach nothing.
+MOST_VIEWS = 40
+#: Pictures of a live camera without the board before that is said.
+UNSEEN = 60
+
+
+def frames_of(source: FrameSource) -> Iterator[Frame | CameraNotFoundError]:
+    """Picture after picture to the end of the source; in place of a file that is no picture, its error."""
+    while not getattr(source, "exhausted", False):
+        try:
+            frame: Frame | CameraNotFoundError = source.read()
+        except CameraNotFoundError as error:
+            frame = error
+        yield frame
+
+
+# ------------------------------------------------------------------------------------------ markers
+
+
+@dataclass(frozen=True)
+class MarkerSearch:
+    """What is looked for.
+
+    Attributes:
+        dictionary: As OpenCV names it.
+        intrinsics: Of the camera; None: corners without poses.
+        size: Side of the black squares, m.
+        ids: Only these; empty: all.
+        bodies: Whose poses are wanted, too.
+    """
+
+    dictionary: str
+    intrinsics: CameraIntrinsics | None = None
+    size: float | None = None
+    ids: tuple[int, ...] = ()
+    bodies: tuple[MarkerBody, ...] = ()
+
+    def finder(self, *, film: bool = False) -> MarkerFinder:
+        """One for a film, whose pictures follow each other, or for single pictures."""
+        asked = (self.dictionary, self.intrinsics, self.size, self.ids, self.bodies)
+        return MarkerFinder(*asked, film=film)
+
+
+@dataclass(frozen=True, eq=False)
+class PictureMarkers:
+    """One picture: which it is, its size, and what is in it.
+
+    Attributes:
+        file, frame: Its file, and its number in the film or folder.
+        size: Width and height, px; None where it could not be read.
+        values: Markers and bodies, as JSON holds them.
+        image: The picture itself; None where it could not be searched.
+        error: Why it could not be searched.
+        in_film: It is one of a film.
+    """
+
+    file: str
+    frame: int
+    size: tuple[int, int] | None
+    values: dict[str, Any]
+    image: Any = None
+    error: CameraError | None = None
+    in_film: bool = False
+
+    def as_values(self) -> dict[str, Any]:
+        """For JSON."""
+        found: dict[str, Any] = {"file": self.file, "frame": self.frame}
+        if self.size is not None:
+            found |= {"width": self.size[0], "height": self.size[1]}
+        if self.error is not None:
+            found["error"] = str(self.error.args[0])
+        return found | self.values
+
+
+class DrawingFolder:
+    """A folder of drawings, each under the name of its picture."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder, self._names = folder, set[str]()
+
+    def save(self, file: str, number: int | None, image: Any) -> None:
+        """Writes one; a name that this run has used gets a number behind it."""
+        stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
+        names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
+        name = next(name for name in names if name not in self._names)
+        self._names.add(name)
+        write_image(self._folder / f"{name}.png", image)
+
+
+def find_markers(
+    name: str, search: MarkerSearch, drawings: DrawingFolder | None = None
+) -> Iterator[PictureMarkers]:
+    """What is in the pictures of a file, folder, film or camera; a live camera gives one.
+
+    A picture that cannot be read or searched has an ``error`` and nothing in it; of a film, where all
+    pictures have one size, it is the last.
+    """
+    finder = search.finder()
+    for file, number, frame, in_film in _pictures(name):
+        if in_film and number == 0:
+            finder = search.finder(film=True)
+        nothing: dict[str, Any] = {"markers": [], "bodies": []}
+        if isinstance(frame, CameraError):
+            yield PictureMarkers(file, number, None, nothing, error=frame)
+            continue
+        try:
+            observation = finder.look(frame)
+        except CalibrationError as error:  # of another size
+            yield PictureMarkers(file, number, frame.size, nothing, error=error)
+            if in_film:
+                return
+            continue
+        yield PictureMarkers(file, number, frame.size, as_values(observation), frame.image, in_film=in_film)
+        if drawings is not None:
+            drawings.save(file, number if in_film else None, drawn(observation, search.intrinsics))
+
+
+def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
+    """File, number, picture or why there is none, and whether it is of a film."""
+    try:
+        source = sources.open_source(name)
+    except CameraNotFoundError as error:
+        yield name, 0, error, False
+        return
+    with source:
+        if isinstance(source, FolderSource):
+            for number, (file, frame) in enumerate(zip(source.files, frames_of(source), strict=True)):
+                yield str(file), number, frame, False
+        elif isinstance(source, (ImageSource, VideoSource)):
+            for seen in source:
+                yield name, seen.sequence, seen, isinstance(source, VideoSource)
+        else:
+            yield name, 0, source.read(), False
+
+
+# ------------------------------------------------------------------------------------ views of a board
+
+
+def board_views(
+    source: FrameSource,
+    board: Board,
+    intrinsics: CameraIntrinsics,
+    most: int,
+    *,
+    progress: Callable[[int], None] = lambda looked: None,
+    left_out: Callable[[str], None] = lambda why: None,
+) -> tuple[list[BoardView], int]:
+    """The views of a board in the next pictures of a source, and how many pictures were searched.
+
+    Args:
+        source: Of pictures.
+        board: Searched for.
+        intrinsics: Of the camera.
+        most: Pictures that are searched.
+        progress: Is given how many have been searched.
+        left_out: Is given why a file cannot be used.
+    """
+    views: list[BoardView] = []
+    looked = 0
+    try:
+        for frame in frames_of(source):
+            if isinstance(frame, CameraNotFoundError):
+                left_out(str(frame.args[0]))
+                continue
+            looked += 1
+            if (view := board.see(frame, intrinsics)) is not None:
+                views.append(view)
+            progress(looked)
+            if looked == most:
+                break
+    except FrameTimeoutError:
+        pass
+    return views, looked
+
+
+def board_misses(views: Sequence[BoardView], pose: Pose, intrinsics: CameraIntrinsics) -> list[float]:
+    """Median distance of the corners of each view from where a board at ``pose`` would have them, px."""
+    return [
+        float(np.median(np.linalg.norm(intrinsics.project(pose.apply(view.points)) - view.pixels, axis=1)))
+        for view in views
+    ]
+
+
+# ------------------------------------------------------------------------------- views to calibrate from
+
+
+class ViewFolder:
+    """Keeps the views of live cameras as pictures, so that nothing that was shown is lost.
+
+    Args:
+        out: The calibration file; the folder is beside it.
+        sources: Of the pictures; a folder that is one of them is added to.
+    """
+
+    def __init__(self, out: Path, sources: Sequence[str]) -> None:
+        self._out, self._sources = out, sources
+        self.folder, self.count = Path(), 0
+
+    def keep(self, frame: Frame) -> None:
+        """Adds a picture."""
+        if not self.count:
+            self.folder = make_folder(self._free_folder())
+        numbers = [int(file.stem[4:]) for file in self.folder.glob("view*.png") if file.stem[4:].isdigit()]
+        write_image(self.folder / f"view{max(numbers, default=0) + 1:02d}.png", frame.image)
+        self.count += 1
+
+    def _free_folder(self) -> Path:
+        """A new or empty one, or one that is a source: views of another day may be of another focus."""
+        for number in itertools.count(1):
+            folder = self._out.with_name(f"{self._out.stem}-views" + (f"-{number}" if number > 1 else ""))
+            given = folder.resolve() in [Path(text).resolve() for text in self._sources]
+            if given or not folder.exists() or not any(folder.iterdir()):
+                return folder
+        raise AssertionError("there is no last number")
+
+
+def gather_views(
+    name: str,
+    gatherer: ViewGatherer,
+    folder: ViewFolder,
+    count: int,
+    *,
+    size: tuple[int, int] | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> None:
+    """Adds the views of a source: all of a picture or folder; of what moves, those that show something new.
+
+    Args:
+        name: Picture, folder, film, a camera's index or URL.
+        gatherer: Takes the views.
+        folder: Keeps those of a live camera.
+        count: Views after which a moving source may end, where nothing is missing.
+        size: Picture size to ask of a camera, px.
+        say: Is given what happens, for a person at the camera.
+    """
+    with sources.open_source(name, size=size) as source:
+        if isinstance(source, FolderSource):
+            for path, frame in zip(source.files, frames_of(source), strict=True):
+                if isinstance(frame, CameraNotFoundError):
+                    gatherer.notices.append(f"left out: {frame.args[0]}")
+                else:
+                    gatherer.offer(frame, path.name, choosy=False)
+        elif isinstance(source, ImageSource):
+            gatherer.offer(source.read(), Path(name).name, choosy=False)
+        else:
+            _gather_moving(source, name, gatherer, folder, count, say)
+
+
+def _gather_moving(
+    source: FrameSource,
+    name: str,
+    gatherer: ViewGatherer,
+    folder: ViewFolder,
+    count: int,
+    say: Callable[[str], None],
+) -> None:
+    live, unseen = source.live, 0
+    if live:
+        say("show the board, hold it still, move it on; Ctrl-C when done")
+    while not getattr(source, "exhausted", False) and len(gatherer.views) < MOST_VIEWS:
+        frame = source.read()
+        taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", choosy=True)
+        unseen = 0 if gatherer.in_view else unseen + 1
+        if live and unseen == UNSEEN:
+            say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")
+        if not taken:
+            continue
+        if live:
+            folder.keep(frame)
+        missing = gatherer.coverage.missing
+        say(f"view {len(gatherer.views)} of {count}: {missing_words(missing)}")
+        if len(gatherer.views) >= count and not missing:
+            return

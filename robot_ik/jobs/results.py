@@ -1,0 +1,71 @@
+"""The folder of a job's results: found free before the work begins, one run's alone until it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import fnmatch
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from robot_ik.files import claimed_folder, folder_for_results
+
+
+def run_folder(job: str) -> Path:
+    """A folder for a run that is not there yet: ``runs/<time>-<job>``."""
+    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
+    base, k = Path("runs") / f"{stamp}-{job}", 1
+    folder = base
+    while folder.exists():
+        k += 1
+        folder = base.with_name(f"{base.name}-{k}")
+    return folder
+
+
+@contextlib.contextmanager
+def results_folder(out: str | Path, job: str, own: Sequence[str], *, overwrite: bool) -> Iterator[Path]:
+    """The folder for one run, as asked or ``runs/<time>-<job>``; taken back where it stays empty.
+
+    Args:
+        out: As asked; empty: a new one.
+        job: Its name.
+        own: Patterns of the names of its files.
+        overwrite: They may be replaced.  Those of before that the run does not write are removed when it has
+            written others, so that two runs do not mix; what is not its own stays.
+
+    Raises:
+        OutputError: The folder holds something, another run writes to it, or it cannot be written to.
+    """
+    with contextlib.ExitStack() as stack:
+        if not out:
+            stack.enter_context(folder_for_results(Path("runs")))
+            out, overwrite = stack.enter_context(_new_folder(job)), False
+        folder = Path(out)
+        held = stack.enter_context(claimed_folder(folder, "[!.]*", overwrite=overwrite))
+        before = {path: _stamp(path) for path in held if any(fnmatch.fnmatch(path.name, p) for p in own)}
+        yield folder
+        written = [path for path in folder.iterdir() if _stamp(path) != before.get(path)]
+        for path in before if written else ():
+            if path.exists() and _stamp(path) == before[path]:
+                path.unlink()
+
+
+@contextlib.contextmanager
+def _new_folder(job: str) -> Iterator[Path]:
+    """A folder that no other run has, not even one that began in the same second."""
+    while True:
+        folder = run_folder(job)
+        with contextlib.suppress(FileExistsError):
+            folder.mkdir()
+            break
+    try:
+        yield folder
+    finally:
+        with contextlib.suppress(OSError):  # it holds something
+            folder.rmdir()
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    """Changes whenever a file is written whole: its inode and time."""
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns

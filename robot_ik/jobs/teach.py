@@ -1,0 +1,224 @@
+"""A hand shows a motion, the arm repeats it within its limits; between the two it is a file."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
+from robot_ik.execution import execute
+from robot_ik.files import read_json, write_atomically
+from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.bus import shared_register
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.control_table import OperatingMode
+from robot_ik.hardware.joint_map import JointMap
+from robot_ik.jobs.hand_calibration import require_limp
+from robot_ik.motion.recording import approach, playable
+from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import JointSink
+from robot_ik.tables import Several, Table, check_table
+
+SUFFIXES = (".csv", ".json")
+
+ALLOWED_OUTSIDE = math.radians(1.0)
+"""rad by which a recording may pass a limit, as a soft stop gives; it is played at the limit."""
+
+ARRIVED = math.radians(2.0)
+"""rad between the end of a recording and the arm, up to which it counts as played."""
+
+# ------------------------------------------------------------------------------------------ teach
+
+
+class TaughtMotion:
+    """Positions of an arm that a hand guides, sample by sample; what was read stays after Ctrl-C.
+
+    Args:
+        arm: Connected, torque off.
+
+    Raises:
+        ArmStateError: Torque is on.
+    """
+
+    def __init__(self, arm: Arm) -> None:
+        require_limp(arm)
+        self._arm = arm
+        self._present = shared_register(arm.config, "present_position")
+        self._begin = arm.clock.now()
+        self._times: list[float] = []
+        self._poses: list[list[float]] = []
+
+    def sample(self) -> None:
+        """Reads all joints; a sample in which one is missing is left out."""
+        config = self._arm.config
+        answers = self._arm.bus.sync_read(config.ids, self._present)
+        ticks = [answers[id].data for id in config.ids]
+        time = self._arm.clock.now() - self._begin
+        if None not in ticks and (not self._times or time > self._times[-1]):
+            pairs = zip(config.joints, ticks, strict=True)
+            self._poses.append([joint.to_radians(t) for joint, t in pairs if t is not None])
+            self._times.append(time)
+
+    def motion(self) -> Trajectory | None:
+        """What was shown, from time 0 on; None where no position could be read."""
+        if not self._times:
+            return None
+        return Trajectory(np.array(self._times) - self._times[0], self._poses, self._arm.config.names)
+
+
+def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float]]:
+    """Joints that leave their limits by more than ``ALLOWED_OUTSIDE``, and by how much at most, rad (m)."""
+    beyond = np.maximum(config.lower - motion.q, motion.q - config.upper).max(axis=0)
+    pairs = zip(config.joints, beyond.tolist(), strict=True)
+    return [(joint, most) for joint, most in pairs if most > ALLOWED_OUTSIDE * joint.lever]
+
+
+# ------------------------------------------------------------------------------------------ files
+
+
+class _MotionFile(Table):
+    version: Annotated[Literal[1], Field(alias="schema")] = 1
+    joints: Several[str]
+    time_s: Several[float]
+    q_rad: Several[Several[float]]
+
+
+def require_suffix(path: Path) -> None:
+    """Raises ``ConfigError`` unless the name says one of the two forms."""
+    if path.suffix not in SUFFIXES:
+        allowed = f"a name that ends in {' or '.join(SUFFIXES)}"
+        raise ConfigError(f"{path} says no form", file="command line", key="FILE", allowed=allowed)
+
+
+def save_motion(path: Path, motion: Trajectory) -> None:
+    """CSV or JSON, by the name.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
+    if path.suffix == ".csv":
+        motion.save_csv(path)
+        return
+    content = {"schema": 1, "joints": list(motion.joints), "time_s": motion.times.tolist()}
+    write_atomically(path, json.dumps({**content, "q_rad": motion.q.tolist()}) + "\n")
+
+
+def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
+    """Reads what ``save_motion`` has written, in the order of ``joints``.
+
+    Raises:
+        ConfigError: It cannot be read, its numbers are no motion, or it is of other joints.
+    """
+    require_suffix(path)
+    if path.suffix == ".csv":
+        motion = Trajectory.load_csv(path)
+    else:
+        try:
+            content = check_table(_MotionFile, read_json(path, "the recording"), path)
+            motion = Trajectory(content.time_s, content.q_rad, content.joints)
+        except (TrajectoryError, ValueError) as error:  # ValueError: rows of different lengths
+            raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error
+    if sorted(motion.joints) != sorted(joints):
+        raise ConfigError(
+            f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}"
+        )
+    order = [motion.joints.index(name) for name in joints]
+    return Trajectory(motion.times, motion.q[:, order], joints)
+
+
+def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajectory, float]:
+    """A recording as the arm can repeat it, and how much longer it takes than it was recorded.
+
+    Args:
+        path: Of ``save_motion``.
+        config: The arm.
+        speed: Share of the recorded speed, above 0 and up to 1.
+
+    Raises:
+        ConfigError: It cannot be read, is of other joints, or leaves the limits.
+    """
+    motion = load_motion(path, config.names)
+    for joint, most in outside(motion, config):
+        low, high = joint.limits
+        raise ConfigError(
+            f"it leaves the limits by {joint.text(most)}; nothing was moved",
+            file=path,
+            key=joint.name,
+            allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",
+        )
+    return playable(motion, config, speed)
+
+
+# ------------------------------------------------------------------------------------------- play
+
+
+@dataclass(frozen=True)
+class PlayReport:
+    """How a recording was repeated; a slide's way is compared as its pinion turns.
+
+    Attributes:
+        late: The joint with the largest tracking error.
+        tracking_error: Its, rad (m of a slide).
+        worst: The joint that ended farthest from where it was sent.
+        final_error: By how much, rad (m of a slide).
+    """
+
+    late: JointMap
+    tracking_error: float
+    worst: JointMap
+    final_error: float
+
+    def require_arrived(self) -> None:
+        """Raises ``HardwareError`` where a joint did not get to the end of the recording."""
+        if self.final_error > ARRIVED * self.worst.lever:
+            raise HardwareError(
+                f"{self.worst.name!r} ended {self.worst.text(self.final_error)} from where it was sent",
+                hint="is something in its way, or is it too weak?",
+            )
+
+
+def _unshown(what: str, seconds: float) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+def play_motion(
+    arm: Arm,
+    motion: Trajectory,
+    sinks: Sequence[JointSink] = (),
+    busy: Callable[[str, float], AbstractContextManager[None]] = _unshown,
+) -> PlayReport:
+    """Goes slowly to where a motion begins, then plays it.
+
+    Args:
+        arm: Connected; its torque is switched on.
+        motion: Of ``load_playable``.
+        sinks: Get every command as well.
+        busy: Shows what goes on, and for how many seconds, while inside.
+
+    Raises:
+        HardwareError: A servo failed.
+    """
+    arm.enable()
+    targets: list[JointSink] = [arm, *sinks]
+    first = approach(arm.read().q, motion.q[0], arm.config)
+    with busy("going to where it begins", first.duration):
+        execute(first, targets, source=arm, clock=arm.clock, settle=0.2)
+    with busy("playing", motion.duration):
+        done = execute(motion, targets, source=arm, clock=arm.clock, settle=0.4)
+    assert done.final_error is not None and done.tracking_error is not None  # there was a source
+    joints = arm.config.joints
+    # Fingers that press may be held by something.
+    free = [joint.mode != OperatingMode.CURRENT_BASED_POSITION for joint in joints]
+    share = np.array(free) / [joint.lever for joint in joints]
+    error = np.abs(done.final_error)
+    late, worst = int(np.argmax(share * done.tracking_error)), int(np.argmax(share * error))
+    final_error = float(free[worst] * error[worst])
+    return PlayReport(joints[late], float(done.tracking_error[late]), joints[worst], final_error)
