@@ -21,7 +21,7 @@ from robot_ik.camera.boards.chess_corner import refine_corners
 from robot_ik.camera.image import (
     dictionary_size,
     from_reduced,
-    marker_bits,
+    marker_boxes,
     marker_dictionary,
     quiet,
     reduced,
@@ -302,14 +302,9 @@ class CharucoPattern:
         first = 0 if self._starts_black else 1
         boxes = [_black_squares(self.columns, self.rows, self.square, self.origin, first)]
         for number, (column, row) in enumerate(self.marker_squares()):
-            bits = marker_bits(self.dictionary, number)
-            cell = self.marker / len(bits)
             gap = (self.square - self.marker) / 2
-            v, u = np.nonzero(bits == 0)
-            place = np.stack(
-                [column * self.square + gap + u * cell, row * self.square + gap + v * cell], axis=1
-            )
-            boxes.append(np.hstack([place, np.full((len(place), 2), cell)]))
+            place = np.array([column * self.square + gap, row * self.square + gap, 0.0, 0.0])
+            boxes.append(marker_boxes(self.dictionary, number, self.marker) + place)
         return np.concatenate(boxes)
 
     @property

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.drawing.rasteriser import paint_boxes
+from robot_ik.camera.drawing.prints import Print
 from robot_ik.errors import OutputError
 from robot_ik.files import write_atomically
 
@@ -143,7 +143,8 @@ def rasterize(page: PrintedPage, dpi: float) -> Image:
     """The page as grey pixels, each the exact mean of what is printed on it (text aside)."""
     scale = dpi / MM_PER_INCH
     width, height = round(page.width * scale), round(page.height * scale)
-    image = paint_boxes(page.boxes[:, :4] * scale, width, height, page.boxes[:, 4])
+    paper = (0.0, 0.0, float(width), float(height))
+    image = Print.of_boxes(page.boxes[:, :4] * scale, paper, page.boxes[:, 4]).flat(width, height)
     _draw_lines(image, page.lines * scale, max(1, round(_STROKE * scale)))
     for word in page.words:
         _draw_words(image, word, scale)

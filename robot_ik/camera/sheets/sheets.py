@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
-from robot_ik.camera.image import marker_bits
+from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, Words
 from robot_ik.errors import CameraError
@@ -115,13 +115,9 @@ class Block:
     lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
-def marker_boxes(dictionary: str, marker: int, size: float, turns: int = 0) -> Array:
-    """A marker's black cells (n, 5), upper left corner at the origin; turned left ``turns`` quarter turns."""
-    bits = np.rot90(marker_bits(dictionary, marker), turns)
-    cell = size / len(bits)
-    row, column = np.nonzero(bits == 0)
-    place = np.stack([column * cell, row * cell], axis=1)
-    return np.hstack([place, np.full((len(place), 2), cell), np.ones((len(place), 1))])
+def _black(boxes: Array, x: float, y: float) -> Array:
+    """Black rectangles (n, 4) as boxes (n, 5), shifted by (x, y) mm."""
+    return moved(np.hstack([boxes, np.ones((len(boxes), 1))]), x, y)
 
 
 def moved(boxes: Array, x: float, y: float) -> Array:
@@ -144,7 +140,7 @@ def _markers(request: SheetRequest, room: Room) -> Block:
     boxes, words = [], []
     for k, marker in enumerate(ids):
         x, y = quiet + k % columns * pitch, quiet + k // columns * step
-        boxes.append(moved(marker_boxes(request.dictionary, marker, request.size), x, y))
+        boxes.append(_black(marker_boxes(request.dictionary, marker, request.size), x, y))
         words.append(Words(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm"))
     width = columns * pitch - request.gap + 2 * quiet
     height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
@@ -161,7 +157,7 @@ def _board(request: SheetRequest, room: Room) -> Block:
     (columns, rows), ids = request.counts, request.marker_ids
     quiet, pitch = request.size * QUIET, request.size + request.gap
     boxes = [
-        moved(
+        _black(
             marker_boxes(request.dictionary, marker, request.size),
             quiet + k % columns * pitch,
             quiet + k // columns * pitch,
@@ -191,7 +187,7 @@ def _cube(request: SheetRequest, room: Room) -> Block:
     corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     boxes = [
-        moved(
+        _black(
             marker_boxes(request.dictionary, face.marker, request.size, face.turns),
             *(face.centre - low - request.size / 2),
         )
@@ -212,8 +208,7 @@ def _pattern(request: SheetRequest, room: Room) -> Block:
     pattern: Pattern = PatternRequest(
         kind, request.columns, request.rows, request.size, request.marker_mm, request.dictionary
     ).pattern()
-    boxes = pattern.black() * 1e3
-    boxes[:, :2] -= 1e3 * np.array(pattern.origin)
+    boxes = _black(pattern.black() * 1e3, *(-1e3 * np.array(pattern.origin)))
     options = (
         f"--pattern {kind} --columns {pattern.columns} --rows {pattern.rows} --square-mm {request.size:g}"
     )
@@ -222,7 +217,6 @@ def _pattern(request: SheetRequest, room: Room) -> Block:
         board += f":{1e3 * pattern.marker:g}"
         options += f" --marker-mm {1e3 * pattern.marker:g} --dictionary {pattern.dictionary}"
     width, height = (1e3 * length for length in pattern.size)
-    boxes = np.hstack([boxes, np.ones((len(boxes), 1))])
     return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
 
 

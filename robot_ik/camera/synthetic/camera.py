@@ -18,10 +18,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
+from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import ClosingSource, Frame
-from robot_ik.camera.synthetic.photograph import QUALITIES, Photographer, PlacedSheet
-from robot_ik.camera.synthetic.prints import Condition, PaintedMarker, make_sheet
+from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
 from robot_ik.camera.synthetic.scene import Lights, SceneTable
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
@@ -70,6 +71,9 @@ def _larger_piece(shape: tuple[int, int, int], seed: int) -> NDArray[np.float32]
 
 Array = NDArray[np.float64]
 
+Condition = Literal["printed", "blank", "covered"]
+# Of the patch that covers a marker: reflectance, as ink on paper.
+_PATCH = (PAPER - 0.45) / (PAPER - INK)
 # A marker of which less than this is seen does not count as visible in the truth.
 _VISIBLE_PART = 0.02
 # White round a marker: detectors take the paper's own outline for the marker's when it is much nearer.
@@ -141,7 +145,7 @@ class SyntheticMarker:
     @property
     def paper_margin(self) -> float:
         """White paper beyond the black border, metres."""
-        cells = make_sheet(self.dictionary, self.id, 1.0, "printed").cells
+        cells = len(marker_bits(self.dictionary, self.id))
         return _MARGIN_CELLS * self.size / cells if self.margin is None else self.margin
 
     def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
@@ -278,7 +282,7 @@ class SyntheticSource(ClosingSource):
             self._vignette = np.dstack([plain, plain, plain])
         return self._sensor.developed(self._sensor.scattered(cv2.multiply(light, self._vignette)), noise)
 
-    def _truth(self, q: Array, poses: list[Pose], painted: list[PaintedMarker | None]) -> dict[str, object]:
+    def _truth(self, q: Array, poses: list[Pose], painted: list[SeenPrint | None]) -> dict[str, object]:
         scene = self.scene
         inverse = scene.pose_world_camera.inverse()
         seen = [
@@ -304,11 +308,13 @@ def _corners(size: float) -> Array:
     return np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
 
 
-def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedSheet:
+def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
     margin = marker.paper_margin
-    cell = marker.size / make_sheet(marker.dictionary, marker.id, 1.0, "printed").cells
-    sheet = make_sheet(marker.dictionary, marker.id, margin / cell, marker.condition)
-    return PlacedSheet(sheet, marker.size, margin, pose, marker.frame is not None)
+    if marker.condition == "printed":
+        sheet = marker_print(marker.dictionary, marker.id, marker.size, margin)
+    else:
+        sheet = blank_paper(marker.size + 2.0 * margin, _PATCH if marker.condition == "covered" else 0.0)
+    return PlacedPrint(sheet, pose.compose(PRINT_MARKER), marker.frame is not None)
 
 
 def _subject_distance(scene: SyntheticScene) -> float:

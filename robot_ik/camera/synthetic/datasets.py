@@ -1,17 +1,14 @@
 """The standard marker set: synthetic pictures of one marker with exact truth, to measure accuracy with.
 
 A flat printed marker before a blotchy wall, 640x480 px, f = 800 px, lens distortion, blur, noise and a light
-gradient.  Each pixel is the mean of many rays traced back through the lens to the paper (inverse mapping),
-so the truth does not depend on any drawing routine.
+gradient.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
@@ -20,13 +17,12 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.boards.patterns import Pattern
 from robot_ik.camera.calibration.handeye import HandEyeSample, Mount, Mounting
-from robot_ik.camera.drawing.rasteriser import paint_boxes
-from robot_ik.camera.image import marker_bits
+from robot_ik.camera.drawing.prints import PRINT_MARKER, Print, blank_paper, marker_print, see_print
+from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.kernels.jit import kernel
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
@@ -39,11 +35,6 @@ STANDARD_DISTANCES = (0.3, 0.6, 1.0)
 
 # White paper reaches this far beyond the black square, in marker sizes.
 _PAPER_MARGIN = 0.25
-# Rays per pixel, on a Fibonacci lattice: 233 different columns and rows, so that an edge along the pixel grid
-# is told to 1/233 px (a square grid of 15 x 15 would tell it to 1/15).  With 55, all pixels of such an edge
-# can be off by the same 1/100 px: a tenth of a degree in the tilt of a board that faces the camera.
-_RAYS = 233
-_LATTICE = np.stack([np.arange(_RAYS), np.arange(_RAYS) * 144 % _RAYS], axis=1) / _RAYS + 0.5 / _RAYS - 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,15 +52,6 @@ class MarkerView:
     corners: Array
     pose: Pose
     tilt: float
-
-
-@lru_cache(maxsize=2)
-def undistorted_grid(camera: CameraIntrinsics) -> tuple[Array, Array]:
-    """Undistorted coordinates (h, w, 2) of all pixel centres and their derivative (h, w, 2, 2) by pixels."""
-    x, y = np.meshgrid(np.arange(camera.width, dtype=float), np.arange(camera.height, dtype=float))
-    normalized = camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1))
-    slope = np.asarray(np.linalg.inv(camera.pixel_jacobian(normalized)), dtype=float)
-    return normalized.reshape(*x.shape, 2), slope.reshape(*x.shape, 2, 2)
 
 
 def render_marker(
@@ -124,18 +106,13 @@ def marker_light(
 ) -> Array:
     """Light (h, w) before the lens, 0 to 255; arguments as in ``render_markers``."""
     canvas = _wall(camera, rng, look)
-    prints = {i: marker_bits(dictionary, i) for i in markers}
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
-    layers = [(prints, margin)]
-    if len(markers) > 1:
-        layers = [({i: np.full((1, 1), 255, np.uint8) for i in markers}, margin), (prints, 0.0)]
-    for bits, white in layers:
-        for marker_id, (size, pose) in markers.items():
-            box = _paper_box(camera, pose, size)
-            if box[2] > box[0] and box[3] > box[1]:
-                _paint_paper(
-                    canvas, box, camera, pose, _Paper(size, bits[marker_id], white, look.bleed), look
-                )
+    papers = [(blank_paper(size * (1.0 + 2.0 * margin)), pose) for size, pose in markers.values()]
+    prints = [
+        (marker_print(dictionary, i, size, 0.0, look.bleed), pose) for i, (size, pose) in markers.items()
+    ]
+    for sheet, pose in [*papers, *prints]:
+        _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, look)
     if cover is not None:
         cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
     return canvas
@@ -164,12 +141,13 @@ def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: Sen
     return look.developed(light, rng.normal(0.0, 1.0, light.shape))
 
 
-@dataclass(frozen=True, eq=False)
-class _Paper:
-    size: float
-    bits: Image
-    margin: float
-    bleed: float
+def _lay(canvas: Array, sheet: Print, pose: Pose, camera: CameraIntrinsics, look: SensorModel) -> None:
+    """Puts a print at ``pose`` (``pose_camera_print``) over the light (h, w) of what is behind it."""
+    seen = see_print(sheet, pose, ray_field(camera))
+    if seen is not None:
+        x0, y0, x1, y1 = seen.box
+        view = canvas[y0:y1, x0:x1]
+        view += seen.coverage * (look.white + (look.black - look.white) * seen.ink - view)
 
 
 def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: SensorModel) -> Array:
@@ -177,98 +155,6 @@ def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: SensorModel)
     coarse = rng.uniform(0.25, 0.75, (camera.height // 24 + 2, camera.width // 24 + 2))
     blotches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
     return np.asarray(look.black + (look.white - look.black) * blotches, dtype=float)
-
-
-def _paper_box(camera: CameraIntrinsics, pose: Pose, size: float) -> tuple[int, int, int, int]:
-    outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN) * 1.02)))
-    low = np.floor(outline.min(axis=0)).astype(int) - 2
-    high = np.ceil(outline.max(axis=0)).astype(int) + 3
-    return max(low[0], 0), max(low[1], 0), min(high[0], camera.width), min(high[1], camera.height)
-
-
-def _paint_paper(
-    canvas: Array,
-    box: tuple[int, int, int, int],
-    camera: CameraIntrinsics,
-    pose: Pose,
-    paper: _Paper,
-    look: SensorModel,
-) -> None:
-    x0, y0, x1, y1 = box
-    centres, slopes = (grid[y0:y1, x0:x1] for grid in undistorted_grid(camera))
-    axes = paper.size * pose.rotation
-    plane = np.column_stack([axes[:, 0], axes[:, 1], pose.position])
-    to_paper = np.linalg.inv(plane)
-    # A ring of paper round the cells, so that every place on the paper is in the table.
-    table = np.pad(np.where(paper.bits > 0, look.white, look.black), 1, constant_values=look.white)
-    edge, bleed = 0.5 + paper.margin, paper.bleed / paper.size
-    x, y = centres[..., 0], centres[..., 1]
-    rays = np.stack([a * x + b * y + c for a, b, c in to_paper], axis=-1)
-    wall = canvas[y0:y1, x0:x1].copy()
-    one_ray = np.empty(wall.shape)
-    still = np.zeros((wall.size, 3, 2))
-    paper_light(
-        rays.reshape(-1, 3),
-        still,
-        np.full(wall.size, -1.0),
-        table,
-        edge,
-        bleed,
-        _LATTICE[:1],
-        one_ray.ravel(),
-    )
-    # Many rays only where two of them can differ; everywhere else the first one has said it all.
-    around = np.ones((5, 5), np.uint8)
-    mixed = cv2.dilate(one_ray, around) - cv2.erode(one_ray, around) > 0
-    one_ray = np.where(one_ray < 0, wall, one_ray)
-    total = np.empty(int(mixed.sum()))
-    # First order inside one pixel is exact to about 1e-4 px for any sensible lens.
-    paper_light(
-        rays[mixed], to_paper[:, :2] @ slopes[mixed], wall[mixed], table, edge, bleed, _LATTICE, total
-    )
-    one_ray[mixed] = total
-    canvas[y0:y1, x0:x1] = one_ray
-
-
-@kernel
-def paper_light(
-    rays: Any, by_pixel: Any, wall: Any, table: Any, edge: float, bleed: float, lattice: Any, light: Any
-) -> None:
-    """Mean light of n pixels over their rays, in place.
-
-    Ink bleeds: what lies within ``bleed`` of a black cell, along either side, is as dark.
-
-    Args:
-        rays: (n, 3) of the pixels' centres, homogeneous coordinates in the marker's plane in marker sizes.
-        by_pixel: (n, 3, 2) their derivative by pixels.
-        wall: (n,) light of what is behind the paper.
-        table: (k, k) light of the cells with a ring of paper.
-        edge: Half the paper's side, marker sizes.
-        bleed: In marker sizes.
-        lattice: (m, 2) where in a pixel its rays are, pixels from its centre.
-        light: (n,) out.
-    """
-    width = len(table)
-    cells = width - 2
-    for n in range(len(rays)):
-        total = 0.0
-        for m in range(len(lattice)):
-            across, down = lattice[m, 0], lattice[m, 1]
-            scale = 1.0 / (rays[n, 2] + across * by_pixel[n, 2, 0] + down * by_pixel[n, 2, 1])
-            u = (rays[n, 0] + across * by_pixel[n, 0, 0] + down * by_pixel[n, 0, 1]) * scale
-            v = (rays[n, 1] + across * by_pixel[n, 1, 0] + down * by_pixel[n, 1, 1]) * scale
-            darkest = math.inf
-            for corner in range(5 if bleed > 0.0 else 1):  # the ray itself, then four beside it
-                du = 0.0 if corner == 0 else (bleed if corner % 2 else -bleed)
-                dv = 0.0 if corner == 0 else (bleed if corner < 3 else -bleed)
-                one = wall[n]
-                if abs(u + du) <= edge and abs(v + dv) <= edge:
-                    column = int(min(max((u + du + 0.5) * cells + 1.0, 0.0), cells + 1.0))
-                    row = int(min(max((0.5 - v - dv) * cells + 1.0, 0.0), cells + 1.0))
-                    one = table[row, column]
-                darkest = min(darkest, one)
-            total += darkest
-        light[n] = total / len(lattice)
 
 
 def random_pose(
@@ -336,21 +222,6 @@ def standard_set(
 # ------------------------------------------------------------------------------------------
 # Synthetic pictures of calibration patterns with exact truth, to measure a calibration with.
 #
-# As in ``standard_set``, each pixel is the mean of many rays traced back through the lens to the paper; the
-# paper is a fine drawing of the pattern's own black rectangles.
-
-
-# Rays per pixel, on a lattice with as many different columns and rows.
-_PATTERN_RAYS = 16
-_PATTERN_LATTICE = (
-    np.stack([np.arange(_PATTERN_RAYS), np.arange(_PATTERN_RAYS) * 7 % _PATTERN_RAYS], axis=1) / _PATTERN_RAYS
-    + 0.5 / _PATTERN_RAYS
-    - 0.5
-)
-# remap takes both coordinates in one array; its type says nothing of that.
-_NO_MAP: Any = None
-# Of the paper's drawing, pixels along its longer side: several to each pixel of the picture.
-_PAPER_PIXELS = 3000
 # White round the print, in squares.
 _MARGIN = 0.5
 
@@ -369,29 +240,12 @@ class PatternView:
 
 
 @lru_cache(maxsize=4)
-def _paper(pattern: Pattern) -> tuple[Image, Array]:
-    """The print (h, w) and the (3, 3) map from board metres to its pixels."""
+def pattern_print(pattern: Pattern) -> Print:
+    """The pattern on white paper; metres in the board's frame."""
     margin = _MARGIN * pattern.square
-    width, height = (length + 2 * margin for length in pattern.size)
-    scale = _PAPER_PIXELS / max(width, height)
-    corner = np.array(pattern.origin) - margin
-    boxes = pattern.black().copy()
-    boxes[:, :2] -= corner
-    drawn = paint_boxes(boxes * scale, round(width * scale), round(height * scale))
-    to_pixels = np.array(
-        [[scale, 0, -corner[0] * scale - 0.5], [0, scale, -corner[1] * scale - 0.5], [0, 0, 1]]
-    )
-    return drawn, to_pixels
-
-
-@lru_cache(maxsize=1)
-def _rays(camera: CameraIntrinsics) -> tuple[NDArray[np.float32], ...]:
-    """For each ray of the lattice the undistorted coordinates (h, w, 2) of all pixels."""
-    centres, slopes = undistorted_grid(camera)
-    return tuple(
-        np.asarray(centres + slopes[..., 0] * x + slopes[..., 1] * y, dtype=np.float32)
-        for x, y in _PATTERN_LATTICE
-    )
+    left, top = np.array(pattern.origin) - margin
+    width, height = np.array(pattern.size) + 2.0 * margin
+    return Print.of_boxes(pattern.black(), (left, top, width, height))
 
 
 def render_pattern(
@@ -403,17 +257,9 @@ def render_pattern(
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
     look = look or LINEAR
-    paper, to_pixels = _paper(pattern)
-    plane = np.column_stack([pose.rotation[:, 0], pose.rotation[:, 1], pose.position])
-    to_paper = to_pixels @ np.linalg.inv(plane)
-    total = np.zeros((camera.height, camera.width), dtype=np.float32)
-    for rays in _rays(camera):
-        at = cv2.perspectiveTransform(rays, to_paper)
-        # 128 beyond the paper: a grey wall.
-        total += cv2.remap(
-            paper, at, _NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=128
-        )
-    canvas = look.black + (look.white - look.black) * (total.astype(float) / (255.0 * _PATTERN_RAYS))
+    # A grey wall.
+    canvas = np.full((camera.height, camera.width), 0.5 * (look.black + look.white))
+    _lay(canvas, pattern_print(pattern), pose, camera, look)
     return photograph(canvas, camera.project(pose.position), rng, look)
 
 

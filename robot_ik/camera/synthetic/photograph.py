@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
+from robot_ik.camera.drawing.prints import Print, SeenPrint, see_print
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.prints import PaintedMarker, Sheet, nearer, paint_marker
 from robot_ik.camera.synthetic.scene import Lights, Point, SceneTable, StillPicture, still_picture
 from robot_ik.geometry import Pose
 
@@ -278,17 +278,24 @@ Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+# Reflectances of print and paper: a laser print in a lit room.
+INK, PAPER = 0.07, 0.93
+# Depth in metres by which something must be nearer than the paper to hide it: paper lies on things.
+_SLACK = 1.5e-3
 # The robot's shadow is not looked for on things farther than this, metres.
 _SHADOW_REACH = 8.0
 
 
-@dataclass(frozen=True)
-class PlacedSheet:
-    """A printed sheet at a place: side and white margin in metres, pose in the world."""
+def _nearer(depth: Array, than: Array) -> Mask:
+    """Whether things at ``depth`` hide paper at depth ``than``."""
+    return np.asarray(depth < than - _SLACK)
 
-    sheet: Sheet
-    size: float
-    margin: float
+
+@dataclass(frozen=True)
+class PlacedPrint:
+    """A print, in metres, at a place in the world: x right, y down, z into the paper."""
+
+    sheet: Print
     pose_world: Pose
     on_robot: bool
 
@@ -310,8 +317,8 @@ class Photographer:
         self._renderer = RobotRenderer(self._view, model)
 
     def expose(
-        self, qpos: ArrayLike, sheets: list[PlacedSheet], quality: Quality
-    ) -> tuple[Float32, list[PaintedMarker | None]]:
+        self, qpos: ArrayLike, sheets: list[PlacedPrint], quality: Quality
+    ) -> tuple[Float32, list[SeenPrint | None]]:
         """The light on the sensor (h, w, 3), 1 is white, and each sheet as it fell on the pixels.
 
         Args:
@@ -355,8 +362,8 @@ class Photographer:
         return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
     def _add_sheet(
-        self, picture: Float32, empty: Float32, layer: RobotLayer | None, lit: Float32, placed: PlacedSheet
-    ) -> PaintedMarker | None:
+        self, picture: Float32, empty: Float32, layer: RobotLayer | None, lit: Float32, placed: PlacedPrint
+    ) -> SeenPrint | None:
         """Paints one sheet over the picture where nothing hides it."""
         pose = self._view.camera.inverse().compose(placed.pose_world)
 
@@ -365,34 +372,35 @@ class Photographer:
             w, h = self._view.field.intrinsics.size
             column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, w - 1)
             row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, h - 1)
-            hidden = nearer(self._view.still.depth[row, column], depth)
+            hidden = _nearer(self._view.still.depth[row, column], depth)
             if layer is not None:
                 x0, y0, x1, y1 = layer.box
                 ask = np.flatnonzero((column >= x0) & (column < x1) & (row >= y0) & (row < y1))
                 hits = self._view.robot.cast(
                     self._view.camera.position, self._view.world(rays[ask]), normals=False
                 )
-                hidden[ask] |= nearer(hits.depth, depth[ask])
+                hidden[ask] |= _nearer(hits.depth, depth[ask])
             return hidden
 
-        painted = paint_marker(placed.sheet, placed.size, placed.margin, pose, self._view.field, blocked)
+        painted = see_print(placed.sheet, pose, self._view.field, blocked)
         if painted is None:
             return None
         x0, y0, x1, y1 = painted.box
         normalized = self._view.field.box(*painted.box).reshape(-1, 2)
         depth = np.nan_to_num(painted.depth.reshape(-1, 1), nan=1.0)
         points = self._view.camera.position + self._view.world(normalized) * depth
-        normals = np.broadcast_to(placed.pose_world.rotation[:, 2], points.shape)
+        normals = np.broadcast_to(-placed.pose_world.rotation[:, 2], points.shape)
         lamp, ceiling, ambient = self._view.lights.terms(points, normals)
         view, seen = picture[y0:y1, x0:x1], lit[y0:y1, x0:x1].reshape(-1, 2)
-        light = (ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]).reshape(painted.tone.shape)
+        light = (ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]).reshape(painted.ink.shape)
+        tone = PAPER + (INK - PAPER) * painted.ink
         cover = painted.coverage[..., None].astype(np.float32)
         behind = self._behind(view, empty, layer, painted, placed.on_robot)
-        view[:] = behind * (1 - cover) + cover * (painted.tone * light)[..., None].astype(np.float32)
+        view[:] = behind * (1 - cover) + cover * (tone * light)[..., None].astype(np.float32)
         return painted
 
     def _behind(
-        self, view: Float32, empty: Float32, layer: RobotLayer | None, painted: PaintedMarker, on_robot: bool
+        self, view: Float32, empty: Float32, layer: RobotLayer | None, painted: SeenPrint, on_robot: bool
     ) -> Float32:
         """What shows in the part of a pixel that the sheet leaves.
 

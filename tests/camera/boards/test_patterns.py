@@ -8,7 +8,7 @@ import pytest
 
 from robot_ik.camera.boards.chess_corner import refine_corners
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern, fitting_pattern
-from robot_ik.camera.drawing.rasteriser import paint_boxes
+from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.image import marker_dictionary
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, pattern_set
 from robot_ik.errors import CalibrationError
@@ -22,7 +22,7 @@ def drawn(pattern: Pattern, scale: float = 1000.0, margin: float = 0.0) -> np.nd
     boxes = pattern.black()
     boxes[:, :2] += margin - np.array(pattern.origin)
     width, height = (round((length + 2 * margin) * scale) for length in pattern.size)
-    return paint_boxes(boxes * scale, width, height)
+    return Print.of_boxes(boxes * scale, (0.0, 0.0, width, height)).flat(width, height)
 
 
 def opencv_board(p: CharucoPattern) -> cv2.aruco.CharucoBoard:

@@ -7,7 +7,7 @@ import pytest
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
 from robot_ik.camera.calibration.views import ViewGatherer, missing_words
-from robot_ik.camera.drawing.rasteriser import paint_boxes
+from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_pattern
 from robot_ik.errors import CalibrationError, FrameSizeError
@@ -78,7 +78,8 @@ def picture(pattern: Pattern) -> Frame:
     """Seen squarely, in half a second's worth of pixels."""
     boxes = pattern.black()
     boxes[:, :2] += 0.03 - np.array(pattern.origin)
-    gray = paint_boxes(boxes * 2000.0, *(round((length + 0.06) * 2000.0) for length in pattern.size))
+    width, height = (round((length + 0.06) * 2000.0) for length in pattern.size)
+    gray = Print.of_boxes(boxes * 2000.0, (0.0, 0.0, width, height)).flat(width, height)
     return Frame(np.repeat(gray[:, :, None], 3, axis=2), 0.0, 0)
 
 

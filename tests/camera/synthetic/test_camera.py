@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from robot_ik.camera.corner_refinement import refine_corners
 from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
 from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
-from robot_ik.camera.synthetic.prints import INK, PAPER, dictionary_by_name, make_sheet, paint_marker
+from robot_ik.camera.synthetic.photograph import INK, PAPER
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.camera.synthetic.sensor import LINEAR
 from robot_ik.errors import CameraError
@@ -101,12 +103,12 @@ def test_corners_with_noise_have_no_bias() -> None:
 def test_a_sheet_is_painted_like_an_average_of_very_many_samples() -> None:
     field = ray_field(LENS)
     pose = Pose((0.02, -0.03, 0.8), rotation_exp([2.6, 0.3, 0.4]))
-    sheet = make_sheet("DICT_5X5_50", 7, 1.0, "printed")
-    painted = paint_marker(sheet, 0.05, 0.05 / 7, pose, field, None)
+    sheet = marker_print("DICT_5X5_50", 7, 0.05, 0.05 / 7)
+    painted = see_print(sheet, pose.compose(PRINT_MARKER), field)
     assert painted is not None
     x0, y0, x1, y1 = painted.box
-    grey = (1 - painted.coverage) * 0.5 + painted.coverage * painted.tone
-    bits = cv2.aruco.generateImageMarker(dictionary_by_name("DICT_5X5_50"), 7, 7)
+    grey = (1 - painted.coverage) * 0.5 + painted.coverage * (PAPER + (INK - PAPER) * painted.ink)
+    bits = marker_bits("DICT_5X5_50", 7)
     step = (np.arange(12) + 0.5) / 12 - 0.5
     expected = np.zeros(grey.shape)
     normal = pose.rotation[:, 2]
@@ -272,10 +274,10 @@ def test_a_camera_anywhere_takes_a_picture(
 def test_scenes_that_cannot_be_are_refused() -> None:
     with pytest.raises(CameraError, match="twice"):
         desk(SyntheticMarker(1, 0.05), SyntheticMarker(1, 0.07))
-    with pytest.raises(CameraError, match="no marker 50"):
+    with pytest.raises(CameraError, match="50 is not in DICT_5X5_50"):
         photograph(desk(SyntheticMarker(50, 0.05), lens=SMALL)).read()
-    with pytest.raises(CameraError, match="DICT_5X5_50"):
-        photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5x5_50"), lens=SMALL)).read()
+    with pytest.raises(CameraError, match="did you mean 'DICT_5X5_50'"):
+        photograph(desk(SyntheticMarker(1, 0.05, dictionary="DICT_5X5_51"), lens=SMALL)).read()
     with pytest.raises(CameraError, match="fast"):
         photograph(desk(lens=SMALL), quality="draft")
 
