@@ -34,8 +34,9 @@ from robot_ik.cli.connection import (
 )
 from robot_ik.cli.servo_motion import parse_angles, shown_value, slowed
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, TrajectoryError
-from robot_ik.files import claimed, read_json, write_atomically
+from robot_ik.files import claimed, write_atomically
 from robot_ik.ports import Array, Clock, JointSink
+from robot_ik.reading import read_json
 from robot_ik.tables import Several, Table, check_table
 
 if TYPE_CHECKING:

@@ -24,10 +24,11 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError
-from robot_ik.files import read_text, shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.kernels.tree import Q_WIDTH
 from robot_ik.motion.keyframes import Keyframes, sign_continuous
 from robot_ik.ports import Array
+from robot_ik.reading import read_text, shown
 from robot_ik.robot import Robot
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
