@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError, ServoMismatchError, ServoRefusedError
-from robot_ik.files import read_json, shown, timestamp, write_atomically
+from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, joint_named
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
+from robot_ik.reading import read_json, shown
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""

@@ -12,11 +12,12 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import read_json, shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
+from robot_ik.reading import read_json, shown
 from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
 
 SCHEMA = 1

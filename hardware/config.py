@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError
-from robot_ik.files import read_text, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.hardware.config_file import (
     STALE_MS,
     WATCHDOG_MS,
@@ -26,6 +26,7 @@ from robot_ik.hardware.config_file import (
 from robot_ik.hardware.control_table import TICKS_PER_TURN, ControlTable, OperatingMode, control_table
 from robot_ik.hardware.joint_map import ARM, MODES, JointMap, SwingArm
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
+from robot_ik.reading import read_text
 
 Array = NDArray[np.float64]
 

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from robot_ik.files import parse_toml
 from robot_ik.hardware.control_table import BAUD_RATES, MULTI_TURN_TICKS
 from robot_ik.hardware.joint_map import ARM, Gains, JointMap, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
+from robot_ik.reading import parse_toml
 from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
 
 if TYPE_CHECKING:

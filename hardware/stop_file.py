@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.errors import HardwareError
-from robot_ik.files import read_json, write_atomically
+from robot_ik.files import write_atomically
+from robot_ik.reading import read_json
 
 log = logging.getLogger(__name__)
 

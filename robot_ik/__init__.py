@@ -16,6 +16,8 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
+    from robot_ik.branches import solve_all
+    from robot_ik.chain import make_chain
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
@@ -32,18 +34,20 @@ if TYPE_CHECKING:
         PostureGoal,
         Tolerance,
     )
-    from robot_ik.inverse_kinematics import solve, solve_all, warm_up
+    from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
     from robot_ik.ports import RealClock, VirtualClock
     from robot_ik.problem import Budget, Problem
-    from robot_ik.robot import Robot, load_robot, make_chain
+    from robot_ik.robot import Robot, load_robot
     from robot_ik.robot_file import catalogue
     from robot_ik.solution import Miss, Solution, Status
     from robot_ik.solvers import SOLVERS, make_solver
 
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
+    "robot_ik.branches": ("solve_all",),
+    "robot_ik.chain": ("make_chain",),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
@@ -64,10 +68,10 @@ _HOME = {
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),
     "robot_ik.problem": ("Budget", "Problem"),
-    "robot_ik.robot": ("Robot", "load_robot", "make_chain"),
+    "robot_ik.robot": ("Robot", "load_robot"),
     "robot_ik.robot_file": ("catalogue",),
     "robot_ik.solution": ("Miss", "Solution", "Status"),
-    "robot_ik.inverse_kinematics": ("solve", "solve_all", "warm_up"),
+    "robot_ik.inverse_kinematics": ("solve", "warm_up"),
     "robot_ik.solvers": ("SOLVERS", "make_solver"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}

@@ -25,7 +25,6 @@ from robot_ik.ports import Array, Clock, GoalSource, JointSink, JointSource, Rea
 
 if TYPE_CHECKING:
     from robot_ik.goals import Tolerance
-    from robot_ik.problem import Problem
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
@@ -235,8 +234,6 @@ START_TOLERANCE = 0.02
 
 # Steps a tick may take: a few are enough from the last command; the rest is for restarts out of a dead end.
 _TICK_ITERATIONS, _TICK_RESTARTS = 1000, 100
-# Kinds of goals whose problems are kept: a source that changes between a few of them costs no set-up.
-_KINDS_KEPT = 4
 
 
 def execute(
@@ -401,15 +398,15 @@ class _Chase:
     def __init__(
         self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
     ) -> None:
-        self.robot, self.tolerance = robot, tolerance
-        from robot_ik.solvers import make_solver  # here, because it loads the compiler
+        from robot_ik.problem import Budget  # here, because these load the compiler
+        from robot_ik.solvers import make_solver
 
-        self.solver = make_solver(solver)
+        self.robot, self.tolerance, self.solver = robot, tolerance, make_solver(solver)
+        self._budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
         self.q = _frozen(start)
         self.solution: Solution | None = None
         self.ticks = self.held = self.capped = 0
         self._largest_allowed = step
-        self._problems: dict[tuple[object, ...], Problem] = {}
         self._last: Solution | None = None
         self._statuses: Counter[str] = Counter()
         self._largest_step = np.zeros_like(start)
@@ -428,12 +425,16 @@ class _Chase:
 
     def step(self, goal: Goals | None) -> bool:
         """Moves the command towards ``goal``; True when the way was cut short."""
+        from robot_ik.inverse_kinematics import lent
+
         self.ticks += 1
         self.solution = None
         if goal is None:
             self.held += 1
             return False
-        solution = self.solver.solve(self._aim(goal), self.q)
+        goals = goal if isinstance(goal, Goal) else list(goal)
+        with lent(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0) as (solver, problem):
+            solution = solver.solve(problem, self.q)
         self.solution = self._last = solution
         self._statuses[solution.status.name] += 1
         way = solution.q - self.q
@@ -451,22 +452,6 @@ class _Chase:
         away = np.abs(measured - self.q)
         self._tracking = away if self._tracking is None else np.maximum(self._tracking, away)
         return np.array(measured, dtype=float)
-
-    def _aim(self, goal: Goals) -> Problem:
-        """The problem for ``goal``: one at hand with new targets and weights where only those changed."""
-        from robot_ik.problem import Budget, Problem, goal_kind
-
-        goals = [goal] if isinstance(goal, Goal) else list(goal)
-        kind = tuple(goal_kind(g) for g in goals)
-        problem = self._problems.get(kind)
-        if problem is None:
-            budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
-            problem = Problem(self.robot, goals, tolerance=self.tolerance, budget=budget)
-            kept = list(self._problems.items())[-(_KINDS_KEPT - 1) :]
-            self._problems = dict(kept) | {kind: problem}
-        else:
-            problem.exchange(goals)
-        return problem
 
     def report(self, duration: float, schedule: Schedule) -> FollowReport:
         return FollowReport(

@@ -1,213 +1,23 @@
-"""Files: read whole and checked, written whole or not at all; values in the form that JSON can hold.
-
-All files that people write or hand over are read here: what a parser says of text that is none, of nesting
-without end or of numbers without end becomes a ``ConfigError`` with file and key, once for all readers.
-"""
+"""Files: written whole or not at all, and claimed before the work begins; values as JSON can hold them."""
 
 from __future__ import annotations
 
 import contextlib
-import csv
 import datetime
 import errno
-import json
 import math
 import os
-import re
 import tempfile
-import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-from robot_ik.errors import ConfigError, OutputError
-
-LARGEST_FILE = 256 * 2**20
-"""Bytes; a recording of an hour has a tenth of it."""
-
-LARGEST_NUMBER = 1e15
-"""Of any unit that a file can have: beyond it a double no longer tells a tenth from the next."""
-
-DEEPEST = 32
-"""Tables and lists within each other; files of this program have six."""
-
-_LONG_INTEGER = re.compile(r"[0-9][0-9_]{4000,}")  # Python reads no integers above 4,300 digits
-NESTED = re.compile(rf"(?:[\[{{]\s*){{{DEEPEST}}}")
-"""Brackets that open one within the other."""
-_KEY = re.compile(r"""([\w.-]{1,60})["']?\s*[=:]""")
+from robot_ik.errors import OutputError
 
 
 def timestamp() -> str:
     """The time in UTC, ISO 8601, to the second."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-
-
-def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") -> str:
-    """The text of a file that somebody named.
-
-    Args:
-        path: The file.
-        what: What it should be, for the message: "the arm file".
-        hint: What to try if there is none.
-        errors: What to do about bytes that are no UTF-8, as for ``bytes.decode``.
-
-    Raises:
-        ConfigError: It is not there, may not be read, has no end, or is no text.
-    """
-    try:
-        with path.open("rb") as stream:
-            data = stream.read(LARGEST_FILE + 1)
-        if len(data) <= LARGEST_FILE:
-            return data.decode("utf-8", errors).replace("\r\n", "\n").replace("\r", "\n")
-        reason = f"it has more than {LARGEST_FILE >> 20} MiB"
-    except UnicodeDecodeError:
-        reason = "it is no text (UTF-8)"
-    except OSError as error:
-        reason = error.strerror or str(error)
-    except ValueError as error:  # a name that no file can have
-        reason = str(error)
-    raise ConfigError(f"{what} cannot be read: {reason}", file=path, hint=hint)
-
-
-def read_toml(path: Path, what: str, hint: str = "") -> dict[str, Any]:
-    """The tables of a TOML file; arguments and errors as of ``read_text`` and ``parse_toml``."""
-    return parse_toml(read_text(path, what, hint), path)
-
-
-def read_json(path: Path, what: str, hint: str = "") -> Any:
-    """The content of a JSON file; arguments and errors as of ``read_text`` and ``parse_json``."""
-    return parse_json(read_text(path, what, hint), path)
-
-
-def read_csv(path: Path, what: str) -> list[list[str]]:
-    """The rows of a CSV file.
-
-    Raises:
-        ConfigError: As ``read_text``; or a cell is longer than the reader takes.
-    """
-    rows = csv.reader(read_text(path, what).splitlines())
-    try:
-        return list(rows)
-    except csv.Error as error:
-        raise ConfigError(f"not valid CSV: {error}", file=path, key=f"line {rows.line_num}") from None
-
-
-def parse_toml(text: str, file: Path | str) -> dict[str, Any]:
-    """The tables of a TOML text; ``file`` appears in errors.
-
-    Raises:
-        ConfigError: As ``parse``.
-    """
-    content: dict[str, Any] = parse(text, file, "TOML", tomllib.loads)
-    return content
-
-
-def parse_json(text: str, file: Path | str) -> Any:
-    """The content of a JSON text; ``file`` appears in errors.
-
-    Raises:
-        ConfigError: As ``parse``.
-    """
-    return parse(text, file, "JSON", json.loads)
-
-
-def parse(text: str, file: Path | str, language: str, parser: Callable[[str], Any]) -> Any:
-    """What a parser makes of a text, where every number and every word of it can be used.
-
-    Args:
-        text: What the file says.
-        file: For messages.
-        language: Likewise: "YAML".
-        parser: From the text to dicts, lists, numbers and words.
-
-    Raises:
-        ConfigError: The text is not of that language; it is nested deeper than ``DEEPEST``; a number is not
-            finite, larger than ``LARGEST_NUMBER``, or an integer of more than 64 bits; a word is no Unicode.
-    """
-    try:
-        content = parser(text)
-    except RecursionError:
-        place = NESTED.search(text)
-        keys = _KEY.findall(text[: place.start()][-10_000:]) if place else []
-        raise _too_deep(file, keys[-1] if keys else "") from None
-    except MemoryError:
-        raise ConfigError("too much for the memory of this machine", file=file) from None
-    except Exception as error:  # parsers leave ValueErrors and more to the caller, PyYAML almost anything
-        shorter = _LONG_INTEGER.sub("9" * 30, text)
-        if shorter != text:
-            return parse(shorter, file, language, parser)  # its integer is refused below, with its key
-        raise ConfigError(f"not valid {language}: {' '.join(str(error).split())}", file=file) from None
-    _require_usable(content, len(text), file)
-    return content
-
-
-def _require_usable(content: Any, most: int, file: Path | str) -> None:
-    """Raises where a value cannot be used; ``most``: values there can be, for YAML's aliases make more."""
-    waiting: list[tuple[Any, tuple[Any, ...]]] = [({"": content}, ())]
-    while waiting:
-        holder, path = waiting.pop()
-        items: Iterable[tuple[Any, Any]] = holder.items() if isinstance(holder, dict) else enumerate(holder)
-        for key, value in items:
-            most -= 1
-            holds = isinstance(value, (dict, list))
-            if problem := _problem(key) or (None if holds else _problem(value)):
-                where = key_text((*path[1:], key) if path else ())
-                raise ConfigError(problem[0], file=file, key=where, allowed=problem[1])
-            if holds:
-                if len(path) > DEEPEST or most < -1:
-                    raise _too_deep(file, key_text((*path[1:3], key)[:2]))
-                waiting.append((value, (*path, key)))
-
-
-def _problem(value: Any) -> tuple[str, str] | None:
-    """What is wrong with a number or a word, and what would be right."""
-    if isinstance(value, float):
-        if math.isfinite(value) and abs(value) <= LARGEST_NUMBER:
-            return None
-        return f"{value!r} is not right", f"finite numbers up to {LARGEST_NUMBER:g}"
-    if isinstance(value, int):
-        if value.bit_length() < 64:
-            return None
-        return "an integer too long to be right", "integers of 64 bits"
-    if isinstance(value, str) and not value.isascii():
-        try:
-            value.encode("utf-8")
-        except UnicodeEncodeError:
-            return f"{shown(value)} is no text", "Unicode without halves of surrogate pairs"
-    return None
-
-
-def _too_deep(file: Path | str, key: str) -> ConfigError:
-    return ConfigError("nested too deep", file=file, key=shown(key, str), allowed=f"{DEEPEST} levels")
-
-
-def key_text(location: Iterable[int | str]) -> str:
-    """Where a value is: ``("joints", 2, "id")`` -> ``joints[2].id``."""
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else f"{'.' if text else ''}{part}"
-    return shown(text.encode("utf-8", "backslashreplace").decode("utf-8"), str)
-
-
-def shown(value: object, text: Callable[[object], str] = repr) -> str:
-    """A value for a message of one line, cut where it is long."""
-    found = text(value)
-    return found if len(found) <= 60 else found[:59] + "…"
-
-
-FORMER: Mapping[str, str] = MappingProxyType(
-    {
-        "things": "objects",
-        "thing": "object",
-        "floors": "lower_bounds",
-        "--phantoms": "--occluders",
-        "--phantom-geoms": "--occluder-geoms",
-        "--camera-place": "--camera-extrinsics",
-        "--place": "--extrinsics",
-    }
-)
-"""Keys and options of before the first release, and what they are called now; nothing reads the old ones."""
 
 
 def write_atomically(path: Path, content: str | bytes) -> None:

@@ -1,4 +1,4 @@
-"""The front door: ``solve``, ``solve_all``, and the problems that they and ``batch`` keep."""
+"""The front door: ``solve``, and the problems that it, ``solve_all`` and ``solve_batch`` keep."""
 
 from __future__ import annotations
 
@@ -6,26 +6,20 @@ import itertools
 import threading
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, cast, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, Tolerance
 from robot_ik.problem import Budget, Problem, checked_goals, goal_kind, require_options
 from robot_ik.robot import Robot
-from robot_ik.solution import Solution, short_numbers
+from robot_ik.solution import Solution
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
 
 Array = NDArray[np.float64]
 
-# Branches nearer than this in every joint (rad) are one.
-_SAME = 1e-6
-# rad, m: so far beyond a limit a joint still counts as inside.
-_SLACK = 1e-9
 # Kinds of problems that are kept for a robot, and problems of a kind: one for each thread that asks at once.
 _KINDS_KEPT, _EACH_KEPT = 16, 8
 _BUDGET = Budget()
@@ -130,109 +124,6 @@ def warm_up(
     with lent(robot, goals, solver, options, tolerance, None, 0) as (method, problem):
         method.load(problem)
         _ = problem.mover
-
-
-@dataclass(frozen=True, eq=False)
-class Branch:
-    """One of the ways in which an arm can meet a goal.
-
-    Attributes:
-        name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each turned by whole turns to lie inside its limits next to the start.
-        inside: Whether all joints are inside their limits.
-    """
-
-    name: str
-    q: NDArray[np.float64]
-    inside: bool
-
-    def __repr__(self) -> str:
-        return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
-
-
-Branches = tuple[Branch, ...]
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: Goal | Pose, *, start: ArrayLike | None = None, limits: bool = True
-) -> Branches: ...
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: Sequence[Goal | Pose], *, start: ArrayLike | None = None, limits: bool = True
-) -> tuple[Branches, ...]: ...
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: NDArray[np.float64], *, start: ArrayLike | None = None, limits: bool = True
-) -> Branches | tuple[Branches, ...]: ...
-
-
-def solve_all(
-    robot: Robot,
-    goal: Goal | Pose | NDArray[np.float64] | Sequence[Goal | Pose],
-    *,
-    start: ArrayLike | None = None,
-    limits: bool = True,
-) -> Branches | tuple[Branches, ...]:
-    """Every way of meeting a goal that the closed form knows, the nearest to ``start`` first.
-
-    At a singular pose one joint angle is free; it is kept as near to ``start`` as can be.
-
-    Args:
-        robot: From ``load_robot``.
-        goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
-            position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` or a
-            matrix (4, 4) is the tool's.  Of a list, or of matrices (n, 4, 4), each on its own.
-        start: (nq,); default home.
-        limits: Leave out branches outside the joint limits.
-
-    Returns:
-        The branches; for a list, those of each.
-
-    Raises:
-        UnsupportedGoalError: No closed form is known for this robot and goal.
-    """
-    if isinstance(goal, Goal | Pose) or (isinstance(goal, np.ndarray) and goal.ndim == 2):
-        return _branches(robot, goal, start, limits)
-    return tuple(_branches(robot, one, start, limits) for one in goal)
-
-
-def _branches(
-    robot: Robot, goal: Goal | Pose | NDArray[np.float64], start: ArrayLike | None, limits: bool
-) -> Branches:
-    """``solve_all`` for one."""
-    from robot_ik.solvers.analytic import Analytic
-
-    wanted = goal if isinstance(goal, Goal) else PoseGoal.at(None, _pose_of(goal))
-    with lent(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
-        origin = robot.home if start is None else robot.check_q(start, "start")
-        branches = cast(Analytic, solver).branches(problem, origin)
-    if not branches:
-        return ()
-    qs = np.array([q for _, q in branches])
-    same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
-    far = ((qs - origin) ** 2).sum(axis=1).tolist()
-    first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    inside = _inside(robot, qs)
-    found = [(far[k], Branch(*branches[k], inside=inside[k])) for k in first]
-    ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
-    return tuple(branch for _, branch in ordered if branch.inside or not limits)
-
-
-def _inside(robot: Robot, qs: NDArray[np.float64]) -> list[bool]:
-    """Which rows of ``qs`` (n, nq) are inside the limits, as ``Robot.outside`` has it."""
-    if robot.nq > robot.nv:  # balls and floating bases have limits of their own
-        return [not robot.outside(q) for q in qs]
-    near = (qs >= robot.lower - _SLACK) & (qs <= robot.upper + _SLACK)
-    return cast(list[bool], near.all(axis=1).tolist())
-
-
-def _pose_of(pose: Pose | NDArray[np.float64]) -> Pose:
-    return pose if isinstance(pose, Pose) else Pose.from_matrix(pose)
 
 
 def solve(

@@ -10,24 +10,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import InvalidModelError, ModelError, UnknownFrameError, UnsupportedJointError, apart
+from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
 from robot_ik.model import (
     LEAST_MASS,
     Attachment,
-    Coupling,
     ModelFrame,
     active_joints,
     build_tree,
-    declared_couplings,
     guess_tool,
     home_qpos,
     inertia_table,
@@ -36,15 +34,16 @@ from robot_ik.model import (
     mass_table,
     model_frames,
     motion_limits,
-    narrowed,
     pose_row,
     qpos_addresses,
     random_q,
     read_model,
     row_pose,
-    with_couplings,
 )
 from robot_ik.robot_file import RobotFile, find_robot
+
+if TYPE_CHECKING:
+    from robot_ik.couplings import Coupling
 
 # ------------------------------------------------------------------------------------------
 # ``Robot``: an immutable description of what moves, read from MJCF, URDF or the catalogue.
@@ -227,7 +226,7 @@ class Robot:
         return np.array(data.subtree_com[self._body_id(body)])
 
     def masses(self, body: str | None = None) -> Array:
-        """(n + 1, 4) mass and centre of what each node carries, see ``model_tree.mass_table``.
+        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``.
 
         Raises:
             UnknownFrameError: No such body.
@@ -239,7 +238,7 @@ class Robot:
         return table
 
     def inertias(self) -> Array:
-        """(n, 10) mass, centre and inertia of what each node carries, see ``model_tree.inertia_table``."""
+        """(n, 10) mass, centre and inertia of what each node carries, see ``model.inertia_table``."""
         return inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
@@ -338,7 +337,11 @@ class Robot:
                     f"the other side {three} … {four}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )
-        tree = narrowed(self.tree.with_limits(low, high))
+        tree = self.tree.with_limits(low, high)
+        if len(tree.tied):
+            from robot_ik.couplings import narrowed  # which few arms have
+
+            tree = narrowed(tree)
         robot = dataclasses.replace(self, tree=tree, lower=tree.lower.copy(), upper=tree.upper.copy())
         return dataclasses.replace(robot, home=robot.follow(robot.clip(self.home)))
 
@@ -410,8 +413,12 @@ def make_robot(
     active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)
     tree, bodies = build_tree(model, active, rest)
-    couplings = declared_couplings(model, file, names)
-    tree = with_couplings(tree, couplings, rest, model.jnt_qposadr)
+    couplings: list[Coupling] = []
+    if model.neq or file.couplings:
+        from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
+
+        couplings = declared_couplings(model, file, names)
+        tree = with_couplings(tree, couplings, rest, model.jnt_qposadr)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
     frames = model_frames(model, file)
@@ -440,79 +447,3 @@ def make_robot(
     speed, acceleration = motion_limits(robot.tree, robot.joints, file)
     home = robot.follow(robot.clip(rest[robot._addresses]))
     return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
-
-
-# ------------------------------------------------------------------------------------------
-# Robots built in memory: of any MuJoCo model, and chains of ball joints, where animation began.
-
-
-# A link is drawn this thick, as a share of its length.
-_THICKNESS = 0.06
-LONGEST = 500
-"""Links of a chain."""
-
-
-def robot_from_model(
-    model: mujoco.MjModel,
-    *,
-    name: str = "model",
-    joints: Sequence[str] | str | None = None,
-    tool: str | None = None,
-) -> Robot:
-    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
-
-    Args:
-        model: A compiled model; treat it as read-only from now on.
-        name: What to call the robot.
-        joints: As in ``load_robot``.
-        tool: As in ``load_robot``.
-
-    Raises:
-        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
-    """
-    # A folder that cannot exist, so that nothing is ever found beside the model.
-    return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
-
-
-def make_chain(n: int, length: float = 1.0) -> Robot:
-    """A chain of ``n`` unlimited ball joints (3 degrees of freedom each), built in memory.
-
-    The base is at the origin of the world; at home all links lie along z.  Joints are ``joint1`` …
-    ``joint<n>``, bodies ``link1`` … ``link<n>``; the tool is the site ``tip`` at the end of the last
-    link, z along it.
-
-    Args:
-        n: Number of links, one or more.
-        length: Of each link, metres.
-
-    Raises:
-        InvalidModelError: No links or too many, or a length that is not positive and finite.
-    """
-    given: object = n
-    if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
-        raise InvalidModelError(
-            f"a chain has 1 to {LONGEST} links, not {n!r}",
-            hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",
-        )
-    try:
-        metres = float(length)
-    except (TypeError, ValueError):
-        metres = math.nan
-    if not (math.isfinite(metres) and metres > 0.0):
-        raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")
-    spec = mujoco.MjSpec()
-    spec.modelname = f"chain{n}"
-    body = spec.worldbody
-    for i in range(1, n + 1):
-        body = body.add_body(name=f"link{i}", pos=[0.0, 0.0, length if i > 1 else 0.0])
-        body.add_joint(name=f"joint{i}", type=mujoco.mjtJoint.mjJNT_BALL)
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
-            size=[_THICKNESS * length, 0.0, 0.0],
-            rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
-            contype=0,
-            conaffinity=0,
-        )
-    body.add_site(name="tip", pos=[0.0, 0.0, length])
-    return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import math
 import os
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -180,7 +179,9 @@ class RobotFile(_Keys):
 
 def catalogue() -> dict[str, Path]:
     """Folder of every robot that ships, by name."""
-    root = Path(str(resources.files("robot_ik.models")))
+    found = importlib.util.find_spec("robot_ik.models")  # a folder of its own in a checkout
+    assert found is not None and found.origin is not None
+    root = Path(found.origin).parent
     return {folder.name: folder for folder in sorted(root.iterdir()) if (folder / "robot.toml").is_file()}
 
 

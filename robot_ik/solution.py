@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.compiled_problem import moved_goal
 from robot_ik.errors import NotConvergedError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import workspace
-from robot_ik.problem import moved_goal
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot

@@ -24,7 +24,7 @@ from pydantic import (
 )
 
 from robot_ik.errors import ConfigError, did_you_mean
-from robot_ik.files import FORMER, key_text, read_toml, shown
+from robot_ik.reading import FORMER, key_text, read_toml, shown
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.chain import robot_from_model
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.kernels.tree import BALL
-from robot_ik.robot import robot_from_model
 
 
 @pytest.mark.parametrize("n", range(1, 11))

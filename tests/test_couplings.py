@@ -15,10 +15,10 @@ from robot_ik.errors import (
 )
 from robot_ik.goals import PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
-from robot_ik.kernels.residuals import residual_and_jacobian
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
+from tests.residual_rows import residual_and_jacobian
 
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="a"><joint name="j1" axis="0 0 1" range="-2 2"/><geom size="0.05"/>

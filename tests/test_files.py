@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import robot_ik
-from robot_ik import files, load_robot, tables
+from robot_ik import load_robot, reading, tables
 from robot_ik.bench.methods.results import Machine, Results, Settings, read_results, results_text
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
@@ -235,7 +235,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # ------------------------------------------------------------------------------- all are found
 
-READING = {name for name in (*vars(files), *vars(tables)) if re.match(r"(read|parse)(_|$)", name)} | {
+READING = {name for name in (*vars(reading), *vars(tables)) if re.match(r"(read|parse)(_|$)", name)} | {
     "read_model"
 }
 
@@ -248,7 +248,7 @@ FOREIGN = {
 }  # fmt: skip
 
 ALLOWED = {
-    ("robot_ik/files.py", "*"): "the one place",
+    ("robot_ik/reading.py", "*"): "the one place",
     ("robot_ik/model.py", "from_file"): "read_model, which refuses what MuJoCo lets pass",
     ("robot_ik/urdf.py", "ElementTree.fromstring"): "a text that read_model has read",
     ("robot_ik/camera/intrinsics.py", "yaml.load"): "handed to parse",
@@ -282,7 +282,7 @@ ALLOWED = {
     ("robot_ik/jobs/arm_camera/measuring.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",
 }
-"""(file, call) that reads without ``robot_ik.files``, and why it may."""
+"""(file, call) that reads without ``robot_ik.reading``, and why it may."""
 
 NOT_PEOPLE_S = {
     "choose_gl": "its own cache; any error means that it is made anew",
@@ -312,16 +312,16 @@ def _calls(tree: ast.AST) -> Iterator[tuple[str, str]]:
 
 
 def _readers() -> set[str]:
-    """Functions that read a file through ``robot_ik.files``."""
+    """Functions that read a file through ``robot_ik.reading``."""
     found = set()
     for name, tree in _sources():
-        if name in ("robot_ik/files.py", "robot_ik/tables.py"):
+        if name in ("robot_ik/reading.py", "robot_ik/tables.py"):
             continue
         imported = {
             alias.name
             for node in ast.walk(tree)
             if isinstance(node, ast.ImportFrom)
-            and node.module in ("robot_ik.files", "robot_ik.tables", "robot_ik.model")
+            and node.module in ("robot_ik.reading", "robot_ik.tables", "robot_ik.model")
             for alias in node.names
         }
         for node in ast.walk(tree):
@@ -342,7 +342,7 @@ def test_nobody_reads_files_past_the_one_place() -> None:
                 found.add((name, call))
     assert ("robot_ik/model.py", "from_file") in found
     new = {item for item in found if item not in ALLOWED and (item[0], "*") not in ALLOWED}
-    assert not new, "read files with robot_ik.files, or say here why not"
+    assert not new, "read files with robot_ik.reading, or say here why not"
 
 
 def test_every_reader_has_a_row_here(folder: Path) -> None:
@@ -551,11 +551,11 @@ def test_what_is_no_such_file_is_named(name: str, folder: Path) -> None:
 
 def test_a_file_without_end_is_refused() -> None:
     with pytest.raises(ConfigError, match="more than 256 MiB"):
-        files.read_text(Path("/dev/zero"), "the arm file")
+        reading.read_text(Path("/dev/zero"), "the arm file")
 
 
 def test_a_model_larger_than_any_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "LARGEST_FILE", 2**20)
+    monkeypatch.setattr(reading, "LARGEST_FILE", 2**20)
     for name, text in (("large.xml", MJCF), ("large.urdf", URDF)):
         (folder / name).write_text(text + " " * 2**20, encoding="utf-8")
         with pytest.raises(ModelError, match=rf"{name}: the model cannot be read: it has more than 1 MiB"):
@@ -581,7 +581,7 @@ def test_aliases_of_yaml_do_not_multiply(folder: Path) -> None:
 @pytest.mark.parametrize("text", ['{"\\ud800": 1}', '{"\\ud800": {}}', '{"a": "\\udc00"}'])
 def test_half_a_character_is_refused_in_words_that_can_be_printed(text: str) -> None:
     with pytest.raises(ConfigError, match="is no text") as caught:
-        files.parse_json(text, "x.json")
+        reading.parse_json(text, "x.json")
     str(caught.value).encode("utf-8")
 
 
@@ -610,11 +610,11 @@ def test_an_old_key_is_answered_with_its_new_name_until_the_file_is_right(folder
             break
         except ConfigError as error:
             old = error.key.rpartition(".")[2]
-            assert f"the key {old} is called {files.FORMER[old]} now" in str(error)
+            assert f"the key {old} is called {reading.FORMER[old]} now" in str(error)
             seen.append(old)
-            text = text.replace(f"[[{old}]]", f"[[{files.FORMER[old]}]]")
-            text = text.replace(f"{old} = ", f"{files.FORMER[old]} = ")
-    assert sorted(seen) == sorted(key for key in files.FORMER if not key.startswith("-"))
+            text = text.replace(f"[[{old}]]", f"[[{reading.FORMER[old]}]]")
+            text = text.replace(f"{old} = ", f"{reading.FORMER[old]} = ")
+    assert sorted(seen) == sorted(key for key in reading.FORMER if not key.startswith("-"))
 
 
 def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:

@@ -21,9 +21,10 @@ import numpy as np
 
 import robot_ik.solvers.first_choice as table
 from robot_ik.bench.methods.problems import ProblemSet, make_set
+from robot_ik.chain import robot_from_model
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Problem
-from robot_ik.robot import Robot, load_robot, robot_from_model
+from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import make_solver
 
 #: ``lm`` is asked first only where it takes less than this share of the closed form's time.

@@ -29,7 +29,6 @@ from weakref import WeakKeyDictionary
 
 from pydantic import Field
 
-from robot_ik.files import parse_toml, read_text
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
@@ -41,6 +40,7 @@ from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.memory import TRIPPED
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
+from robot_ik.reading import parse_toml, read_text
 from robot_ik.tables import Table, WrongKey, check_table, keys_of
 
 if TYPE_CHECKING:

@@ -22,7 +22,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera import lens
 from robot_ik.errors import CalibrationError, ConfigError
-from robot_ik.files import LARGEST_NUMBER, NESTED, parse, read_text, shown, write_atomically
+from robot_ik.files import write_atomically
+from robot_ik.reading import LARGEST_NUMBER, NESTED, parse, read_text, shown
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,7 @@ from tyro.conf import arg
 
 from robot_ik.cli.console import NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
-from robot_ik.files import FORMER
+from robot_ik.reading import FORMER
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose

@@ -28,7 +28,7 @@ from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
-from robot_ik.files import read_csv, shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.jobs.ar.job import (
     ArReport,
     ArRequest,
@@ -40,6 +40,7 @@ from robot_ik.jobs.ar.job import (
 )
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
 from robot_ik.execution import execute
-from robot_ik.files import read_json, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import shared_register
 from robot_ik.hardware.config import ArmConfig
@@ -25,6 +25,7 @@ from robot_ik.jobs.hand_calibration import require_limp
 from robot_ik.motion.recording import approach, playable
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import JointSink
+from robot_ik.reading import read_json
 from robot_ik.tables import Several, Table, check_table
 
 SUFFIXES = (".csv", ".json")

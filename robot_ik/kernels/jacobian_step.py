@@ -208,3 +208,115 @@ def filtered_step(work, cutoff, damping):
         for u in range(step.shape[0]):
             step[u] += part * right[i, u]
     work.value[DAMPING] = damping
+
+
+# ------------------------------------------------------------------------------------------
+# Singular values, where a method looks at them.
+
+
+# Singular vectors: sweeps at most (six or seven are enough), and what counts as rounding.
+_SWEEPS = 40
+_ROUNDING = 1e-15
+
+
+@outlined
+def orthogonalise(vectors, turns, count):
+    """Turns the rows of ``vectors`` in pairs until all are orthogonal, and those of ``turns`` with them.
+
+    One-sided Jacobi (Hestenes, J. SIAM 6(1), 1958): each turn makes one pair orthogonal; a few sweeps do.
+    """
+    width, other = vectors.shape[1], turns.shape[1]
+    for _ in range(_SWEEPS):
+        turned = False
+        largest = 0.0
+        for a in range(count):
+            square = 0.0
+            for i in range(width):
+                square += vectors[a, i] * vectors[a, i]
+            largest = max(largest, square)
+        for a in range(count - 1):
+            for b in range(a + 1, count):
+                aa, bb, ab = 0.0, 0.0, 0.0
+                for i in range(width):
+                    aa += vectors[a, i] * vectors[a, i]
+                    bb += vectors[b, i] * vectors[b, i]
+                    ab += vectors[a, i] * vectors[b, i]
+                # Rows that are rounding noise beside the largest need no angle of their own.
+                if abs(ab) <= _ROUNDING * math.sqrt(aa * bb) or min(aa, bb) <= _ROUNDING**2 * largest:
+                    continue
+                turned = True
+                half = 0.5 * (bb - aa)
+                t = ab / (half + math.copysign(math.sqrt(half * half + ab * ab), half))
+                c = 1.0 / math.sqrt(1.0 + t * t)
+                s = c * t
+                for i in range(width):
+                    x, y = vectors[a, i], vectors[b, i]
+                    vectors[a, i], vectors[b, i] = c * x - s * y, s * x + c * y
+                for i in range(other):
+                    x, y = turns[a, i], turns[b, i]
+                    turns[a, i], turns[b, i] = c * x - s * y, s * x + c * y
+        if not turned:
+            return
+
+
+@outlined
+def lengths_of(vectors, turns, sigma):
+    """Lengths of the rows into ``sigma``, longest first; rows become unit vectors, or zero where noise."""
+    count, width, other = sigma.shape[0], vectors.shape[1], turns.shape[1]
+    for a in range(count):
+        square = 0.0
+        for i in range(width):
+            square += vectors[a, i] * vectors[a, i]
+        sigma[a] = math.sqrt(square)
+    for a in range(count):
+        best = a
+        for b in range(a + 1, count):
+            if sigma[b] > sigma[best]:
+                best = b
+        if best != a:
+            sigma[a], sigma[best] = sigma[best], sigma[a]
+            for i in range(width):
+                vectors[a, i], vectors[best, i] = vectors[best, i], vectors[a, i]
+            for i in range(other):
+                turns[a, i], turns[best, i] = turns[best, i], turns[a, i]
+        if not sigma[a] > _ROUNDING * sigma[0]:
+            sigma[a] = 0.0
+        inverse = 1.0 / sigma[a] if sigma[a] > 0.0 else 0.0
+        for i in range(width):
+            vectors[a, i] *= inverse
+
+
+@outlined
+def svd(matrix, left, sigma, right):
+    """Singular values and vectors: matrix = Σ sigma[i] · left[i] right[i]ᵀ, the largest first.
+
+    One-sided Jacobi on the shorter side: as accurate as LAPACK at these sizes, and no call.
+
+    Args:
+        matrix: (m, n), unchanged.
+        left: (p, m) result, p = min(m, n); rows are the vectors u.
+        sigma: (p,) result; what is rounding noise beside the largest is zero.
+        right: (p, n) result; rows are the vectors v.  A zero singular value has a unit vector on the
+            shorter side and a zero vector on the longer one.
+    """
+    m, n = matrix.shape
+    count = sigma.shape[0]
+    size = 0.0
+    for r in range(m):
+        for i in range(n):
+            size = max(size, abs(matrix[r, i]))
+    scale = 1.0 / size if size > 0.0 else 0.0  # squares of very small or large entries would not fit
+    wide = m <= n
+    for a in range(count):
+        for r in range(m):
+            left[a, r] = (1.0 if r == a else 0.0) if wide else matrix[r, a] * scale
+        for i in range(n):
+            right[a, i] = matrix[a, i] * scale if wide else (1.0 if i == a else 0.0)
+    if wide:
+        orthogonalise(right, left, count)
+        lengths_of(right, left, sigma)
+    else:
+        orthogonalise(left, right, count)
+        lengths_of(left, right, sigma)
+    for a in range(count):
+        sigma[a] *= size

@@ -61,6 +61,7 @@ def _load_arrays_without_blas() -> None:
 
 _load_arrays_without_blas()
 
+
 def _compare_options_quickly() -> None:
     """Lets equal options of the compiler be equal without a look at each.
 
@@ -70,7 +71,9 @@ def _compare_options_quickly() -> None:
     slowly = TargetConfig.__eq__
 
     def equal(self: Any, other: object) -> Any:
-        same = self is other or (type(self) is type(other) and self._values == getattr(other, "_values", None))
+        same = self is other or (
+            type(self) is type(other) and self._values == getattr(other, "_values", None)
+        )
         return same or slowly(self, other)
 
     setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)

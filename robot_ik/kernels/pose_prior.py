@@ -15,12 +15,14 @@ does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no l
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.rotations import inverse_right_jacobian, rotation_back
+from robot_ik.kernels.kinematics import slope_of
+from robot_ik.kernels.residuals import inverse_right_jacobian, rotation_back
+from robot_ik.kernels.tree import FREE
 
 # Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.
 NUMBER, LEAN_X, LEAN_Y, TURN_X, TURN_Y, TURN_Z = range(6)
 # Columns of goal.feature.
-WHAT, AT, NODE, FEATURE_SIZE = range(4)
+WHAT, AT, NODE = range(3)
 # Rows of goal.prior: middle, spread, x and g; numbers for all (E₀ first); H, then L, in its lower triangle;
 # then for each part its mean, its numbers (log of w_k over the norm, log density) and its precision.
 MIDDLE, SPREAD, X, GRADIENT, NUMBERS, HESSIAN = range(6)
@@ -152,16 +154,33 @@ def prior_rows(goal, work, g):
 
 
 @outlined
-def prior_column(goal, work, g, u, node, axis):
-    """Column ``u`` of these rows, for the axis-th degree of freedom of a node; rows are zero beforehand."""
-    feature, prior, jacobian, row, w = goal.feature, goal.prior, work.jacobian, goal.row[g], goal.weight[g, 1]
+def prior_column(tree, goal, work, g, u, v, share):
+    """Adds ``share`` of what degree of freedom ``v`` does to these rows to column ``u``."""
+    feature, prior, jacobian, row = goal.feature, goal.prior, work.jacobian, goal.row[g]
+    node = tree.dof_node[v]
+    axis = v - tree.vadr[node] - (3 if tree.kind[node] == FREE else 0)
     if axis < 0:  # where the base stands says nothing of the pose
         return
     for j in range(feature.shape[0]):
         if feature[j, NODE] != node:
             continue
-        rate = w * feature_rate(feature[j, WHAT], work.q, feature[j, AT], axis) / prior[SPREAD, j]
+        rate = feature_rate(feature[j, WHAT], work.q, feature[j, AT], axis)
+        rate *= share * goal.weight[g, 1] / prior[SPREAD, j]
         if rate == 0.0:
             continue
         for i in range(j + 1):
             jacobian[row + i, u] += rate * prior[HESSIAN + j, i]
+
+
+@outlined
+def prior_jacobian(tree, goal, work, g):
+    """These rows of work.jacobian, tied joints and stiffness as in ``residuals.goal_jacobian``."""
+    jacobian, row, joint_scale = work.jacobian, goal.row[g], goal.joint_scale
+    for u in range(goal.dofs.shape[0]):
+        for i in range(goal.feature.shape[0] + 1):
+            jacobian[row + i, u] = 0.0
+        prior_column(tree, goal, work, g, u, goal.dofs[u], joint_scale[u])
+    for c in range(goal.tied.shape[0]):
+        u = goal.tied[c, 1]
+        slope = slope_of(tree, goal.tied[c, 0], work.q)
+        prior_column(tree, goal, work, g, u, goal.tied[c, 2], joint_scale[u] * slope)

@@ -14,27 +14,172 @@ Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import numpy as np
 from numba import types
-from numpy.typing import NDArray
 
 from robot_ik.kernels.bundle import Layout
-from robot_ik.kernels.jit import entry, kernel, outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, point_velocity, slope_of
-from robot_ik.kernels.pose_prior import prior_column, prior_rows
-from robot_ik.kernels.rotations import (
-    axis_error,
-    axis_error_rate,
-    bent,
-    curvature,
-    inverse_right_jacobian,
-    rotation_back,
-    rotation_error,
-)
-from robot_ik.kernels.tree import BALL, FREE, SLIDE, open_tree
-from robot_ik.kernels.workspace import open_work
+from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.kinematics import dof_axis, frame_pose, point_velocity, slope_of
+from robot_ik.kernels.tree import BALL, FREE, SLIDE
+
+# ------------------------------------------------------------------------------------------
+# Residuals of turning, and how they shrink while a frame turns: whole orientations, and single axes.
+
+
+# Nearer than this (sine of the angle) two axes are one, or opposite.
+_PARALLEL = 1e-9
+
+
+@outlined
+def rotation_error(target, current, g, out, at):
+    """Rotation vector, world axes, that turns current[g] into target[g] (pose rows), into out[at:at+3].
+
+    Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
+    """
+    # M = R_target · R_currentᵀ, of which only what is needed is formed.
+    m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
+    m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
+    m02 = target[g, 3] * current[g, 9] + target[g, 4] * current[g, 10] + target[g, 5] * current[g, 11]
+    m10 = target[g, 6] * current[g, 3] + target[g, 7] * current[g, 4] + target[g, 8] * current[g, 5]
+    m11 = target[g, 6] * current[g, 6] + target[g, 7] * current[g, 7] + target[g, 8] * current[g, 8]
+    m12 = target[g, 6] * current[g, 9] + target[g, 7] * current[g, 10] + target[g, 8] * current[g, 11]
+    m20 = target[g, 9] * current[g, 3] + target[g, 10] * current[g, 4] + target[g, 11] * current[g, 5]
+    m21 = target[g, 9] * current[g, 6] + target[g, 10] * current[g, 7] + target[g, 11] * current[g, 8]
+    m22 = target[g, 9] * current[g, 9] + target[g, 10] * current[g, 10] + target[g, 11] * current[g, 11]
+    x, y, z = 0.5 * (m21 - m12), 0.5 * (m02 - m20), 0.5 * (m10 - m01)
+    sine = math.sqrt(x * x + y * y + z * z)
+    cosine = 0.5 * (m00 + m11 + m22 - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > -0.9:
+        scale = 1.0 + sine * sine / 6.0 if sine < 1e-6 else angle / sine
+        out[at], out[at + 1], out[at + 2] = scale * x, scale * y, scale * z
+        return angle
+    # u uᵀ (1 − cos) = symmetric part of M − cos·1: take its largest column as the axis.
+    s00, s11, s22 = m00 - cosine, m11 - cosine, m22 - cosine
+    s01, s02, s12 = 0.5 * (m01 + m10), 0.5 * (m02 + m20), 0.5 * (m12 + m21)
+    if s00 >= s11 and s00 >= s22:
+        u, v, w = s00, s01, s02
+    elif s11 >= s22:
+        u, v, w = s01, s11, s12
+    else:
+        u, v, w = s02, s12, s22
+    norm = math.sqrt(u * u + v * v + w * w)
+    if u * x + v * y + w * z < 0.0:
+        norm = -norm
+    scale = angle / norm
+    out[at], out[at + 1], out[at + 2] = scale * u, scale * v, scale * w
+    return angle
+
+
+@pure
+def curvature(x, y, z):
+    """The k of ``bent``, which depends on φ = (x, y, z) alone."""
+    square = x * x + y * y + z * z
+    if square < 1e-6:
+        return 1.0 / 12.0 + square / 720.0
+    half = 0.5 * math.sqrt(square)
+    return (1.0 - half / math.tan(half)) / square
+
+
+@pure
+def bent(x, y, z, k, a, b, c):
+    """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
+
+    How φ = log(R_target R_currentᵀ) shrinks while the current frame turns with ω; J_r is the right
+    Jacobian of SO(3) (Solà et al., A micro Lie theory for state estimation, 2018, eq. 144).
+    """
+    p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
+    return (
+        a + 0.5 * p + k * (y * r - z * q),
+        b + 0.5 * q + k * (z * p - x * r),
+        c + 0.5 * r + k * (x * q - y * p),
+    )
+
+
+@pure
+def inverse_right_jacobian(x, y, z, a, b, c):
+    """``bent`` for a single ω."""
+    return bent(x, y, z, curvature(x, y, z), a, b, c)
+
+
+@pure
+def rotation_back(q, a, rw, rx, ry, rz):
+    """Rotation vector, body axes, that turns the quaternion q[a:a+4] into (rw, rx, ry, rz), the short way."""
+    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
+    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
+    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
+    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    return scale * x, scale * y, scale * z
+
+
+@pure
+def across(x, y, z):
+    """A unit vector at right angles to the unit vector: its cross product with the farthest world axis."""
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        ux, uy, uz = 0.0, z, -y
+    elif abs(y) <= abs(z):
+        ux, uy, uz = -z, 0.0, x
+    else:
+        ux, uy, uz = y, -x, 0.0
+    inverse = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
+    return inverse * ux, inverse * uy, inverse * uz
+
+
+@pure
+def axis_error(ax, ay, az, dx, dy, dz):
+    """Rotation vector, world axes, that turns the unit vector a the short way onto the unit vector d.
+
+    Returns it with its angle in [0, pi]; at half a turn any axis across a will do.
+    """
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
+    cosine = ax * dx + ay * dy + az * dz
+    angle = math.atan2(sine, cosine)
+    if sine > _PARALLEL:
+        scale = angle / sine
+        return scale * nx, scale * ny, scale * nz, angle
+    if cosine > 0.0:
+        return nx, ny, nz, angle
+    ux, uy, uz = across(ax, ay, az)
+    return angle * ux, angle * uy, angle * uz, angle
+
+
+@pure
+def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
+    """Minus the derivative of ``axis_error`` while a moves with the velocity p and d with q.
+
+    With n = a × d, s = |n|, c = a·d and θ the angle, the error is (θ/s) n; its derivative is
+    (θ/s) n' − ((s − θ c)/s³) c' n, since s θ' = −c'.
+    """
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
+    cosine = ax * dx + ay * dy + az * dz
+    angle = math.atan2(sine, cosine)
+    if sine < 1e-3 and cosine > 0.0:
+        ratio, slope = 1.0 + angle * angle / 6.0, 1.0 / 3.0 + 2.0 * angle * angle / 15.0
+    elif sine > _PARALLEL:
+        ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
+    else:  # half a turn: only the way about the axis that ``axis_error`` takes counts
+        ux, uy, uz = across(ax, ay, az)
+        wx = (ay * pz - az * py) - (dy * qz - dz * qy)
+        wy = (az * px - ax * pz) - (dz * qx - dx * qz)
+        wz = (ax * py - ay * px) - (dx * qy - dy * qx)
+        turned = ux * wx + uy * wy + uz * wz
+        return turned * ux, turned * uy, turned * uz
+    along = (px * dx + py * dy + pz * dz) + (ax * qx + ay * qy + az * qz)
+    rx = (py * dz - pz * dy) + (ay * qz - az * qy)
+    ry = (pz * dx - px * dz) + (az * qx - ax * qz)
+    rz = (px * dy - py * dx) + (ax * qy - ay * qx)
+    return (
+        slope * along * nx - ratio * rx,
+        slope * along * ny - ratio * ry,
+        slope * along * nz - ratio * rz,
+    )
+
 
 # ------------------------------------------------------------------------------------------
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
@@ -42,8 +187,7 @@ from robot_ik.kernels.workspace import open_work
 #
 #     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
 #     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
-#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves, one by one
-#             or by a pose prior (``pose_prior.py``)
+#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves
 #
 # The axis that counts is always z: ``Problem`` turns frame and target so that it is.
 
@@ -202,9 +346,6 @@ def partial_rows(tree, goal, work, g):
     how, frames, residual, miss = goal.how, work.frames, work.residual, work.miss
     if how[g, OF] == OF_JOINTS:
         return joint_rows(tree, goal, work, g)
-    if how[g, OF] == OF_PRIOR:
-        miss[g, 0], miss[g, 1] = 0.0, 0.0
-        return prior_rows(goal, work, g), True
     if how[g, OF] == OF_MASS:
         mass_center(tree, goal, work, g)
     else:
@@ -238,12 +379,6 @@ def partial_column(tree, goal, work, g, u, v, moves):
             jacobian[row + i, u] = 0.0
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
-        return
-    if how[g, OF] == OF_PRIOR:
-        for i in range(goal.feature.shape[0] + 1):
-            jacobian[row + i, u] = 0.0
-        axis = v - tree.vadr[k]
-        prior_column(goal, work, g, u, k, axis - 3 if tree.kind[k] == FREE else axis)
         return
     ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
     if how[g, OF] == OF_MASS:
@@ -289,12 +424,13 @@ def axis_column(goal, work, g, ax, ay, az, vx, vy, vz):
 
 
 # Whole positions, orientations and poses of a frame have a path of their own; ``partial_rows`` has the rest.
-POSITION, ORIENTATION, POSE, PARTIAL = 0, 1, 2, 3
+# But a pose prior is always soft: its rows are made where soft goals are served (``level_step.py``).
+POSITION, ORIENTATION, POSE, PARTIAL, PRIOR = range(5)
 
 
 GOALS = Layout(
     "Goals",
-    kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL
+    kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL, PRIOR
     how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
     level="ints",  # (g,) its place in the order of priorities, 0 first; soft goals come after all others
@@ -341,6 +477,8 @@ def evaluate(tree, goal, work):
             square, met = partial_rows(tree, goal, work, g)
             cost += square
             within = within and met
+            continue
+        if kind == PRIOR:
             continue
         frame_pose(world, nodes[g], local, g, frames)
         row = rows[g]
@@ -409,9 +547,9 @@ def add_tied(tree, goal, work, points):
         for r in range(jacobian.shape[0]):
             kept[r] = jacobian[r, u]
         for g in range(goal.kind.shape[0]):
-            if goal.kind[g] != PARTIAL:
+            if goal.kind[g] < PARTIAL:
                 whole_columns(tree, goal, work, points, g, mover, mover + 1)
-            else:
+            elif goal.kind[g] == PARTIAL:
                 partial_column(tree, goal, work, g, u, v, float(goal.moves[g, mover]))
         for r in range(jacobian.shape[0]):
             jacobian[r, u] = kept[r] + slope * jacobian[r, u]
@@ -455,10 +593,10 @@ def goal_jacobian(tree, goal, work, points):
     """
     dofs, joint_scale, jacobian = goal.dofs, goal.joint_scale, work.jacobian
     for g in range(goal.kind.shape[0]):
-        if goal.kind[g] != PARTIAL:
+        if goal.kind[g] < PARTIAL:
             whole_columns(tree, goal, work, points, g, types.int64(0), goal.mover_count[g])
             continue
-        for u in range(dofs.shape[0]):
+        for u in range(dofs.shape[0] if goal.kind[g] == PARTIAL else 0):
             partial_column(tree, goal, work, g, u, dofs[u], float(goal.moves[g, u]))
     if goal.tied.shape[0] > 0:
         add_tied(tree, goal, work, points)
@@ -466,73 +604,3 @@ def goal_jacobian(tree, goal, work, points):
         if joint_scale[u] != 1.0:
             for r in range(jacobian.shape[0]):
                 jacobian[r, u] *= joint_scale[u]
-
-
-@kernel
-def residual_and_jacobian(tree, goals, work):
-    """For tests: residual (m,), miss (g, 2), jacobian (m, nu) at the work space's q; returns the cost."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
-    forward(tree, work.nodes, work.q, work.world, work.scratch)
-    cost, _ = evaluate(tree, goal, work)
-    goal_jacobian(tree, goal, work, work.frames)
-    return cost
-
-
-# ------------------------------------------------------------------------------------------
-# Moving a target in compiled code: the hot loop does it before every solve.
-
-
-MOVE = Layout(
-    "Move",
-    matrix="table",  # (4, 4) homogeneous, the wanted pose
-    target="table",  # (g, 12) rows of all goals
-)
-open_move = MOVE.open
-
-
-@kernel
-def take_matrix(move, index):
-    """target[index] = matrix; False, and nothing is done, when a number is not finite.
-
-    With ~index in place of index the position alone is taken, and asked about.
-    """
-    move = open_move(move)
-    matrix, target = move.matrix, move.target
-    first = 0 if index >= 0 else 3
-    row = index if index >= 0 else ~index
-    size = 0.0
-    for i in range(4 if index >= 0 else 3):
-        for j in range(first, 4):
-            x = matrix[i, j]
-            size = max(size, abs(x)) if x == x else math.inf
-    if not size < math.inf:
-        return False
-    for i in range(3):
-        target[row, i] = matrix[i, 3]
-        for j in range(first, 3):
-            target[row, 3 + 3 * i + j] = matrix[i, j]
-    return True
-
-
-class Mover:
-    """Takes matrices and positions as targets: fill the array of their shape, then take them.
-
-        array, flip = mover.places[shape]
-        array[...] = target
-        mover.take(mover.move, index ^ flip)      # False when it is not finite; nothing is done then
-
-    Attributes:
-        places: For (4, 4) and (3,): where to put one, and what turns the index into that of ``take_matrix``.
-        dtype: What a target must be of to need no conversion that may fail.
-        take, move: The compiled code, and what it takes before the goal's index.
-    """
-
-    __slots__ = ("_table", "dtype", "move", "places", "take")
-
-    def __init__(self, target: NDArray[np.float64]) -> None:
-        matrix = np.zeros((4, 4))
-        self.places: dict[Any, tuple[Any, int]] = {(4, 4): (matrix, 0), (3,): (matrix[:3, 3], -1)}
-        self.dtype = matrix.dtype
-        self._table = MOVE.pack({"matrix": matrix, "target": target})
-        self.move: int = self._table.ctypes.data
-        self.take: Any = entry(take_matrix, self.move, 0)

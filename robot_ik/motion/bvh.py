@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from robot_ik.errors import ConfigError, TrajectoryError
-from robot_ik.files import read_text, shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.ports import Array
+from robot_ik.reading import read_text, shown
 
 CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 POSITION = CHANNELS[:3]

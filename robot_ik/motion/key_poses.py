@@ -14,10 +14,11 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from robot_ik.errors import ConfigError, TrajectoryError, close_matches
-from robot_ik.files import shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.kernels.tree import Q_WIDTH
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
+from robot_ik.reading import shown
 from robot_ik.tables import Several, Table, read_table
 
 if TYPE_CHECKING:

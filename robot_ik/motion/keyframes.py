@@ -22,11 +22,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, apart
-from robot_ik.files import read_csv, shown, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
 from robot_ik.motion.trajectory import Trajectory, require_positive
 from robot_ik.ports import Array
+from robot_ik.reading import read_csv, shown
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot

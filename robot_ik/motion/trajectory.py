@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
-from robot_ik.files import read_csv, write_atomically
+from robot_ik.files import write_atomically
 from robot_ik.motion.timing import PROFILES
 from robot_ik.ports import Array
+from robot_ik.reading import read_csv
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot

@@ -17,12 +17,12 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError, UnsupportedJointError
-from robot_ik.goals import GOALS, Goal, PositionGoal
+from robot_ik.compiled_problem import CompiledProblem
+from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
+from robot_ik.goals import GOALS, Goal
 from robot_ik.kernels import jit, workspace
 from robot_ik.kernels.bundle import address_of, named_row
-from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
-from robot_ik.problem import Budget, CompiledProblem, Problem
+from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution
 
 Array = NDArray[np.float64]
@@ -124,10 +124,6 @@ class Solver(ABC):
         """What it has recognised the arm as, for this goal; empty when it recognises none."""
         return ""
 
-    def worthwhile(self, problem: Problem) -> bool:
-        """Whether it is a better first choice than a numeric method where it applies; asked by ``auto``."""
-        return True
-
     def beyond(self, problem: Problem) -> str:
         """What of the problem it cannot serve, in words; empty when nothing is."""
         for goal in problem.given:
@@ -171,15 +167,8 @@ class Solver(ABC):
         Raises:
             As ``solve``.
         """
-        turn = problem.turn
-        try:
-            turn.pop()
-        except IndexError:
-            raise ProblemInUseError from None
-        try:
+        with problem.in_use():
             self.attempt_many(problem, targets, starts, answers, problem.budget)
-        finally:
-            turn.append(None)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
@@ -397,83 +386,3 @@ def take_start(problem: Problem, start: ArrayLike | None) -> None:
         if math.isfinite(sum(begin.tolist())):  # quicker than NumPy's for so few
             return
     begin[...] = problem.robot.home if start is None else problem.robot.check_q(start, "start")
-
-
-@dataclass(frozen=True)
-class JacobianSolver(IterativeSolver):
-    """A method whose step is made from the Jacobian and the residual: options that all of them share."""
-
-    parts: ClassVar[bool] = True
-    unseen: ClassVar[bool] = True
-    capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
-
-    first_steps: int = option(100, "steps granted to the try from the start", low=1, high=100_000)
-    try_steps: int = option(60, "steps granted to a try from a random point", low=1, high=100_000)
-    patience: int = option(8, "steps without progress before a try is given up", low=1, high=1000)
-    clamp: float = option(
-        0.5, "longest residual of a goal taken in one step", low=1e-3, high=1e6, unit="rad", usual=(0.0, 2.0)
-    )
-    max_step: float = option(
-        0.4, "largest change of one joint in a step", low=1e-4, high=1e6, unit="rad", usual=(0.0, 2.0)
-    )
-    gain: float = option(1.0, "share of each step that is taken", low=1e-6, high=2.0, usual=(0.0, 2.0))
-    alternative: bool = option(False, "Jacobian at the target in place of the frame (alternative Jacobian)")
-
-
-# ------------------------------------------------------------------------------------------
-# What the geometric methods share on the Python side: which joints and goals they take.
-
-
-_WORDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
-
-
-@dataclass(frozen=True)
-class BoneSolver(IterativeSolver):
-    """A method that moves joint positions and lets the joints follow (``kernels/bones.py``).
-
-    Class attributes:
-        kinds: Joints that it can turn into bones.
-        several: Whether it takes more than one goal at once.
-    """
-
-    goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal,)
-    kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
-    several: ClassVar[bool] = False
-
-    def applies(self, problem: Problem) -> bool:
-        return super().applies(problem) and not self._stiff(problem)
-
-    def require_support(self, problem: Problem) -> None:
-        """As every method, and also refuses what cannot be made into bones.
-
-        Raises:
-            UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
-            UnsupportedJointError: A joint that this method cannot move.
-        """
-        super().require_support(problem)
-        if stiff := self._stiff(problem):
-            raise UnsupportedJointError(
-                f"solver {self.name!r} cannot use the {stiff}; "
-                f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
-                path=problem.robot.path,
-                hint="freeze it with load_robot(…, joints=[…]), or use another solver",
-            )
-
-    def beyond(self, problem: Problem) -> str:
-        if kind := super().beyond(problem):
-            return kind
-        if len(problem.goals) > 1 and not self.several:
-            return "several goals at once"
-        for goal in problem.goals:
-            if goal.weights[0] <= 0.0 < goal.weights[1]:
-                return f"a {goal.name} whose position weighs nothing"
-        return ""
-
-    def _stiff(self, problem: Problem) -> str:
-        """The first joint that this method cannot move; empty when there is none."""
-        robot = problem.robot
-        for k in problem.nodes:
-            kind = int(robot.tree.kind[k])
-            if kind not in self.kinds:
-                return f"{_WORDS[kind]} joint {robot.joints[int(k)]!r}"
-        return ""

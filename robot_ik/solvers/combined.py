@@ -3,6 +3,7 @@
 A00's fallback (a recursive solver where the Jacobian failed), generalised.  ``auto`` is the closed form
 where there is one, then Levenberg-Marquardt.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
@@ -18,8 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.loop import starts_near, starts_near_many
-from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN
+from robot_ik.kernels.jit import kernel
+from robot_ik.kernels.kinematics import forward
+from robot_ik.kernels.residuals import evaluate, open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN, open_run, open_work
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
@@ -56,10 +60,6 @@ class Combined(Solver):
 
     def applies(self, problem: Problem) -> bool:
         return any(member.applies(problem) for member in self._members)
-
-    def _takes(self, member: Solver, problem: Problem) -> bool:
-        """Whether a member gets its turn."""
-        return member.applies(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         turns: _Turns = problem.made.get(id(self)) or self._turns(problem)
@@ -106,7 +106,7 @@ class Combined(Solver):
         return _Turns(self, self._choose(problem))
 
     def _choose(self, problem: Problem) -> tuple[Solver, ...]:
-        turns = tuple(member for member in self._members if self._takes(member, problem))
+        turns = tuple(member for member in self._members if member.applies(problem))
         if not turns:
             goal = problem.given[0]
             beyond = [member.beyond(problem) for member in self._members]
@@ -259,6 +259,42 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
+# ------------------------------------------------------------------------------------------
+# Whether a solve starts near its goal, which ``auto`` asks before it chooses a method.
+
+
+# A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
+_NEAR = 0.01
+
+
+@kernel
+def starts_near(run):
+    """Whether work.start is near the goal; changes work space only."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    forward(tree, work.nodes, work.start, work.world, work.scratch)
+    cost, _ = evaluate(tree, goal, work)
+    return cost < _NEAR
+
+
+@kernel
+def starts_near_many(run, targets, starts, near):
+    """The same for each row of targets (n, 12) of the one goal, and starts (n, nq): 1 or 0 into near (n,)."""
+    run = open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    for row in range(targets.shape[0]):
+        same = row > 0  # as the start before it, mostly: its pose is known
+        for i in range(starts.shape[1]):
+            same = same and starts[row, i] == work.start[i]
+            work.start[i] = starts[row, i]
+        if not same:
+            forward(tree, work.nodes, work.start, work.world, work.scratch)
+        for i in range(12):
+            goal.target[0, i] = targets[row, i]
+        cost, _ = evaluate(tree, goal, work)
+        near[row] = 1 if cost < _NEAR else 0
+
+
 _WHICH_NEAR: Callable[..., None] = starts_near_many
 # Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
 _FEW_RESTARTS = 8
@@ -270,9 +306,6 @@ class Auto(Combined):
 
     name: ClassVar[str] = "auto"
     title: ClassVar[str] = "closed form where there is one, else Levenberg-Marquardt"
-
-    def _takes(self, member: Solver, problem: Problem) -> bool:
-        return member.worthwhile(problem) and member.applies(problem)
 
     @cached_property
     def _quick(self) -> Solver:

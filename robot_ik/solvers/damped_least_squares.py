@@ -24,15 +24,17 @@ from robot_ik.kernels.jacobian_step import (
     pin_downhill,
     pin_outward,
     prepare,
+    svd,
     volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step, svd
+from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import DAMPING, PRESSED, open_work
-from robot_ik.solvers.base import JacobianSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import JacobianSolver
 
 MODES = ("constant", "adaptive", "svd")
 CONSTANT, ADAPTIVE, SVD = range(3)

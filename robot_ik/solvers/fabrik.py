@@ -53,7 +53,8 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
-from robot_ik.solvers.base import BoneSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import BoneSolver
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6

@@ -18,7 +18,8 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import JacobianSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import JacobianSolver
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.kernels import jit
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
@@ -29,10 +30,10 @@ from robot_ik.kernels.residuals import (
     PARTIAL,
     POSITION,
     clamp_residual,
+    curvature,
     goal_jacobian,
     open_goals,
 )
-from robot_ik.kernels.rotations import curvature
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import (
     ACCEPTED,
@@ -52,7 +53,7 @@ from robot_ik.kernels.workspace import (
     open_run,
     open_work,
 )
-from robot_ik.problem import Budget, CompiledProblem, Problem
+from robot_ik.problem import Budget, Problem
 from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------

@@ -17,8 +17,7 @@ from typing import ClassVar
 
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
-from robot_ik.kernels.residuals import goal_jacobian, open_goals
-from robot_ik.kernels.rotations import rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option, options_of

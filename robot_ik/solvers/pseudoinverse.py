@@ -23,17 +23,17 @@ from robot_ik.kernels.jacobian_step import (
     pin_downhill,
     pin_outward,
     prepare,
+    svd,
     volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import follow, integrate
-from robot_ik.kernels.linalg import svd
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import goal_jacobian, open_goals
-from robot_ik.kernels.rotations import rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
-from robot_ik.solvers.base import JacobianSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import JacobianSolver
 
 # ------------------------------------------------------------------------------------------
 # Secondary aims φ of the null space, and the part of them that leaves the goals alone.

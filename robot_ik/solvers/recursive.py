@@ -48,7 +48,8 @@ from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import BEST_COST, open_work
-from robot_ik.solvers.base import BoneSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import BoneSolver
 
 # Lengths that agree to this share of the chain are equal.
 _EQUAL = 1e-10

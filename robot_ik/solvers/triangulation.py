@@ -48,7 +48,8 @@ from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.workspace import open_work
-from robot_ik.solvers.base import BoneSolver, option, options_of
+from robot_ik.solvers.base import option, options_of
+from robot_ik.solvers.families import BoneSolver
 
 # A bone shorter than this, metres, is none: its ends are one point.
 _NO_BONE = 1e-9

@@ -16,7 +16,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, TypeAdapter, ValidationError
 
 from robot_ik.errors import ConfigError, close_matches
-from robot_ik.files import parse_json, read_text, shown, write_atomically
+from robot_ik.files import write_atomically
+from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.tables import Wxyz, config_error, keys_of
 
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]

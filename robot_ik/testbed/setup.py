@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robot_ik.branches import Branch, solve_all
 from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
@@ -29,7 +30,6 @@ from robot_ik.goals import (
     PositionGoal,
     PostureGoal,
 )
-from robot_ik.inverse_kinematics import Branch, solve_all
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.drag import Drag
 from robot_ik.motion.sources import CurveSource

@@ -16,9 +16,9 @@ from robot_ik.bench.camera.accuracy import Misses
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
-from robot_ik.files import FORMER
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import output
+from robot_ik.reading import FORMER
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,10 +18,10 @@ from robot_ik.goals import (
     axis_vector,
 )
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residuals import residual_and_jacobian
-from robot_ik.kernels.rotations import rotation_error
+from robot_ik.kernels.residuals import rotation_error
 from robot_ik.model import pose_row
 from robot_ik.problem import Problem
+from tests.residual_rows import residual_and_jacobian
 
 
 @kernel

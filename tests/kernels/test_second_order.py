@@ -5,11 +5,12 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.kernels.jit import kernel
-from robot_ik.kernels.residuals import open_goals, residual_and_jacobian
+from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import open_work
 from robot_ik.problem import Problem
 from robot_ik.solvers.levenberg_marquardt import has_second_order, second_order
+from tests.residual_rows import residual_and_jacobian
 
 # Slides before and after hinges, a branch that the second goal alone hangs on.
 MIXED = """<mujoco><compiler angle="radian"/><worldbody>

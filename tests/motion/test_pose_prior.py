@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 import robot_ik as rik
 from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError, UnsupportedGoalError
 from robot_ik.goals import PosePriorGoal
-from robot_ik.kernels import residuals
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.pose_prior import fit_pose_prior, mirrored, thinned
 from robot_ik.pose_prior import PosePrior, feature_names
 from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
+from tests.residual_rows import residual_and_jacobian
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ def prior(robot: rik.Robot) -> PosePrior:
 def rows_at(problem: Problem, q: Array) -> tuple[Array, Array]:
     compiled = problem.compiled
     compiled.arrays["q"][:] = q
-    residuals.residual_and_jacobian(compiled.tree, compiled.goals, compiled.work)
+    residual_and_jacobian(compiled.tree, compiled.goals, compiled.work)
     return compiled.arrays["residual"].copy(), compiled.arrays["jacobian"].copy()
 
 

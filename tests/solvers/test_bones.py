@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
+from robot_ik.chain import robot_from_model
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import Robot, robot_from_model
+from robot_ik.robot import Robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 

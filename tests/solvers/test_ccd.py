@@ -5,10 +5,11 @@ import pytest
 from scipy.optimize import minimize_scalar
 from scipy.spatial.transform import Rotation
 
+from robot_ik.chain import make_chain
 from robot_ik.errors import ConfigError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import load_robot, make_chain
+from robot_ik.robot import load_robot
 from robot_ik.solvers.ccd import AXES, ORDERS, CyclicCoordinateDescent
 
 both_orders = pytest.mark.parametrize("order", ORDERS)

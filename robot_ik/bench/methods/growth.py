@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Batch, Growth, LowerBound
+from robot_ik.chain import robot_from_model
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
@@ -21,7 +22,7 @@ from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
 from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import Robot, robot_from_model
+from robot_ik.robot import Robot
 from robot_ik.solvers.base import Solver
 
 Array = NDArray[np.float64]

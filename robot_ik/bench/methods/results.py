@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot_ik.batch import usable_cores
 from robot_ik.errors import MissingExtraError
-from robot_ik.files import read_json
+from robot_ik.reading import read_json
 from robot_ik.tables import config_error
 
 if TYPE_CHECKING:

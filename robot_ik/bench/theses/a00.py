@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
+from robot_ik.chain import make_chain
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Problem
-from robot_ik.robot import Robot, make_chain
+from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS, make_solver
 
 # ------------------------------------------------------------------------------------------

@@ -31,8 +31,8 @@ from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRob
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
-from robot_ik.files import read_json
 from robot_ik.geometry import Pose
+from robot_ik.reading import read_json
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]

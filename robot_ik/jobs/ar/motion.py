@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.registration import Seen
 from robot_ik.errors import ConfigError
-from robot_ik.files import read_text, read_toml
 from robot_ik.goals import PositionGoal
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import seen_from
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Clock, JointSource
 from robot_ik.problem import Problem
+from robot_ik.reading import read_text, read_toml
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS
 

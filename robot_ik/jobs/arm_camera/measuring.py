@@ -20,12 +20,13 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
 from robot_ik.execution import execute
-from robot_ik.files import parse_json, plain, read_text, shown, write_atomically
+from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
+from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
 from robot_ik.tables import Pair, Place, Several, Table, Wxyz, config_error
 

@@ -9,10 +9,10 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError, did_you_mean
-from robot_ik.files import parse_toml, read_text, shown
 from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
+from robot_ik.reading import parse_toml, read_text, shown
 from robot_ik.tables import Place, Several, Table, WrongKey, check_table, chosen
 
 _Word = Annotated[str, Field(min_length=1)]

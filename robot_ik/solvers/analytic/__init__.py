@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import types
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import AimGoal, Goal, PoseGoal, PositionGoal
+from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels.bundle import address_of
-from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
@@ -40,7 +39,6 @@ from robot_ik.kernels.workspace import (
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic.limb import limb
-from robot_ik.solvers.analytic.limb_goals import branches_of_part, part_of_limb
 from robot_ik.solvers.analytic.proofs import (
     length,
     limb_is_out_of_reach,
@@ -55,7 +53,6 @@ from robot_ik.solvers.analytic.recognise import (
     limit_edges,
     middle_turns,
     recognise,
-    recognise_part,
 )
 from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
 from robot_ik.solvers.analytic.subproblems import (
@@ -156,122 +153,53 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 
 
 # ------------------------------------------------------------------------------------------
-# The entry points for a point to a place and for an aim; compiled only where they are asked for.
-
-
-_AIM = int(Family.LIMB_AIM)
-
-
-@kernel
-def closed_part(tree, goals, work, form, family, mode):
-    """One solve from work.start; fills best and status, and the branches if they are asked for."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
-    aimed = family == _AIM
-    if not look(tree, goal, work, form, mode):
-        return
-    if mode == EVERY:
-        form.branches[:, :] = math.nan
-        # First without limits: a branch that is nowhere inside them is still a branch.
-        branches_of_part(form, aimed, form.least, form.most)
-        branches_of_part(form, aimed, form.lower, form.upper)
-        return
-    settle(tree, goal, work, form, part_of_limb(tree, goal, work, form, aimed), types.int64(0))
-
-
-@kernel
-def closed_part_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
-    """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
-    none = types.int64(0)
-    for row in range(targets.shape[0]):
-        take_row(goal, work, targets, starts, row)
-        if look(tree, goal, work, form, SOLVE):
-            settle(tree, goal, work, form, part_of_limb(tree, goal, work, form, family == _AIM), none)
-        give_row(work, q, miss, iterations, row)
-        status[row] = work.state[STATUS]
-
-
-# ------------------------------------------------------------------------------------------
 # The entry points of the proofs, one for each family: compiled when a goal is first missed.
 
 
-@pure
-def aim_at(form, targets, row):
-    """Moves the form's target."""
-    for i in range(12):
-        form.target[0, i] = targets[row, i]
-
-
 @kernel
-def prove_planar(goals, form, targets, status):
-    """UNREACHABLE in ``status`` (n,) for those of ``targets`` (n, 12), of the missed, that are proven so."""
+def prove_planar(goals, form):
+    """Whether no joint angles bring the form's target within tolerance."""
     form, goal = open_form(form), open_goals(goals)
-    for row in range(targets.shape[0]):
-        if status[row] == CONVERGED:
-            continue
-        aim_at(form, targets, row)
-        if planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance):
-            status[row] = UNREACHABLE
+    return planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance)
 
 
 @kernel
-def prove_wrist(goals, form, targets, status):
+def prove_wrist(goals, form):
     """The same for a spherical wrist."""
     form, goal = open_form(form), open_goals(goals)
     lever = length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
-    for row in range(targets.shape[0]):
-        if status[row] == CONVERGED:
-            continue
-        aim_at(form, targets, row)
-        if wrist_is_out_of_reach(
-            form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance, lever
-        ):
-            status[row] = UNREACHABLE
+    return wrist_is_out_of_reach(
+        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance, lever
+    )
 
 
 @kernel
-def prove_shoulder(goals, form, targets, status):
+def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
     form, goal = open_form(form), open_goals(goals)
-    for row in range(targets.shape[0]):
-        if status[row] == CONVERGED:
-            continue
-        aim_at(form, targets, row)
-        invert(form.target, form.inverse)
-        x, y, z = centre(form.inverse, form.extra)
-        if wrist_is_out_of_reach(
-            form.axes, form.extra, form.inverse, form.lower, form.upper, goal.tolerance, length(x, y, z)
-        ):
-            status[row] = UNREACHABLE
+    invert(form.target, form.inverse)
+    x, y, z = centre(form.inverse, form.extra)
+    return wrist_is_out_of_reach(
+        form.axes, form.extra, form.inverse, form.lower, form.upper, goal.tolerance, length(x, y, z)
+    )
 
 
 @kernel
-def prove_parallel(goals, form, targets, status):
+def prove_parallel(goals, form):
     """The same for three parallel axes."""
     form, goal = open_form(form), open_goals(goals)
-    for row in range(targets.shape[0]):
-        if status[row] == CONVERGED:
-            continue
-        aim_at(form, targets, row)
-        if parallel_is_out_of_reach(
-            form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
-        ):
-            status[row] = UNREACHABLE
+    return parallel_is_out_of_reach(
+        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
+    )
 
 
 @kernel
-def prove_limb(goals, form, targets, status):
+def prove_limb(goals, form):
     """The same for a limb."""
-    form, goal = open_form(form), open_goals(goals)
-    for row in range(targets.shape[0]):
-        if status[row] == CONVERGED:
-            continue
-        aim_at(form, targets, row)
-        if limb_is_out_of_reach(form, goal.tolerance):
-            status[row] = UNREACHABLE
+    return limb_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
 
 
-PROOFS: dict[Family, Callable[[Any, Any, Any, Any], None]] = {
+PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
     Family.PLANAR_TWO_LINK: prove_planar,
     Family.SPHERICAL_WRIST: prove_wrist,
     Family.SPHERICAL_SHOULDER: prove_shoulder,
@@ -282,12 +210,9 @@ PROOFS: dict[Family, Callable[[Any, Any, Any, Any], None]] = {
 
 Array = NDArray[np.float64]
 
-# One solve and a batch of them, for the families that have entry points of their own: they take longer to
-# compile.
+# One solve and a batch of them, for the family that has entry points of its own: they take longer to compile.
 _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
     Family.LIMB: (closed_limb, closed_limb_many),
-    Family.LIMB_POINT: (closed_part, closed_part_many),
-    Family.LIMB_AIM: (closed_part, closed_part_many),
 }
 
 
@@ -315,7 +240,7 @@ class Prepared:
     family: int
     run: Callable[..., None]
     batch: Callable[..., None]
-    prove: Callable[..., None] | None
+    prove: Callable[..., bool] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -332,10 +257,7 @@ class Analytic(Solver):
     name: ClassVar[str] = "analytic"
     title: ClassVar[str] = "closed form: two links, six axes (wrist, shoulder, three parallel), 7-axis limb"
     source: ClassVar[str] = "Paden 1986; Tolani et al. 2000; Elias & Wen 2022"
-    goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal, AimGoal)
-
-    def supports(self, goal: Goal) -> bool:
-        return isinstance(goal, AimGoal) or super().supports(goal)
+    goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
 
     def applies(self, problem: Problem) -> bool:
         """Whether this robot and goal have a closed form."""
@@ -344,11 +266,6 @@ class Analytic(Solver):
     def family(self, problem: Problem) -> str:
         prepared = self.prepare(problem)
         return "" if prepared is None else prepared.form.family.name.lower()
-
-    def worthwhile(self, problem: Problem) -> bool:
-        # Positions and aims of a limb: exact, but Levenberg-Marquardt is twice as quick and moves less.
-        form = _form_of(problem)
-        return form is not None and form.family not in (Family.LIMB_POINT, Family.LIMB_AIM)
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
@@ -382,9 +299,8 @@ class Analytic(Solver):
         mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == SOLVE and state[STATUS] != CONVERGED and prepared.prove is not None:
-            # As a batch of one: its status stands first in the state.
-            prepared.prove(prepared.addresses[1], prepared.addresses[3], problem.target, state)
+        if mode == SOLVE and state[STATUS] != CONVERGED and _is_out_of_reach(prepared):
+            state[STATUS] = UNREACHABLE
         if mode == LOOK and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         number, iterations = state[: ITERATIONS + 1].tolist()
@@ -409,10 +325,10 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations,
         )  # fmt: skip
-        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
-            return
-        if prepared.prove is not None:
-            prepared.prove(prepared.addresses[1], prepared.addresses[3], targets, answers.status)
+        for row in np.flatnonzero(answers.status != CONVERGED):
+            problem.target[0] = targets[row]
+            if _is_out_of_reach(prepared):
+                answers.status[row] = UNREACHABLE
         answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
@@ -442,6 +358,11 @@ class Analytic(Solver):
         return found
 
 
+def _is_out_of_reach(prepared: Prepared) -> bool:
+    """Whether no joint angles bring the problem's target within tolerance, as far as that can be proven."""
+    return prepared.prove is not None and prepared.prove(prepared.addresses[1], prepared.addresses[3])
+
+
 def _trace(arrays: dict[str, Any]) -> Array:
     """The one row of a closed form's trace."""
     position, angle = arrays["miss"].max(axis=0)
@@ -463,7 +384,7 @@ def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     prove = PROOFS.get(form.family)
     if prove is not None:
         jit.announce(prove, "proofs of unreachable goals")
-        prove = jit.entry(prove, goals, numbers, problem.target, compiled.arrays["state"])
+        prove = jit.entry(prove, goals, numbers)
     return Prepared(
         solver, form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, prove
     )
@@ -471,20 +392,15 @@ def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
 
 def _form_of(problem: Problem) -> Form | None:
     """The closed form of the problem's one goal, or None."""
-    goal, tree = problem.given[0], problem.robot.tree
-    aimed = isinstance(goal, AimGoal)
-    if len(problem.given) != 1 or not (aimed or isinstance(goal, (PoseGoal, PositionGoal))):
-        return None
-    if not (aimed or goal.rows.whole):
+    goal = problem.given[0]
+    whole = isinstance(goal, (PoseGoal, PositionGoal)) and goal.rows.whole
+    if len(problem.given) != 1 or not whole:
         return None
     asked = (goal.has_position, goal.has_angle)
     if any(part and not weight > 0.0 for part, weight in zip(asked, goal.weights, strict=True)):
         return None  # a part that weighs nothing is not asked for, so there is more than the branches
     node, local = problem.robot.attachment(goal.frame)
-    if aimed:
-        return recognise_part(tree, node, local, np.array(goal.rows.axis))
-    form = recognise(tree, node, local, whole=goal.has_angle)
-    return form if form is not None or goal.has_angle else recognise_part(tree, node, local, None)
+    return recognise(problem.robot.tree, node, local, whole=goal.has_angle)
 
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:

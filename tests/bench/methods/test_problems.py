@@ -18,8 +18,9 @@ from robot_ik.bench.methods.problems import (
     make_set,
     plain_mjcf,
 )
+from robot_ik.chain import make_chain, robot_from_model
 from robot_ik.errors import UnsupportedJointError
-from robot_ik.robot import Robot, load_robot, make_chain, robot_from_model
+from robot_ik.robot import Robot, load_robot
 
 ARMS = ("puma560", "ur5e", "panda")
 BALLS = """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">

@@ -6,10 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.batch import solve_batch
+from robot_ik.branches import solve_all
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
-from robot_ik.inverse_kinematics import solve, solve_all
+from robot_ik.goals import AimGoal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import BALL
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
@@ -266,3 +267,42 @@ def test_a_batch_gives_the_same_answers_as_one_by_one():
         one = solve(robot, PoseGoal.at(None, Pose.from_matrix(pose)), solver="analytic")
         assert one.status == status and np.allclose(one.q, q, atol=1e-9)
     assert (batch.status[::8] == Status.UNREACHABLE).any()
+
+
+EXACT = Tolerance(position=1e-9, angle=1e-9)
+
+
+@pytest.mark.parametrize("aimed", [False, True], ids=["position", "aim"])
+@pytest.mark.parametrize("near", [False, True], ids=["from home", "from nearby"])
+def test_a_point_of_the_hand_and_an_aim_are_met_exactly_by_lm(aimed, near):
+    """They leave more free than a swivel angle, so that branches say little of where an arm can be."""
+    robot, rng = load_robot("srs_arm"), np.random.default_rng(5)
+    for _ in range(60):
+        q = robot.sample(rng)
+        pose = robot.forward(q)
+        place = pose.apply((rng.uniform(0.05, 1.5), 0.0, 0.0))
+        goal = AimGoal(None, place, axis="x") if aimed else PositionGoal(None, pose.position)
+        start = robot.clip(q + 0.1 * rng.normal(size=robot.nv)) if near else robot.home
+        solution = solve(robot, goal, start=start, tolerance=EXACT)
+        assert solution.converged and solution.solver == "lm" and not robot.outside(solution.q)
+        assert max(solution.miss.position, solution.miss.angle) < 1.5e-9  # and MuJoCo's rounding
+        if near:
+            assert np.linalg.norm(solution.q - start) < 2.0 * np.linalg.norm(q - start) + 0.3
+
+
+def test_what_is_no_pose_nor_the_wrists_place_is_refused():
+    robot = load_robot("srs_arm")
+    aim, place = AimGoal(None, (1.0, 0.0, 0.0)), PositionGoal(None, (0.3, 0.3, 0.3))
+    for goal in (
+        aim,
+        place,
+        [aim, place],
+        PositionGoal(None, (0.3, 0.3, 0.3), axes="xy"),
+        PoseGoal(None, (0.3, 0.3, 0.3), free_axis="z"),
+        OrientationGoal(None, (1, 0, 0, 0)),
+    ):
+        assert not make_solver("analytic").applies(Problem(robot, goal))
+        with pytest.raises(UnsupportedGoalError):
+            solve(robot, goal, solver="analytic")
+    with pytest.raises(UnsupportedGoalError):
+        solve_all(robot, place)

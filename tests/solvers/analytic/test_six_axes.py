@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_ik.branches import solve_all
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.inverse_kinematics import solve, solve_all
+from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solution import Status

@@ -1,0 +1,85 @@
+"""Robots built in memory: of any MuJoCo model, and chains of ball joints, where animation began."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from robot_ik.errors import InvalidModelError
+from robot_ik.robot import Robot, make_robot
+from robot_ik.robot_file import RobotFile
+
+# A link is drawn this thick, as a share of its length.
+_THICKNESS = 0.06
+LONGEST = 500
+"""Links of a chain."""
+
+
+def robot_from_model(
+    model: mujoco.MjModel,
+    *,
+    name: str = "model",
+    joints: Sequence[str] | str | None = None,
+    tool: str | None = None,
+) -> Robot:
+    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
+
+    Args:
+        model: A compiled model; treat it as read-only from now on.
+        name: What to call the robot.
+        joints: As in ``load_robot``.
+        tool: As in ``load_robot``.
+
+    Raises:
+        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
+    """
+    # A folder that cannot exist, so that nothing is ever found beside the model.
+    return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
+
+
+def make_chain(n: int, length: float = 1.0) -> Robot:
+    """A chain of ``n`` unlimited ball joints (3 degrees of freedom each), built in memory.
+
+    The base is at the origin of the world; at home all links lie along z.  Joints are ``joint1`` …
+    ``joint<n>``, bodies ``link1`` … ``link<n>``; the tool is the site ``tip`` at the end of the last
+    link, z along it.
+
+    Args:
+        n: Number of links, one or more.
+        length: Of each link, metres.
+
+    Raises:
+        InvalidModelError: No links or too many, or a length that is not positive and finite.
+    """
+    given: object = n
+    if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
+        raise InvalidModelError(
+            f"a chain has 1 to {LONGEST} links, not {n!r}",
+            hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",
+        )
+    try:
+        metres = float(length)
+    except (TypeError, ValueError):
+        metres = math.nan
+    if not (math.isfinite(metres) and metres > 0.0):
+        raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")
+    spec = mujoco.MjSpec()
+    spec.modelname = f"chain{n}"
+    body = spec.worldbody
+    for i in range(1, n + 1):
+        body = body.add_body(name=f"link{i}", pos=[0.0, 0.0, length if i > 1 else 0.0])
+        body.add_joint(name=f"joint{i}", type=mujoco.mjtJoint.mjJNT_BALL)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
+            size=[_THICKNESS * length, 0.0, 0.0],
+            rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
+            contype=0,
+            conaffinity=0,
+        )
+    body.add_site(name="tip", pos=[0.0, 0.0, length])
+    return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")

@@ -1,0 +1,347 @@
+"""What a problem is for the compiled code: its goals as flat arrays, its work space, and who owns them.
+
+The arrays of goals have the names of ``kernels/residuals.GOALS``, those of the work space the names of
+``kernels/workspace.WORK``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_ik.errors import InvalidGoalError, UnsupportedJointError
+from robot_ik.geometry import turn_z_to
+from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
+from robot_ik.kernels import residuals, workspace
+from robot_ik.kernels.residuals import (
+    BLOCK,
+    HOW_SIZE,
+    NO_PLACE,
+    NO_TURN,
+    OF,
+    OF_FRAME,
+    OF_MASS,
+    OF_PRIOR,
+    PLACE,
+    TURN,
+    WHOLE,
+)
+from robot_ik.model import pose_row, row_pose
+from robot_ik.robot import Robot
+
+T = TypeVar("T")
+
+Ints = NDArray[np.int64]
+
+# A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
+# With 0.15 `lm` solved cold poses of PUMA 560, UR5e and Panda with the least work (0.06 … 0.35 tried).
+_LENGTH_PER_REACH = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledGoals:
+    """Arrays of the goals of one problem.
+
+    Attributes:
+        arrays: By their names in ``residuals.GOALS``; whoever packs them keeps this alive.
+        rows: Length of the residual.
+        nodes: Joints that move any goal and those that lead them, parents first.
+    """
+
+    arrays: dict[str, Any]
+    rows: int
+    nodes: Ints
+
+
+def length_of(robot: Robot, goal: Goal) -> float:
+    """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
+    if goal.length is not None:
+        return goal.length
+    ball = None if goal.rows.of != OF_FRAME else robot.reach(goal.frame)
+    if ball is None or ball[1] < 1e-6:
+        return 1.0
+    return _LENGTH_PER_REACH * ball[1]
+
+
+def target_row(goal: Goal) -> Array:
+    """(12,) the wanted pose with the axis that counts along z."""
+    pose = goal.target
+    row = pose_row(pose)
+    if not goal.rows.whole:
+        row[3:] = (pose.rotation @ turn_z_to(goal.rows.axis)).ravel()
+    return row
+
+
+def moved_goal(goal: Goal, row: Array) -> Goal:
+    """``goal`` with the target row (12,) that it has now; goals for parts are replaced when they move."""
+    if not goal.rows.whole or np.array_equal(target_row(goal), row):
+        return goal
+    return goal.moved_to(row_pose(row))
+
+
+def kind_of(goal: Goal) -> int:
+    """The kernel's code: a whole position, orientation or pose, a pose prior, or PARTIAL for all the rest."""
+    rows = goal.rows
+    if rows.of == OF_PRIOR:
+        return residuals.PRIOR
+    if not rows.whole:
+        return residuals.PARTIAL
+    if rows.place == WHOLE:
+        return residuals.POSITION if rows.turn == NO_TURN else residuals.POSE
+    return residuals.ORIENTATION
+
+
+def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> CompiledGoals:
+    """The arrays of ``goals``.
+
+    Raises:
+        UnknownFrameError, UnknownJointError: A goal names what the robot does not have.
+        InvalidGoalError: A posture of the wrong length, or a body without mass.
+        UnsupportedJointError: A frozen joint follows one that the goals would move.
+    """
+    tree, count = robot.tree, len(goals)
+    moved = [_moved_nodes(robot, goal) for goal in goals]
+    tied_to = {int(node): int(leader) for node, leader in tree.tied}
+    used = set().union(*moved)
+    leaders = {tied_to.get(k, k) for k in used} - {-1}
+    _refuse_broken(robot, leaders)
+    dofs = np.array([v for v in range(tree.nv) if int(tree.dof_node[v]) in leaders], dtype=np.int64)
+    tied = [
+        (c, int(np.flatnonzero(dofs == tree.vadr[leader])[0]), int(tree.vadr[node]))
+        for c, (node, leader) in enumerate(tree.tied)
+        if leader in leaders and node in used
+    ]
+    movers = np.append(dofs, [v for _, _, v in tied]).astype(np.int64)
+    stiffness = robot.stiffness[dofs]
+    arrays: dict[str, Any] = {
+        "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
+        "how": np.zeros((count, HOW_SIZE), dtype=np.int64),
+        "row": np.empty(count, dtype=np.int64),
+        "level": np.array(levels_of(goals), dtype=np.int64),
+        "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
+        "node": np.full(count, -1, dtype=np.int64),
+        "local": np.zeros((count, 12)),
+        "target": np.array([target_row(goal) for goal in goals]),
+        "mask": np.array([goal.rows.mask for goal in goals], dtype=float),
+        "weight": np.array([goal.weights for goal in goals], dtype=float),
+        "tolerance": np.array([_tolerance_row(goal, tolerance) for goal in goals]),
+        "dofs": dofs,
+        "column": np.append(np.arange(len(dofs)), [u for _, u, _ in tied]).astype(np.int64),
+        "moved": movers,
+        "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
+        "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
+        "tied": np.array(tied, dtype=np.int64).reshape(-1, 3),
+        "posture": np.zeros((count, robot.nq)),
+        "joint_weight": np.zeros((count, robot.nv)),
+        "feature": np.zeros((0, 3), dtype=np.int64),
+        "prior": np.zeros((0, 0)),
+    }  # fmt: skip
+    masses: list[Array] = []
+    rows = 0
+    for g, goal in enumerate(goals):
+        arrays["row"][g] = rows
+        asked = goal.rows
+        arrays["how"][g, [PLACE, TURN, OF]] = asked.place, asked.turn, asked.of
+        arrays["weight"][g, 0] /= length_of(robot, goal)
+        if isinstance(goal, PostureGoal):
+            set_posture(robot, arrays, g, goal)
+            rows += len(dofs)
+            continue
+        if isinstance(goal, PosePriorGoal):
+            rows += _set_prior(robot, arrays, goal)
+            continue
+        rows += 3 * ((asked.place != NO_PLACE) + (asked.turn != NO_TURN))
+        if asked.of == OF_MASS:
+            arrays["how"][g, BLOCK] = sum(len(block) for block in masses)
+            masses.append(robot.masses(goal.frame))
+            continue
+        node, local = robot.attachment(goal.frame)
+        arrays["node"][g], arrays["local"][g] = node, local
+        if not asked.whole:
+            arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ turn_z_to(asked.axis)).ravel()
+    arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
+    arrays["moments"] = np.zeros_like(arrays["masses"])
+    arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
+    arrays |= _pattern(arrays, rows)
+    nodes = np.array(sorted(used | leaders), dtype=np.int64)
+    return CompiledGoals(arrays, rows, nodes)
+
+
+def levels_of(goals: Sequence[Goal]) -> list[int]:
+    """The place of each goal in the order in which they are served: by priority, the soft ones last."""
+    ranks = sorted({(goal.soft, goal.priority) for goal in goals})
+    return [ranks.index((goal.soft, goal.priority)) for goal in goals]
+
+
+def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
+    """Puts a posture into the arrays.
+
+    Raises:
+        InvalidGoalError: It has not one number for each of the robot's.
+    """
+    if np.shape(goal.q) != (robot.nq,):
+        raise InvalidGoalError(
+            f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}",
+            hint="start from robot.home and change what matters",
+        )
+    arrays["posture"][g] = goal.q
+    arrays["joint_weight"][g] = goal.joint_weights(robot)
+
+
+def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
+    """Puts a pose prior into the arrays; returns how many rows it makes.
+
+    Raises:
+        InvalidGoalError: There is one already.
+        UnknownJointError: The robot lacks a joint of the prior.
+    """
+    if len(arrays["feature"]):
+        raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
+    assert goal.prior is not None
+    arrays["feature"], arrays["prior"] = goal.prior.places(robot), goal.prior.table()
+    return len(arrays["feature"]) + 1
+
+
+def _table(rows: list[list[bool]], width: int) -> Ints:
+    return np.array(rows, dtype=np.int64).reshape(len(rows), width)
+
+
+def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
+    """Where the Jacobian may not be zero: the columns of every goal, and the rows of every column."""
+    count = len(arrays["dofs"])
+    moves = arrays["moves"][:, :count].astype(bool)
+    for c, (_, leader, _) in enumerate(arrays["tied"]):
+        moves[:, leader] |= arrays["moves"][:, count + c].astype(bool)
+    tied = np.tile(np.arange(count, len(arrays["column"])), (len(moves), 1))
+    ends = np.append(arrays["row"][1:], rows)
+    hit = np.repeat(moves, ends - arrays["row"], axis=0).T
+    return {
+        "movers": np.ascontiguousarray(np.hstack([_listed(moves), tied]), dtype=np.int64),
+        "mover_count": moves.sum(axis=1),
+        "hits": _listed(hit),
+        "hit_count": hit.sum(axis=1),
+    }
+
+
+def _listed(marks: NDArray[np.bool_]) -> Ints:
+    """In each row, where the marks stand, first."""
+    return np.ascontiguousarray(np.argsort(~marks, axis=1, kind="stable"), dtype=np.int64)
+
+
+def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:
+    """What weighs nothing is not asked for, and so always met; of a soft goal nothing is needed."""
+    if goal.soft:
+        return np.inf, np.inf
+    mine = goal.tolerance or tolerance
+    metres, radians = goal.weights
+    return (mine.position if metres > 0.0 else np.inf, mine.angle if radians > 0.0 else np.inf)
+
+
+def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
+    """Joints whose motion the goal feels."""
+    tree = robot.tree
+    if isinstance(goal, PostureGoal):
+        joint_weights = goal.joint_weights(robot)
+        return {int(tree.dof_node[v]) for v in range(tree.nv) if joint_weights[v] > 0.0}
+    if isinstance(goal, PosePriorGoal) and goal.prior is not None:
+        return set(goal.prior.places(robot)[:, 2].tolist())
+    if goal.rows.of == OF_MASS:
+        carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
+        return {k for node in carried for k in tree.ancestors(int(node))}
+    return set(tree.ancestors(robot.attachment(goal.frame)[0]))
+
+
+def _refuse_broken(robot: Robot, leaders: set[int]) -> None:
+    """Raises ``UnsupportedJointError`` if a joint that stands still should follow one that moves."""
+    active = {joint: k for k, joint in enumerate(robot.tree.joint_ids)}
+    for coupling in robot.couplings:
+        if coupling.joint in active or active.get(coupling.leader) not in leaders:
+            continue
+        follower, leader = (
+            robot.model.joint(j).name or f"joint_{j}" for j in (coupling.joint, coupling.leader)
+        )
+        raise UnsupportedJointError(
+            f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
+            path=robot.path,
+            hint="let both move or none: load_robot(…, joints=[…])",
+        )
+
+
+# Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
+_SOLVERS_KEPT = 16
+
+
+class CompiledProblem:
+    """The one owner of all that kernels see of a problem; nothing of it is ever replaced.
+
+    A table of addresses keeps its arrays alive (``kernels/bundle.py``), and whoever hands out the address of
+    a table holds the table too.  So an address is good for as long as its holder lives, whatever is compiled,
+    solved or copied in between.
+
+    Attributes:
+        tree, goals, work: Tables of addresses: of the robot's tree, of ``goal_arrays``, of ``arrays``.
+        goal_arrays: By their names in ``residuals.GOALS``.
+        arrays: The work space, by the names in ``workspace.WORK``.
+        rows: Length of the residual.
+        nodes: Joints that move any goal and those that lead them, parents first.
+        made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
+        turn: Holds one thing, which a call takes out while it uses the arrays: who finds nothing is refused.
+            (``list.pop`` is one step for all threads, and costs a fifth of a lock.)
+    """
+
+    __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "tree", "turn", "work")
+
+    def __init__(self, robot: Robot, goals: Sequence[Goal], tolerance: Tolerance, trace_rows: int) -> None:
+        found = compile_goals(robot, goals, tolerance)
+        self.goal_arrays, self.rows, self.nodes = found.arrays, found.rows, found.nodes
+        self.arrays = _work_arrays(robot, goals, found, trace_rows)
+        self.tree = robot.tree.handle
+        self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
+        self.made: dict[int, Any] = {}
+        self.turn = [None]
+
+    def made_for(self, solver: object, make: Callable[[], T]) -> T:
+        """What ``make`` returns, which must hold ``solver``: made once for each solver."""
+        found: T | None = self.made.get(id(solver))
+        if found is None:
+            if len(self.made) >= _SOLVERS_KEPT:
+                self.made.clear()
+            found = self.made[id(solver)] = make()
+        return found
+
+
+def _work_arrays(
+    robot: Robot, goals: Sequence[Goal], found: CompiledGoals, trace_rows: int
+) -> dict[str, Array]:
+    """The work space of a solve, by the names in ``workspace.WORK``."""
+    count, m, nu, nq = len(goals), found.rows, len(found.arrays["dofs"]), robot.nq
+    levels = 1 + max(levels_of(goals))
+    several = levels > 1 or any(goal.soft for goal in goals)
+    levels, dense = (levels, m) if several else (0, 0)  # what only priorities and soft goals need
+    k, p = max(m, nu, 1), min(m, nu)
+    shapes: dict[str, Any] = {
+        "state": (workspace.STATE_SIZE,), "value": (workspace.VALUE_SIZE,), "start": (nq,), "q": (nq,),
+        "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
+        "reach": (count, 4), "beyond": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+        "frames": (count, 12),
+        "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
+        "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
+        "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
+        "trace": (trace_rows, len(workspace.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
+        "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
+        "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
+        "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
+        "outward": (nu,),
+    }  # fmt: skip
+    arrays: dict[str, Any] = {
+        name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)
+        for name, shape in shapes.items()
+    }
+    arrays["nodes"] = found.nodes
+    arrays["rest"][:] = robot.home
+    arrays["reach"][:, 3] = np.inf
+    return arrays

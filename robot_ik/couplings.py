@@ -1,0 +1,175 @@
+"""Joints that follow another, from the model's joint equalities and from ``robot.toml``.
+
+q = q₀ + a₀ + a₁ x + … + a₄ x⁴ with x = leader − leader₀: MuJoCo's joint equality (XML reference,
+equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the tied joints follow.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from robot_ik.errors import ModelError, UnknownJointError, UnsupportedJointError
+from robot_ik.kernels.tree import Tree
+from robot_ik.robot_file import RobotFile
+
+Array = NDArray[np.float64]
+
+_DEGREE = 4
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """``joint`` follows ``leader`` (MuJoCo ids; leader -1: it stands still): joint = law(leader)."""
+
+    joint: int
+    leader: int
+    law: Polynomial
+
+
+def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[str]) -> list[Coupling]:
+    """What the model's active joint equalities and ``robot.toml`` say, chains of them resolved.
+
+    Raises:
+        UnknownJointError: ``robot.toml`` names a joint that the model does not have.
+        UnsupportedJointError: A joint tied twice, in a circle, or by a law of more than four powers.
+    """
+    found: list[Coupling] = []
+    for e in range(model.neq):
+        if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or not model.eq_active0[e]:
+            continue
+        joint, leader = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
+        law = Polynomial(model.eq_data[e, : _DEGREE + 1]) + _zero(model, joint)
+        if leader >= 0:
+            law = law(Polynomial([-_zero(model, leader), 1.0]))
+        found.append(Coupling(joint, leader, Polynomial(law.coef[:1]) if leader < 0 else law))
+    for name, coupling in file.couplings.items():
+        for joint_name in (name, coupling.follows):
+            if joint_name not in names:
+                raise UnknownJointError(joint_name, names)
+        law = Polynomial([coupling.offset, coupling.ratio])
+        found.append(Coupling(names.index(name), names.index(coupling.follows), law))
+    return _resolved(found, names)
+
+
+def _zero(model: mujoco.MjModel, joint: int) -> float:
+    return float(model.qpos0[model.jnt_qposadr[joint]])
+
+
+def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
+    """Couplings whose leaders are free: a joint that follows a follower follows its leader."""
+    by_joint: dict[int, Coupling] = {}
+    for coupling in found:
+        if coupling.joint in by_joint:
+            raise UnsupportedJointError(
+                f"joint {names[coupling.joint]!r} is tied twice", hint="leave one of the couplings out"
+            )
+        by_joint[coupling.joint] = coupling
+    done = []
+    for coupling in found:
+        leader, law, seen = coupling.leader, coupling.law, {coupling.joint}
+        while leader in by_joint:
+            if leader in seen:
+                raise UnsupportedJointError(
+                    f"joint {names[leader]!r} follows itself in a circle of couplings"
+                )
+            seen.add(leader)
+            law, leader = law(by_joint[leader].law), by_joint[leader].leader
+        law = law.trim()
+        if law.degree() > _DEGREE:
+            raise UnsupportedJointError(
+                f"joint {names[coupling.joint]!r} follows {names[leader]!r} "
+                f"by a law of degree {law.degree()}",
+                hint=f"up to {_DEGREE} is possible: couple it to {names[leader]!r} directly",
+            )
+        done.append(replace(coupling, leader=leader, law=law))
+    return done
+
+
+def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, addresses: Array) -> Tree:
+    """The tree with its tied joints, limits of the leaders narrowed so that all stay inside theirs.
+
+    A tied joint whose leader is frozen stands still.  A frozen joint whose leader moves is not in the
+    tree; ``Problem`` refuses to move such a leader.
+
+    ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
+
+    Raises:
+        ModelError: A leader has no room left.
+    """
+    node_of = {joint: k for k, joint in enumerate(tree.joint_ids)}
+    tied, law = [], []
+    for coupling in couplings:
+        if coupling.joint not in node_of:
+            continue
+        leader = node_of.get(coupling.leader, -1)
+        polynomial = coupling.law
+        if leader < 0:
+            value = (
+                polynomial(float(frozen[addresses[coupling.leader]]))
+                if coupling.leader >= 0
+                else polynomial(0.0)
+            )
+            polynomial = Polynomial([value])
+        tied.append((node_of[coupling.joint], leader))
+        law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
+    if not tied:
+        return tree
+    return narrowed(replace(tree, tied=np.array(tied, dtype=np.int64), law=np.array(law)))
+
+
+def narrowed(tree: Tree) -> Tree:
+    """The tree with each leader's limits narrowed to where its followers are inside theirs.
+
+    Raises:
+        ModelError: There is no such place.
+    """
+    lower, upper = tree.lower.copy(), tree.upper.copy()
+    for (node, leader), law in zip(tree.tied, tree.law, strict=True):
+        v = int(tree.vadr[node])
+        polynomial = Polynomial(law[2:])
+        if leader < 0:
+            value = float(polynomial(0.0))
+            lower[v], upper[v] = min(lower[v], value), max(upper[v], value)
+            continue
+        w = int(tree.vadr[leader])
+        room = _room(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
+        if room is None:
+            raise ModelError(
+                f"a coupled joint has no place inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
+                f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
+                hint="check ratio and offset of the coupling, and both joints' limits",
+            )
+        lower[w], upper[w] = room
+    return tree.with_limits(lower, upper)
+
+
+def _room(
+    law: Polynomial, wanted: tuple[float, float], given: tuple[float, float]
+) -> tuple[float, float] | None:
+    """The widest interval inside ``given`` on which the law stays inside ``wanted``."""
+    low, high = (float(np.clip(edge, -1e3, 1e3)) for edge in given)
+    edges = [low, high]
+    for bound in wanted:
+        if np.isfinite(bound):
+            roots = (law - bound).roots()
+            edges += [
+                float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9 and low < r.real < high
+            ]
+    edges.sort()
+    best: tuple[float, float] | None = None
+    for a, b in itertools.pairwise(edges):
+        if wanted[0] - 1e-9 <= law(0.5 * (a + b)) <= wanted[1] + 1e-9:
+            if best is not None and abs(best[1] - a) < 1e-12:
+                best = (best[0], b)
+            elif best is None or b - a > best[1] - best[0]:
+                best = (a, b)
+    if best is None:
+        return None
+    return (given[0] if best[0] <= low else best[0]), (given[1] if best[1] >= high else best[1])
