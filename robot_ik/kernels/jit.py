@@ -70,11 +70,8 @@ def _compare_options_quickly() -> None:
     """
     slowly = TargetConfig.__eq__
 
-    def equal(self: Any, other: object) -> Any:
-        same = self is other or (
-            type(self) is type(other) and self._values == getattr(other, "_values", None)
-        )
-        return same or slowly(self, other)
+    def equal(self: Any, other: Any) -> Any:
+        return self is other or self._values == getattr(other, "_values", None) or slowly(self, other)
 
     setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)
     setattr(TargetConfig, "__hash__", lambda self: hash(type(self)))  # noqa: B010

@@ -264,8 +264,9 @@ def see_print(
     (x_down, x_across), (y_down, y_across) = np.gradient(x), np.gradient(y)
     usable = np.isfinite(x_down + x_across + y_down + y_across)
     ink, paper = np.zeros(x.shape), np.zeros(x.shape)
-    mixed = _fill_uniform(sheet, (x, y), (x_across, x_down, y_across, y_down), usable, ink, paper)
-    by_pixel = np.stack([x_across, x_down, y_across, y_down]).reshape(2, 2, *x.shape)
+    slopes = np.stack([x_across, x_down, y_across, y_down])
+    mixed = _fill_uniform(sheet, (x, y), slopes, usable, ink, paper)
+    by_pixel = slopes.reshape(2, 2, *x.shape)
     ink[mixed], paper[mixed] = sheet.mean(np.stack([x[mixed], y[mixed]]), by_pixel[..., mixed])
     whole = paper.sum()
     if blocked is not None:
@@ -305,7 +306,7 @@ def _on_plane(normalized: Array, pose_camera_print: Pose) -> tuple[Array, Array,
 
 
 def _fill_uniform(
-    sheet: Print, at: tuple[Array, Array], slopes: tuple[Array, ...], usable: Mask, ink: Array, paper: Array
+    sheet: Print, at: tuple[Array, Array], slopes: Array, usable: Mask, ink: Array, paper: Array
 ) -> Mask:
     """Fills pixels (h, w) on which there is one tone; returns which ones show more than one."""
     x_across, x_down, y_across, y_down = slopes
