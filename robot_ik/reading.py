@@ -190,7 +190,6 @@ FORMER: Mapping[str, str] = MappingProxyType(
     {
         "things": "objects",
         "thing": "object",
-        "floors": "lower_bounds",
         "--phantoms": "--occluders",
         "--phantom-geoms": "--occluder-geoms",
         "--camera-place": "--camera-extrinsics",

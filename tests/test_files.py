@@ -258,7 +258,7 @@ ALLOWED = {
     ("robot_ik/environment.py", "*"): "/proc, and a model that it writes itself",
     ("robot_ik/kernels/jit.py", "read_bytes"): "its own sources",
     ("robot_ik/jobs/recording.py", "open"): "only written",
-    ("hardware/health.py", "read_text"): "/sys",
+    ("hardware/ports.py", "read_text"): "/sys",
     ("robot_ik/camera/device.py", "read_text"): "/sys",
     ("robot_ik/bench/methods/results.py", "read_text"): "/proc",
     (
