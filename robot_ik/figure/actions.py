@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
 from robot_ik.figure.figure import GRAVITY, RATE, Figure, minimum_jerk, rotation
-from robot_ik.figure.footprints import Gait, Print
+from robot_ik.figure.footprints import Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
@@ -418,10 +418,10 @@ def stop_walk(
     if keep + 2 < len(prints):
         swinging, after = prints[keep - 1], prints[keep]
         between = prints[keep - 2]
-        short = Print(after.side, *(between_prints(between, after, 0.75)))
+        short = Footprint(after.side, *(between_prints(between, after, 0.75)))
         half = figure.apart
         sign = 1 - 2 * short.side
-        beside = Print(
+        beside = Footprint(
             swinging.side, short.x + sign * 2 * half * np.sin(short.yaw),
             short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
         )  # fmt: skip
@@ -429,7 +429,7 @@ def stop_walk(
     return (yield from walk_slices(figure, start, prints, gait, dt=dt))
 
 
-def between_prints(a: Print, b: Print, share: float) -> tuple[float, float, float]:
+def between_prints(a: Footprint, b: Footprint, share: float) -> tuple[float, float, float]:
     """(x, y, yaw) of b drawn towards a, which the same foot left."""
     return a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
 

@@ -88,7 +88,7 @@ SHUFFLE = replace(
 
 
 @dataclass(frozen=True)
-class Print:
+class Footprint:
     """Where a foot stands: the frame on the sole under the ankle, seen from above."""
 
     side: int
@@ -101,27 +101,27 @@ class Print:
         return np.array([self.x + ahead * np.cos(self.yaw), self.y + ahead * np.sin(self.yaw)])
 
 
-def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Print:
+def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Footprint:
     """The print of a foot ``half`` beside the middle ``stance`` (x, y, heading)."""
     sign = 1 - 2 * side
     x, y, heading = stance
-    return Print(
+    return Footprint(
         side, x - sign * half * np.sin(heading), y + sign * half * np.cos(heading), heading + sign * toe_out
     )
 
 
-def prints_of(figure: Figure, q: Array) -> tuple[Print, Print]:
+def prints_of(figure: Figure, q: Array) -> tuple[Footprint, Footprint]:
     """Where the feet stand at q."""
     found = []
     for side, name in enumerate(SIDES):
         place, matrix = figure.pose(q, figure.feet[name].frame)
         found.append(
-            Print(side, float(place[0]), float(place[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0])))
+            Footprint(side, float(place[0]), float(place[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0])))
         )
     return found[0], found[1]
 
 
-def stance_of(left: Print, right: Print) -> Array:
+def stance_of(left: Footprint, right: Footprint) -> Array:
     """(3,) x, y, heading of the middle."""
     heading = left.yaw + _wrapped(right.yaw - left.yaw) / 2
     return np.array([(left.x + right.x) / 2, (left.y + right.y) / 2, heading])
@@ -131,7 +131,9 @@ def _wrapped(angle: float) -> float:
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
-def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: Gait = WALK) -> list[Print]:
+def walk_prints(
+    figure: Figure, start: tuple[Footprint, Footprint], goal: Array, gait: Gait = WALK
+) -> list[Footprint]:
     """Footsteps along a curve to a stance a metre or more away, turned by a right angle at most.
 
     The first step is shorter and so is the last; the foot inside the turn begins, so that legs do not cross.
@@ -177,7 +179,7 @@ def walk_prints(figure: Figure, start: tuple[Print, Print], goal: Array, gait: G
     return out
 
 
-def shuffle_prints(figure: Figure, start: tuple[Print, Print], goal: Array) -> list[Print]:
+def shuffle_prints(figure: Figure, start: tuple[Footprint, Footprint], goal: Array) -> list[Footprint]:
     """Small steps to a stance nearby: to any side, and turning on the spot, at most 30 degrees a step.
 
     The foot on the side of the motion goes first and the other follows beside it, so that legs never cross.

@@ -26,7 +26,7 @@ from robot_ik.figure.balance import (
     zero_moment_slices,
 )
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
-from robot_ik.figure.footprints import WALK, Gait, Print
+from robot_ik.figure.footprints import WALK, Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
 @dataclass
 class _Footfall:
-    print: Print
+    print: Footprint
     strike: float
     off: float
     first: bool
@@ -69,7 +69,7 @@ class _Footfall:
 class _Plan:
     """Times and places of the feet, the zero-moment point and the centre of mass, of all frames at once."""
 
-    def __init__(self, figure: Figure, prints: Sequence[Print], gait: Gait, x: Array, dt: float) -> None:
+    def __init__(self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array, dt: float) -> None:
         self.figure, self.prints, self.gait = figure, prints, gait
         steps = len(prints) - 2
         self.lifts = [_LEAN + k * gait.time for k in range(steps)]
@@ -290,9 +290,9 @@ class Walk:
     contact: NDArray[np.int64]
     center: Array
     zmp: Array
-    prints: tuple[Print, ...]
+    prints: tuple[Footprint, ...]
     strikes: tuple[float, ...]
-    falls: tuple[tuple[tuple[Print, float, float], ...], ...]
+    falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]
 
 
 # The spine's two pitches are all but the same axis: against each other they would turn far for a little roll.
@@ -301,7 +301,7 @@ _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle
 
 
 def walk(
-    figure: Figure, q: Array, prints: Sequence[Print], gait: Gait = WALK, *, look: Array | None = None,
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, look: Array | None = None,
     second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
 ) -> Walk:  # fmt: skip
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
@@ -322,7 +322,7 @@ def walk(
 
 
 def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Print], gait: Gait = WALK, *, look: Array | None = None,
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, look: Array | None = None,
     second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
 ) -> Slices[Walk]:  # fmt: skip
     """``walk``, a few milliseconds at a time."""
@@ -354,7 +354,7 @@ def walk_slices(
 
 
 def solve_walk_once(
-    figure: Figure, prints: Sequence[Print], gait: Gait = WALK, dt: float = 1.0 / RATE
+    figure: Figure, prints: Sequence[Footprint], gait: Gait = WALK, dt: float = 1.0 / RATE
 ) -> int:
     """Solves the frames of a walk over ``prints`` once, without corrections.
 
