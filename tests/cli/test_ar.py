@@ -39,7 +39,10 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(output.importlib.util, "find_spec", lambda name: None)
+    real = output.importlib.util.find_spec
+    monkeypatch.setattr(
+        output.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
+    )
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
     assert 'pip install "robot_ik[video]"' in capsys.readouterr().err
     assert sorted(f.name for f in (tmp_path / "ar").iterdir()) == ["000000.png", "000001.png"]
