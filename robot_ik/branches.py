@@ -75,7 +75,8 @@ def solve_all(
     Args:
         robot: From ``load_robot``.
         goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
-            position for a planar two-link.  A ``Pose`` or a matrix (4, 4) is the tool's.  Of a list, or of matrices (n, 4, 4), each on its own.
+            position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` or a
+            matrix (4, 4) is the tool's.  Of a list, or of matrices (n, 4, 4), each on its own.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
 
