@@ -140,7 +140,8 @@ def refine_prints(
     announce(fit_print, "the fit of the markers' prints")
     gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
-    lens[[CX, CY]] -= origin
+    lens[CX] -= origin[0]
+    lens[CY] -= origin[1]
     fits = []
     for i, start in zip(ids, sides, strict=True):
         black, last = marker_black(dictionary, i), before.get(i)
@@ -150,6 +151,8 @@ def refine_prints(
         fits.append(one)
     allowed = correctable(dictionary, strict=True)
     fits = [replace(one, misread=max(0, one.misread - allowed)) if one.misread else one for one in fits]
+    if all(one.by_print or not one.refined for one in fits):
+        return fits
     shift = _common_shift([one for one in fits if one.by_print], expected)
     return [
         one if one.by_print or not one.refined else moved_outwards(one, shift, intrinsics) for one in fits

@@ -413,7 +413,8 @@ class Branches:
 
     def pixel_error(self, chosen: int = 0) -> float:
         """RMS distance of the corners, px."""
-        return float(np.sqrt(np.mean(self.fits[chosen].pixels ** 2)))
+        pixels = self.fits[chosen].pixels
+        return math.sqrt(float(pixels @ pixels) / len(pixels))
 
     @cached_property
     def covariances(self) -> tuple[Array, ...]:
