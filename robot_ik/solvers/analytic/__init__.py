@@ -325,7 +325,10 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             answers.q, answers.status, answers.miss, answers.iterations,
         )  # fmt: skip
-        for row in np.flatnonzero(answers.status != CONVERGED):
+        missed = np.flatnonzero(answers.status != CONVERGED)
+        if not len(missed):
+            return
+        for row in missed:
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
                 answers.status[row] = UNREACHABLE
