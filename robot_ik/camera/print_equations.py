@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
 
 from robot_ik.camera.edge_fit import median_of
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel
@@ -169,7 +170,8 @@ def toned_print(u, v, wide, high, r, k, black, least, space, seen):
             _NO_SLOPE * high * n
         ):
             return False
-    left, right = cell_shares(u, wide, n, space, _CELLS)
+    # A literal number as an argument would be compiled for itself.
+    left, right = cell_shares(u, wide, n, space, types.int64(_CELLS))
     top, bottom = cell_shares(v, high, n, space, _CELLS + 3)
     white, by_u, by_v, by_blur = 1.0, 0.0, 0.0, 0.0
     for j in range(top, bottom):
@@ -213,7 +215,7 @@ def take_print(gray, lens, box, reach, fit, pixels):
     lattice = 1 if every == 2 else 2
     for py in range(box[1], box[3]):
         by, first = (py - lens[CY]) * fy, box[0] + (-box[0] - lattice * py) % every
-        x, y = from_pixel(lens, first, py)
+        x, y = from_pixel(lens, float(first), float(py))
         for px in range(first, box[2], every):
             # One step of Newton's method from a pixel near by is exact to 1e-7.
             tx, ty, xx, xy, yy = distort_point(lens, x, y)
@@ -313,7 +315,7 @@ def print_equations(pixels, count, black, fit, misses):
         misses[0, used], misses[1, used], misses[2, used] = miss, u, v
         used += 1
         if used % BLOCK == 0:
-            add_products(fit, first, n, BLOCK, normal)
+            add_products(fit, first, n, types.int64(BLOCK), normal)
     add_products(fit, first, n, used % BLOCK, normal)
     return used
 

@@ -11,8 +11,6 @@ import contextlib
 import ctypes
 import functools
 import hashlib
-import importlib
-import importlib.util
 import logging
 import os
 import re
@@ -28,10 +26,10 @@ from numba import types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
-from numba.core.targetconfig import TargetConfig
 from numba.extending import intrinsic
 
 from robot_ik.errors import ConfigError
+from robot_ik.kernels.numba_tuning import tune
 
 # Made while numba is imported, from the environment: no type checker can see what is in it.
 numba_config: Any = numba.core.config
@@ -44,41 +42,7 @@ if numba_config.DISABLE_JIT:
 logger = logging.getLogger("robot_ik.kernels")
 
 
-def _load_arrays_without_blas() -> None:
-    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
-
-    numba imports it only to see that it is there, and once more when code that calls it is compiled.
-    """
-    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
-        return
-    linalg: Any = importlib.import_module("numba.np.linalg")
-    look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        linalg.ensure_blas = look
-
-
-_load_arrays_without_blas()
-
-
-def _compare_options_quickly() -> None:
-    """Lets equal options of the compiler be equal without a look at each.
-
-    numba compares them at every operation whose type it infers, and makes two tables of forty options for
-    that: a tenth of a first compile.  Its own hash of options is one number for all of a kind, too.
-    """
-    slowly = TargetConfig.__eq__
-
-    def equal(self: Any, other: Any) -> Any:
-        return self is other or self._values == getattr(other, "_values", None) or slowly(self, other)
-
-    setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)
-    setattr(TargetConfig, "__hash__", lambda self: hash(type(self)))  # noqa: B010
-
-
-if hasattr(TargetConfig, "_values"):
-    _compare_options_quickly()
+tune()
 
 F = TypeVar("F", bound=Callable[..., Any])
 

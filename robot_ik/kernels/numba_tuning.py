@@ -1,0 +1,134 @@
+"""What makes numba start and compile faster, with the same machine code.
+
+Three quarters of a first compile are numba's own Python.  Most of that is spent on finding again what it
+found for the operation before: which of thirty implementations an addition of two numbers takes.
+``tune()`` is called once, before the first kernel is made.  It reaches into numba, whose versions
+pyproject.toml bounds.
+"""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import importlib.util
+import sys
+import threading
+from typing import Any
+
+from numba.core import event, ir, types
+from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.types.functions import BaseFunction
+
+# As numba has them.
+find_call_type, variables_of = BaseFunction.get_call_type, ir.Inst._rec_list_vars
+
+
+def tune() -> None:
+    """Applies all that this module has."""
+    _load_arrays_without_blas()
+    _remember_call_types()
+    _compare_options_quickly()
+    _list_variables_quickly()
+    event.register("numba:compile", _PausedGarbageCollection())
+
+
+def _load_arrays_without_blas() -> None:
+    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
+
+    numba imports it only to see that it is there, and once more when code that calls it is compiled.
+    """
+    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
+        return
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
+
+
+def _remember_call_types() -> None:
+    """Lets a builtin's signature for numbers and arrays be found once, not at each operation.
+
+    numba asks the builtin's templates one after the other, and writes an explanation for each that does not
+    fit: a quarter of a first compile.
+    """
+    known: dict[Any, Any] = {}
+
+    def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        if kws:
+            return find_call_type(self, context, args, kws)
+        key = (self, context, tuple(args), ConfigStack.top_or_none())
+        signature = known.get(key)
+        if signature is None:
+            signature = find_call_type(self, context, args, kws)
+            if all(map(_is_plain, args)):
+                known[key] = signature
+        return signature
+
+    setattr(BaseFunction, "get_call_type", get_call_type)  # noqa: B010 (mypy: a class's method)
+
+
+_PLAIN = (types.Number, types.Boolean, types.Array, types.SliceType, types.NoneType)
+
+
+def _is_plain(kind: Any) -> bool:
+    """Whether a type has all that a signature depends on: functions and lists have not."""
+    return isinstance(kind, _PLAIN) or (isinstance(kind, types.BaseTuple) and all(map(_is_plain, kind)))
+
+
+def _compare_options_quickly() -> None:
+    """Lets equal options of the compiler be equal without a comparison of each.
+
+    numba compares them at every operation whose type it infers, and makes two tables of forty options for
+    that: a tenth of a first compile.  Its own hash of options is one number for all of a kind, too.
+    """
+    compare = TargetConfig.__eq__
+
+    def equal(self: Any, other: Any) -> Any:
+        return self is other or self._values == getattr(other, "_values", None) or compare(self, other)
+
+    setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)
+    setattr(TargetConfig, "__hash__", lambda self: hash(type(self)))  # noqa: B010
+
+
+def _list_variables_quickly() -> None:
+    """Lets an instruction list its variables without a call for each of its texts and places."""
+    leaves = {str, int, bool, float, type(None), ir.Loc}
+
+    def list_variables(self: Any, value: Any) -> list[Any]:
+        if isinstance(value, dict):
+            value = value.values()
+        elif not isinstance(value, (list, tuple)):
+            return variables_of(self, value)
+        found: list[Any] = []
+        for item in value:
+            if type(item) is ir.Var:
+                found.append(item)
+            elif type(item) not in leaves:
+                found += list_variables(self, item)
+        return found
+
+    setattr(ir.Inst, "_rec_list_vars", list_variables)  # noqa: B010 (mypy: a class's method)
+
+
+class _PausedGarbageCollection(event.Listener):  # type: ignore[misc]
+    """No garbage collection while something is compiled: a tenth of the time, for what nothing is freed."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._depth = 0
+        self._was_enabled = False
+
+    def on_start(self, event: Any) -> None:
+        with self._lock:
+            if self._depth == 0:
+                self._was_enabled = gc.isenabled()
+                gc.disable()
+            self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        with self._lock:
+            self._depth -= 1
+            if self._depth == 0 and self._was_enabled:
+                gc.enable()

@@ -1,0 +1,105 @@
+"""What makes compiling faster changes nothing that numba finds, and leaves nothing behind."""
+
+import gc
+import math
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numba.core import ir
+from numba.core.compiler import Flags, run_frontend
+from numba.core.types.functions import BaseFunction
+
+from robot_ik.kernels import numba_tuning
+
+
+def mixed(numbers, table, codes, count):
+    """Operations whose types depend on the types, kinds and literals of what they are given."""
+    total, pair, best = 0.0, (1, 2.5), 0
+    for i in range(count):
+        for j in range(2):
+            total += table[i, 1] * numbers[i] - table[i, j] // 2 + pair[0] * 1 + True
+        row = table[i]
+        row[0], row[1:3] = numbers[i], numbers[:2]
+        total += math.sqrt(abs(total)) + np.sqrt(codes[i]) + (codes[i] >> 1) + (codes[i] / 2)
+        best = max(best, codes[i], 3)
+        if (best > 2 and not total < 1) or i == 1:
+            total = min(total, float(best), pair[1])
+    return total, int(total), best % 3, -best, table.T[0, 1], table[::2].sum()
+
+
+ARGUMENTS = (np.arange(4.0), np.arange(12.0).reshape(4, 3), np.arange(4, dtype=np.uint8), 4)
+
+
+def test_a_remembered_signature_is_the_one_that_numba_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    tuned, compared = BaseFunction.get_call_type, []
+
+    def both(self: Any, context: Any, args: Any, kws: Any) -> Any:
+        given = tuned(self, context, args, kws)
+        found = numba_tuning.find_call_type(self, context, args, kws)
+        compared.append((self.key, args, given.args, given.return_type, found.args, found.return_type))
+        return given
+
+    numba.njit(mixed)(*ARGUMENTS)  # so that most is remembered
+    monkeypatch.setattr(BaseFunction, "get_call_type", both)
+    options = (np.float32, np.float64)
+    for kind in options:
+        answer = numba.njit(mixed)(ARGUMENTS[0].astype(kind), ARGUMENTS[1].astype(kind), *ARGUMENTS[2:])
+        assert answer == pytest.approx(mixed(ARGUMENTS[0].copy(), ARGUMENTS[1].copy(), *ARGUMENTS[2:]))
+    assert len(compared) > 100
+    for key, args, given, gives, found, finds in compared:
+        assert (given, gives) == (found, finds), (key, args)
+
+
+def test_an_instruction_lists_the_variables_that_numba_lists() -> None:
+    statements = [s for block in run_frontend(mixed).blocks.values() for s in block.body]
+    values = [getattr(s, "value", None) for s in statements]
+    seen = []
+    for statement in [*statements, *(v for v in values if isinstance(v, ir.Inst))]:
+        fields = statement.__dict__
+        listed = ir.Inst._rec_list_vars(statement, fields)
+        # numba's own one calls itself by name: it is compared as a whole with itself put back.
+        quick, ir.Inst._rec_list_vars = ir.Inst._rec_list_vars, numba_tuning.variables_of
+        try:
+            expected = ir.Inst._rec_list_vars(statement, fields)
+        finally:
+            ir.Inst._rec_list_vars = quick
+        assert [v.name for v in listed] == [v.name for v in expected]
+        seen += listed
+    assert len(seen) > 100
+
+
+@pytest.mark.parametrize("enabled", [True, False])
+def test_garbage_collection_rests_only_while_something_is_compiled(enabled: bool) -> None:
+    seen = []
+
+    def interrupting() -> None: ...
+
+    @numba.extending.overload(interrupting)  # called while its caller is compiled
+    def _() -> None:
+        seen.append(gc.isenabled())
+        raise KeyboardInterrupt
+
+    (gc.enable if enabled else gc.disable)()
+    try:
+        with pytest.raises(numba.TypingError):
+            numba.njit(lambda: "a" + 1)()
+        assert gc.isenabled() == enabled
+        with pytest.raises(KeyboardInterrupt):
+            numba.njit(lambda: interrupting())()
+        assert gc.isenabled() == enabled
+    finally:
+        gc.enable()
+    assert seen == [False]
+
+
+def test_equal_options_are_equal_and_different_ones_are_not() -> None:
+    one, other = Flags(), Flags()
+    assert one == other and hash(one) == hash(other)
+    other.nrt = True
+    assert one != other
+    one.nrt = True
+    assert one == other
+    one.release_gil = one.release_gil  # given, and the same as where it is not given
+    assert one == other
