@@ -74,7 +74,9 @@ _PLAIN = (types.Number, types.Boolean, types.Array, types.SliceType, types.NoneT
 
 def _is_plain(kind: Any) -> bool:
     """Whether a type has all that a signature depends on: functions and lists have not."""
-    return isinstance(kind, _PLAIN) or (isinstance(kind, types.BaseTuple) and all(map(_is_plain, kind)))
+    if isinstance(kind, types.UniTuple | types.Tuple):
+        return all(map(_is_plain, kind.types))
+    return isinstance(kind, _PLAIN)
 
 
 def _compare_options_quickly() -> None:
@@ -112,7 +114,7 @@ def _list_variables_quickly() -> None:
     setattr(ir.Inst, "_rec_list_vars", list_variables)  # noqa: B010 (mypy: a class's method)
 
 
-class _PausedGarbageCollection(event.Listener):  # type: ignore[misc]
+class _PausedGarbageCollection(event.Listener):
     """No garbage collection while something is compiled: a tenth of the time, for what nothing is freed."""
 
     def __init__(self) -> None:
