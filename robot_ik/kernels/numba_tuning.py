@@ -16,6 +16,8 @@ import threading
 from typing import Any
 
 from numba.core import event, ir, types
+from numba.core.base import BaseContext
+from numba.core.codegen import CPUCodeLibrary
 from numba.core.targetconfig import ConfigStack, TargetConfig
 from numba.core.types.functions import BaseFunction
 
@@ -29,6 +31,8 @@ def tune() -> None:
     _remember_call_types()
     _compare_options_quickly()
     _list_variables_quickly()
+    _optimize_definitions_only()
+    _remember_plain_arrays()
     event.register("numba:compile", _PausedGarbageCollection())
 
 
@@ -53,16 +57,20 @@ def _remember_call_types() -> None:
     numba asks the builtin's templates one after the other, and writes an explanation for each that does not
     fit: a quarter of a first compile.
     """
-    known: dict[Any, Any] = {}
+    tables: dict[Any, dict[Any, Any]] = {}
+    current: tuple[Any, dict[Any, Any]] = (tables, {})
 
     def get_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws:
-            return find_call_type(self, context, args, kws)
-        key = (self, context, tuple(args), ConfigStack.top_or_none())
-        signature = known.get(key)
+        nonlocal current
+        options, known = ConfigStack.top_or_none(), current[1]
+        if options is not current[0]:  # a table for all options that are equal
+            known = tables.setdefault(options and options.copy(), {})
+            current = options, known
+        key = self, context, tuple(args)
+        signature = None if kws else known.get(key)
         if signature is None:
             signature = find_call_type(self, context, args, kws)
-            if all(map(_is_plain, args)):
+            if not kws and all(map(_is_plain, args)):
                 known[key] = signature
         return signature
 
@@ -114,6 +122,37 @@ def _list_variables_quickly() -> None:
     setattr(ir.Inst, "_rec_list_vars", list_variables)  # noqa: B010 (mypy: a class's method)
 
 
+def _optimize_definitions_only() -> None:
+    """Lets one pass manager optimise a module's functions, those that it has: not one for each declaration."""
+
+    def optimize_functions(self: Any, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+    setattr(CPUCodeLibrary, "_optimize_functions", optimize_functions)  # noqa: B010
+
+
+def _remember_plain_arrays() -> None:
+    """Lets it be known of a type of array that it has no own view as an array, not asked at each use."""
+    find, plain = BaseContext.get_function, set()
+
+    def get_function(self: Any, function: Any, signature: Any, _firstcall: bool = True) -> Any:
+        if function != "__array__":
+            return find(self, function, signature, _firstcall)
+        if signature.args in plain:
+            raise NotImplementedError("an array is its own view")
+        try:
+            return find(self, function, signature, _firstcall)
+        except NotImplementedError:
+            plain.add(signature.args)
+            raise
+
+    setattr(BaseContext, "get_function", get_function)  # noqa: B010
+
+
 class _PausedGarbageCollection(event.Listener):
     """No garbage collection while something is compiled: a tenth of the time, for what nothing is freed."""
 
@@ -133,4 +172,8 @@ class _PausedGarbageCollection(event.Listener):
         with self._lock:
             self._depth -= 1
             if self._depth == 0 and self._was_enabled:
+                if gc.get_freeze_count() == 0:
+                    # What is new becomes old at once: the next collection need not go through all of it.
+                    gc.freeze()
+                    gc.unfreeze()
                 gc.enable()
