@@ -205,7 +205,7 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
             if pose.position[2] < ground + 0.1 * reach:
                 continue
             score = _visibility(robot, replace(placed, pose_world_camera=pose), q, at_home, at_goal)
-            if score > best_score:
+            if score > best_score * (1.0 + 1e-6):  # by rounding errors alone no other one is chosen
                 best, best_score = replace(placed, pose_world_camera=pose), score
         enough = _GOOD_VIEW if attempt < _PATIENCE else _ONE_ON_THE_OTHER * _GOOD_VIEW
         if best_score > enough:

@@ -11,6 +11,8 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import importlib
+import importlib.util
 import logging
 import os
 import re
@@ -23,13 +25,13 @@ from typing import Any, TypeVar
 import numba
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
 from numba import types
+from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.extending import intrinsic
 
 from robot_ik.errors import ConfigError
-from robot_ik.kernels.numba_tuning import tune
 
 # Made while numba is imported, from the environment: no type checker can see what is in it.
 numba_config: Any = numba.core.config
@@ -42,7 +44,40 @@ if numba_config.DISABLE_JIT:
 logger = logging.getLogger("robot_ik.kernels")
 
 
-tune()
+def _load_arrays_without_blas() -> None:
+    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
+
+    numba imports it only to see that it is there, and once more when code that calls it is compiled.
+    """
+    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
+        return
+    linalg: Any = importlib.import_module("numba.np.linalg")
+    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        importlib.import_module("numba.np.arraymath")
+    finally:
+        linalg.ensure_blas = ensure_blas
+
+
+_load_arrays_without_blas()
+
+
+class _TunedCompiler(event.Listener):
+    """Makes numba compile faster.  Most processes load what is compiled, and never load ``numba_tuning``."""
+
+    def on_start(self, event: Any) -> None:
+        from robot_ik.kernels import numba_tuning
+
+        numba_tuning.tune()
+        numba_tuning.garbage_collection.pause()
+
+    def on_end(self, event: Any) -> None:
+        from robot_ik.kernels import numba_tuning
+
+        numba_tuning.garbage_collection.resume()
+
+
+event.register("numba:compile", _TunedCompiler())
 
 F = TypeVar("F", bound=Callable[..., Any])
 

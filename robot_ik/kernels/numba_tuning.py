@@ -1,21 +1,19 @@
-"""What makes numba start and compile faster, with the same machine code.
+"""What makes numba compile faster, with the same machine code.
 
 Three quarters of a first compile are numba's own Python.  Most of that is spent on finding again what it
 found for the operation before: which of thirty implementations an addition of two numbers takes.
-``tune()`` is called once, before the first kernel is made.  It reaches into numba, whose versions
+``jit`` calls ``tune()`` when something is about to be compiled.  It reaches into numba, whose versions
 pyproject.toml bounds.
 """
 
 from __future__ import annotations
 
+import functools
 import gc
-import importlib
-import importlib.util
-import sys
 import threading
 from typing import Any
 
-from numba.core import event, ir, types
+from numba.core import ir, types
 from numba.core.base import BaseContext
 from numba.core.codegen import CPUCodeLibrary
 from numba.core.targetconfig import ConfigStack, TargetConfig
@@ -25,30 +23,14 @@ from numba.core.types.functions import BaseFunction
 find_call_type, variables_of = BaseFunction.get_call_type, ir.Inst._rec_list_vars
 
 
+@functools.cache
 def tune() -> None:
-    """Applies all that this module has."""
-    _load_arrays_without_blas()
+    """Applies all that this module has, once."""
     _remember_call_types()
     _compare_options_quickly()
     _list_variables_quickly()
     _optimize_definitions_only()
     _remember_plain_arrays()
-    event.register("numba:compile", _PausedGarbageCollection())
-
-
-def _load_arrays_without_blas() -> None:
-    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
-
-    numba imports it only to see that it is there, and once more when code that calls it is compiled.
-    """
-    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
-        return
-    linalg: Any = importlib.import_module("numba.np.linalg")
-    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    try:
-        importlib.import_module("numba.np.arraymath")
-    finally:
-        linalg.ensure_blas = ensure_blas
 
 
 def _remember_call_types() -> None:
@@ -123,7 +105,7 @@ def _list_variables_quickly() -> None:
 
 
 def _optimize_definitions_only() -> None:
-    """Lets one pass manager optimise a module's functions, those that it has: not one for each declaration."""
+    """Lets one pass manager optimise a module's functions, not one each, and leaves out mere declarations."""
 
     def optimize_functions(self: Any, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
@@ -153,22 +135,22 @@ def _remember_plain_arrays() -> None:
     setattr(BaseContext, "get_function", get_function)  # noqa: B010
 
 
-class _PausedGarbageCollection(event.Listener):
-    """No garbage collection while something is compiled: a tenth of the time, for what nothing is freed."""
+class _GarbageCollection:
+    """Rests while something is compiled: a tenth of the time, for what nothing is freed."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._depth = 0
         self._was_enabled = False
 
-    def on_start(self, event: Any) -> None:
+    def pause(self) -> None:
         with self._lock:
             if self._depth == 0:
                 self._was_enabled = gc.isenabled()
                 gc.disable()
             self._depth += 1
 
-    def on_end(self, event: Any) -> None:
+    def resume(self) -> None:
         with self._lock:
             self._depth -= 1
             if self._depth == 0 and self._was_enabled:
@@ -177,3 +159,6 @@ class _PausedGarbageCollection(event.Listener):
                     gc.freeze()
                     gc.unfreeze()
                 gc.enable()
+
+
+garbage_collection = _GarbageCollection()

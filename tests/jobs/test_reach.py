@@ -188,8 +188,9 @@ def test_arms_that_nobody_described(name: str, arms: dict[str, Path], reach: Any
 def test_without_servos_the_scene_is_all_there_is(arms: dict[str, Path], reach: Any) -> None:
     report = reach(bus="none", robot=str(arms["planar"]))
     assert report.reached and report.execution.measured is None and report.counters == {}
-    # The marker is seen out of the plane that the arm can reach, within its standard deviation.
-    assert report.read_back.position < report.read_back.allowed.position < 1e-3
+    # The marker is seen out of the plane that the arm can reach, within its standard deviation: 0.4 mm along
+    # the ray, for 63 mm at 0.9 m.
+    assert report.read_back.position < report.read_back.allowed.position < 2e-3
 
 
 @pytest.mark.usefixtures("full_pictures")

@@ -29,6 +29,7 @@ def mixed(numbers, table, codes, count):
     return total, int(total), best % 3, -best, table.T[0, 1], table[::2].sum()
 
 
+numba_tuning.tune()  # what jit does at the first compile
 ARGUMENTS = (np.arange(4.0), np.arange(12.0).reshape(4, 3), np.arange(4, dtype=np.uint8), 4)
 
 
