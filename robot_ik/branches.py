@@ -28,7 +28,7 @@ class Branch:
 
     Attributes:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each turned by whole turns to lie inside its limits next to the start.
+        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the start.
         inside: Whether all joints are inside their limits.
     """
 

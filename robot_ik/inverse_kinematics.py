@@ -70,7 +70,7 @@ def lent(
 ) -> Iterator[tuple[Solver, Problem]]:
     """A method, and a problem for the goals: one that is at hand, or a new one.
 
-    Targets, weights, budget and seed are set each time, and answers are not remembered.  A problem in whose
+    Targets, weights, budget and seed are set each time, and results are not remembered.  A problem in whose
     use something is raised is not used again.
     """
     require_options(robot, tolerance, budget, seed)
@@ -147,10 +147,10 @@ def solve(
         robot: From ``load_robot``.
         goal: One goal, or several at once on any frames.
         solver: A name of ``SOLVERS``, ``"auto"``, or a solver instance.
-        start: (nq,) where to begin; default ``robot.home``.  The answer tends to stay near it.
+        start: (nq,) where to begin; default ``robot.home``.  The solution tends to stay near it.
         tolerance: Default 0.1 mm and 1 mrad.
         budget: Iterations, seconds, restarts.
-        seed: Of the random restarts; the same seed gives bit-equal answers.
+        seed: Of the random restarts; the same seed gives bit-equal results.
         trace: Keep a row for every step in ``solution.trace``.
         **options: Of the solver, by field name.
 

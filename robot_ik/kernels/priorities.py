@@ -1,6 +1,6 @@
 """``lm`` for goals of several priorities: level after level, each kept while the next is served.
 
-Near the answer all levels are served by one and the same step (``level_step.py``).  Where that leads
+Near the solution all levels are served by one and the same step (``level_step.py``).  Where that leads
 nowhere, level after level is; random restarts are for the first level only, and not towards what is proven
 out of reach.  Levels of soft goals come last: they are never met, and never searched.
 """
@@ -46,6 +46,7 @@ from robot_ik.kernels.workspace import (
     FOUND,
     ITERATION_LIMIT,
     ITERATIONS,
+    LEVEL,
     MAX_ITERATIONS,
     MAX_RESTARTS,
     PATIENCE,
@@ -57,7 +58,6 @@ from robot_ik.kernels.workspace import (
     SEARCH,
     SEARCHING,
     SLICE_END,
-    STAGE,
     STALLED,
     STALLS,
     STATUS,
@@ -112,7 +112,7 @@ def count_step(goal, work):
 @pure
 def hurried(state):
     """Whether a level is served for a random try only, which is short."""
-    return state[STAGE] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
+    return state[LEVEL] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
 
 
 @pure
@@ -130,24 +130,24 @@ def level_step(tree, goal, work, options):
     state, value = work.state, work.value
     floor, least = options.floor, options.least
     increase, decrease = options.increase, options.decrease
-    stage = state[STAGE]
-    before = work.level_cost[stage]
-    soft = stage >= needed_levels(goal)
+    level = state[LEVEL]
+    before = work.level_cost[level]
+    soft = level >= needed_levels(goal)
     if state[TRY_STEPS] == 0 and not soft:
         value[DAMPING] = options.damping
     copy(work.q, work.accepted)
     damping = value[DAMPING] if soft else value[DAMPING] * before + floor
-    pressed, largest = stacked_step(tree, goal, work, stage, damping)
+    pressed, largest = stacked_step(tree, goal, work, level, damping)
     if soft and largest <= _REST:
         state[STALLS] = _LEVEL_PATIENCE
         return
     arrive(tree, goal, work)
-    helped = restore(tree, goal, work, stage) and work.level_cost[stage] < before
+    helped = restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
         progress = value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS
         state[PRESSED] = pressed
         value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
-        state[STALLS] = 0 if work.level_cost[stage] < before * (1.0 - progress) else state[STALLS] + 1
+        state[STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[STALLS] + 1
         keep_first(work)
     else:
         go_back(tree, goal, work)
@@ -159,7 +159,7 @@ def level_step(tree, goal, work, options):
 
 @pure
 def converge(work, cost):
-    """The answer is work.q: all that is needed is met."""
+    """The solution is work.q: all that is needed is met."""
     copy(work.q, work.best)
     work.value[BEST_COST], work.state[STATUS] = cost, CONVERGED
     return True
@@ -201,7 +201,7 @@ def serve_from(tree, goal, work, q):
     state = work.state
     copy(q, work.q)
     measure_levels(tree, goal, work)
-    state[STAGE], state[STALLS], state[TRY_STEPS] = 0, 0, 0
+    state[LEVEL], state[STALLS], state[TRY_STEPS] = 0, 0, 0
 
 
 @outlined
@@ -256,7 +256,7 @@ def end_try(tree, goal, work):
     Later levels are served from where the first one was met: nothing starts anew for them.
     """
     state, levels = work.state, work.level_cost.shape[0]
-    for level in range(max(state[STAGE], 0), levels):
+    for level in range(max(state[LEVEL], 0), levels):
         leave_level(goal, work, level)
     if state[SEARCH] != SEARCHING and better(work, levels):
         keep_levels(work)
@@ -283,8 +283,8 @@ def end_try(tree, goal, work):
 @outlined
 def next_level(tree, goal, work, first_damping):
     """Leaves a level that is met, or that no step helps any more."""
-    state, stage = work.state, work.state[STAGE]
-    met = level_met(goal, work, stage)
+    state, level = work.state, work.state[LEVEL]
+    met = level_met(goal, work, level)
     if state[SEARCH] == SEARCHING:
         if met:  # from here all goals count again
             ask_for_all(goal)
@@ -297,12 +297,12 @@ def next_level(tree, goal, work, first_damping):
     if hurried(state) and not met:
         end_try(tree, goal, work)
         return
-    leave_level(goal, work, stage)
+    leave_level(goal, work, level)
     copy(work.q, work.accepted)
-    if not restore(tree, goal, work, stage + 1):
+    if not restore(tree, goal, work, level + 1):
         go_back(tree, goal, work)
-    state[STAGE], state[STALLS] = stage + 1, 0
-    work.value[DAMPING] = first_damping if stage + 1 < needed_levels(goal) else _SOFT_DAMPING
+    state[LEVEL], state[STALLS] = level + 1, 0
+    work.value[DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
 
 
 @pure
@@ -323,7 +323,7 @@ def begin_levels(tree, goal, work, first_damping):
     for level in range(work.level_cost.shape[0]):
         work.level_best[level] = math.inf
     work.value[DAMPING] = first_damping
-    state[STAGE] = _TOGETHER
+    state[LEVEL] = _TOGETHER
     if state[STATUS] == CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
         state[STATUS] = RUNNING  # what is only wanted is still to be served
 
@@ -335,13 +335,13 @@ def run_levels(tree, goal, work, options):
     if state[STATUS] != RUNNING:
         begin_levels(tree, goal, work, options.damping)
     while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
-        stage = state[STAGE]
-        if stage >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
+        level = state[LEVEL]
+        if level >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
             end_try(tree, goal, work)
-        elif stage == _TOGETHER:
+        elif level == _TOGETHER:
             if not step_together(tree, goal, work):
-                state[STAGE], state[STALLS] = 0, 0
-        elif level_met(goal, work, stage) or exhausted(state):
+                state[LEVEL], state[STALLS] = 0, 0
+        elif level_met(goal, work, level) or exhausted(state):
             next_level(tree, goal, work, options.damping)
         else:
             level_step(tree, goal, work, options)

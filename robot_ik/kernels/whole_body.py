@@ -77,7 +77,7 @@ WHOLE_BODY = Layout(
     high="floats",  # (nv,)
     held="ints",  # (nv,)
     bound="floats",  # (nv,)
-    turned="table",  # (h, nv)
+    hard_solved="table",  # (h, nv) ``hard`` times L⁻ᵀ of the factor
     schur="table",  # (h, h)
     multiplier="floats",  # (h,)
 )
@@ -165,11 +165,11 @@ def carry(tree, body):
 
 
 @pure
-def mass_column(carried, center, world, k, ax, ay, az, turn):
+def mass_column(carried, center, world, k, ax, ay, az, rotational):
     """Velocity of the centre of mass and angular momentum about it, per unit of a freedom of node k."""
     m, sx, sy, sz = carried[k, 0], carried[k, 1], carried[k, 2], carried[k, 3]
     inverse = 1.0 / carried[carried.shape[0] - 1, 0]
-    if not turn:
+    if not rotational:
         return (
             m * inverse * ax, m * inverse * ay, m * inverse * az,
             sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax,
@@ -203,8 +203,10 @@ def mass_rows(tree, body, momentum, target, t, g):
     for k in range(tree.kind.shape[0]):
         for i in range(width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, turn = dof_axis(tree.kind, body.world, k, i)
-            cx, cy, cz, lx, ly, lz = mass_column(body.carried, body.center, body.world, k, ax, ay, az, turn)
+            ax, ay, az, rotational = dof_axis(tree.kind, body.world, k, i)
+            cx, cy, cz, lx, ly, lz = mass_column(
+                body.carried, body.center, body.world, k, ax, ay, az, rotational
+            )
             if momentum:
                 cx, cy, cz = _MOMENTUM_SCALE * lx, _MOMENTUM_SCALE * ly, _MOMENTUM_SCALE * lz
             row[0, v], row[1, v], row[2, v] = cx * share[g, v], cy * share[g, v], cz * share[g, v]
@@ -227,10 +229,10 @@ def frame_rows(tree, body, what, target, t, g):
     while k >= 0:
         for i in range(width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, turn = dof_axis(tree.kind, world, k, i)
+            ax, ay, az, rotational = dof_axis(tree.kind, world, k, i)
             if what == POSITION:
-                ax, ay, az = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
-            elif not turn:
+                ax, ay, az = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+            elif not rotational:
                 ax, ay, az = 0.0, 0.0, 0.0
             row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
         k = tree.parent[k]
@@ -364,7 +366,7 @@ def substitute_back(matrix, x, n):
 @outlined
 def solve_held(body, count, slack):
     """The step with the held joints at their bounds: body.step."""
-    factor, matrix, turned, schur = body.factor, body.matrix, body.turned, body.schur
+    factor, matrix, hard_solved, schur = body.factor, body.matrix, body.hard_solved, body.schur
     held, bound, step, row = body.held, body.bound, body.step, body.row
     multiplier, n = body.multiplier, body.gradient.shape[0]
     first = types.int64(0)
@@ -375,7 +377,7 @@ def solve_held(body, count, slack):
     for r in range(count):
         multiplier[r] = body.wanted[r]
         for v in range(n):
-            turned[r, v] = body.hard[r, v]
+            hard_solved[r, v] = body.hard[r, v]
     for p in range(n):
         if held[p] == 0:
             continue
@@ -387,24 +389,24 @@ def solve_held(body, count, slack):
             factor[i, p] = 0.0
         factor[p, p] = 1.0
         for r in range(count):
-            multiplier[r] -= turned[r, p] * bound[p]
-            turned[r, p] = 0.0
+            multiplier[r] -= hard_solved[r, p] * bound[p]
+            hard_solved[r, p] = 0.0
     for p in range(n):
         if held[p] != 0:
             row[first, p] = 0.0
     cholesky(factor, n)
     substitute(factor, row, first, n)
     for r in range(count):
-        substitute(factor, turned, r, n)
+        substitute(factor, hard_solved, r, n)
     for r in range(count):
         s = multiplier[r]
         for v in range(n):
-            s -= turned[r, v] * row[first, v]
+            s -= hard_solved[r, v] * row[first, v]
         multiplier[r] = s
         for c in range(r + 1):
             s = 0.0
             for v in range(n):
-                s += turned[r, v] * turned[c, v]
+                s += hard_solved[r, v] * hard_solved[c, v]
             schur[r, c] = s
     for r in range(count):
         schur[r, r] += slack
@@ -419,7 +421,7 @@ def solve_held(body, count, slack):
         step[v] = row[first, v]
     for r in range(count):
         for v in range(n):
-            step[v] += turned[r, v] * multiplier[r]
+            step[v] += hard_solved[r, v] * multiplier[r]
     substitute_back(factor, step, n)
     for p in range(n):
         if held[p] != 0:

@@ -52,7 +52,7 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Where a batch puts its answers, row by row.
+    """The results of a batch, row by row.
 
     Attributes:
         q: (n, nq) the best found.
@@ -69,7 +69,7 @@ class BatchResult:
 
     @classmethod
     def empty(cls, count: int, nq: int) -> BatchResult:
-        """Room for ``count`` answers."""
+        """Empty rows for ``count`` results."""
         status, iterations, restarts = np.zeros((3, count), dtype=np.int64)
         return cls(np.zeros((count, nq)), status, np.zeros((count, 2)), iterations, restarts)
 
@@ -149,17 +149,17 @@ class Solver(ABC):
             ModelError: ``start`` has the wrong length, or is not finite.
             ProblemInUseError: Another thread's call on the problem is under way.
         """
-        turn = problem.turn
+        token = problem.token
         try:
-            turn.pop()
+            token.pop()
         except IndexError:
             raise ProblemInUseError from None
         try:
             return self.attempt(problem, start, problem.budget)
         finally:
-            turn.append(None)
+            token.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: BatchResult) -> None:
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
         The problem's budget is that of each row.
@@ -168,23 +168,23 @@ class Solver(ABC):
             As ``solve``.
         """
         with problem.in_use():
-            self.attempt_many(problem, targets, starts, answers, problem.budget)
+            self.attempt_many(problem, targets, starts, results, problem.budget)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        """``solve`` within what others left of the budget; the caller has the problem's turn."""
+        """``solve`` within what others left of the budget; the caller holds the problem's token."""
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
         for row in range(len(targets)):
             problem.target[0] = targets[row]
             solution = self.attempt(problem, starts[row], budget)
-            answers.q[row] = solution.q
-            answers.status[row] = solution.status
-            answers.miss[row] = solution.miss.position, solution.miss.angle
-            answers.iterations[row], answers.restarts[row] = solution.iterations, solution.restarts
+            results.q[row] = solution.q
+            results.status[row] = solution.status
+            results.miss[row] = solution.miss.position, solution.miss.angle
+            results.iterations[row], results.restarts[row] = solution.iterations, solution.restarts
 
     @abstractmethod
     def load(self, problem: Problem) -> None:

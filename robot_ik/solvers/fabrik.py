@@ -4,7 +4,7 @@ Reaching back, each goal pulls its bones from the tip towards the root: a joint'
 bone's length from the next joint's target, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
 fast, iterative solver for the inverse kinematics problem, Graphical Models 73(5), 2011, algorithm 1); at a
 sub-base the targets of its branches are averaged (section 4.2).  Reaching forward puts the root back and
-lets the joints follow, root to tip, each turning about its real axis inside its limits to where its bone
+lets the joints follow, root to tip, each rotating about its real axis inside its limits to where its bone
 comes nearest to its target; on a chain of unlimited balls that is the paper's second half to the letter.
 
 A pose goal fixes the last node: its anchor's target is where the goal's pose puts it, and the joints whose
@@ -42,11 +42,11 @@ from robot_ik.kernels.bones import (
     UP,
     across,
     apart,
+    has_orientation,
     link_points,
     locate_all,
     mark_hanging,
     settle,
-    turned_goal,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
@@ -107,7 +107,7 @@ open_options = options_of(Fabrik)
 @pure
 def pulled(tree, goal, points, k, c, i):
     """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
-    if tree.kind[k] == SLIDE:  # cannot turn: comes along as it is
+    if tree.kind[k] == SLIDE:  # cannot rotate: comes along as it is
         return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
     gap = apart(points, k, NOW, c, TARGET)
     if gap > 1e-12:
@@ -122,10 +122,10 @@ def posed(goal, points, k, g, i):
     result = target[g, i]
     for j in range(3):
         # Entry (i, j) of the node's wanted rotation, R_target · R_localᵀ.
-        turn = 0.0
+        rotation_entry = 0.0
         for m in range(3):
-            turn += target[g, 3 + 3 * i + m] * local[g, 3 + 3 * j + m]
-        result += turn * ((points[k, SHIFT] if j == 2 else 0.0) - local[g, j])
+            rotation_entry += target[g, 3 + 3 * i + m] * local[g, 3 + 3 * j + m]
+        result += rotation_entry * ((points[k, SHIFT] if j == 2 else 0.0) - local[g, j])
     return result
 
 
@@ -141,7 +141,7 @@ def reach_back(tree, goal, work, links, points):
         while c >= 0:
             share = points[c, SHARE] / points[k, SHARE] if points[k, SHARE] > 0.0 else 0.0
             if share > 0.0:
-                fixed = c >= n and turned_goal(goal, c - n)
+                fixed = c >= n and has_orientation(goal, c - n)
                 for i in range(3):
                     target = (
                         posed(goal, points, k, c - n, i) if fixed else pulled(tree, goal, points, k, c, i)
@@ -233,7 +233,7 @@ def lacks_wrist(tree, goal, links, points):
     """Whether some goal asks for an orientation that the joints at its end cannot take by themselves."""
     for g in range(goal.kind.shape[0]):
         k, freedoms = goal.node[g], 0
-        if k < 0 or not turned_goal(goal, g):
+        if k < 0 or not has_orientation(goal, g):
             continue
         while k >= 0:
             freedoms += 3 if tree.kind[k] in (BALL, FREE) else (1 if tree.kind[k] == HINGE else 0)

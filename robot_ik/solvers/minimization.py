@@ -25,7 +25,7 @@ from robot_ik.solvers.base import IterativeSolver, option, options_of
 # ------------------------------------------------------------------------------------------
 # Cones of balls as constraints of a variable metric.
 #
-# A ball whose turn is as large as its cone allows would leave it along the axis n of that turn, body axes:
+# A ball whose rotation is as large as its cone allows would leave it along that rotation's axis n, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
@@ -46,7 +46,7 @@ def is_cone(tree, goal, u):
 
 @pure
 def edge_axis(tree, goal, q, u):
-    """Axis of the ball's turn where that is as large as its cone allows, else zero."""
+    """Axis of the ball's rotation where that is as large as its cone allows, else zero."""
     v = goal.dofs[u]
     a = tree.qadr[tree.dof_node[v]]
     sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
@@ -109,7 +109,7 @@ def slope_left(tree, goal, work):
 
 
 @pure
-def turned(x, y, z, vx, vy, vz, k):
+def rotated(x, y, z, vx, vy, vz, k):
     """w + v × w + k v × (v × w): Rodrigues' rotation with v = sine · axis, k = 1 / (1 + cosine)."""
     cx, cy, cz = vy * z - vz * y, vz * x - vx * z, vx * y - vy * x
     return (
@@ -140,15 +140,15 @@ def carry(tree, goal, work):
             vector[u + 2] -= out * z
         vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
         for vector in (moved, before):
-            vector[u], vector[u + 1], vector[u + 2] = turned(
+            vector[u], vector[u + 1], vector[u + 2] = rotated(
                 vector[u], vector[u + 1], vector[u + 2], vx, vy, vz, k
             )
         for i in range(n):
-            metric[u, i], metric[u + 1, i], metric[u + 2, i] = turned(
+            metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(
                 metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
             )
         for i in range(n):
-            metric[i, u], metric[i, u + 1], metric[i, u + 2] = turned(
+            metric[i, u], metric[i, u + 1], metric[i, u + 2] = rotated(
                 metric[i, u], metric[i, u + 1], metric[i, u + 2], vx, vy, vz, k
             )
         normal[u], normal[u + 1], normal[u + 2] = px, py, pz
