@@ -334,8 +334,8 @@ def _work_arrays(
         "trace": (trace_rows, len(workspace.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
         "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
         "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-        "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
-        "outward": (nu,),
+        "gram": (dense, dense), "metric": (nu, nu), "search_direction": (nu,), "before": (nu,),
+        "moved": (nu,), "outward": (nu,),
     }  # fmt: skip
     arrays: dict[str, Any] = {
         name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)

@@ -139,18 +139,18 @@ def narrowed(tree: Tree) -> Tree:
             lower[v], upper[v] = min(lower[v], value), max(upper[v], value)
             continue
         w = int(tree.vadr[leader])
-        room = _room(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
-        if room is None:
+        interval = _admissible_interval(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
+        if interval is None:
             raise ModelError(
                 f"a coupled joint has no place inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
                 f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
                 hint="check ratio and offset of the coupling, and both joints' limits",
             )
-        lower[w], upper[w] = room
+        lower[w], upper[w] = interval
     return tree.with_limits(lower, upper)
 
 
-def _room(
+def _admissible_interval(
     law: Polynomial, wanted: tuple[float, float], given: tuple[float, float]
 ) -> tuple[float, float] | None:
     """The widest interval inside ``given`` on which the law stays inside ``wanted``."""

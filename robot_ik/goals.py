@@ -613,7 +613,7 @@ class CenterOfMassGoal(_PointGoal):
 class PostureGoal(Goal):
     """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
 
-    Its miss is the largest way of any joint that counts: radians for hinges, metres for slides.
+    Its miss is the largest distance of any joint that counts: radians for hinges, metres for slides.
 
     Attributes:
         q: (nq,) where the joints are wanted.

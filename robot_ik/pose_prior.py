@@ -32,9 +32,9 @@ _LEAST_MARGIN = 1e-9
 
 
 def feature_names(robot: Robot) -> tuple[str, ...]:
-    """All that a prior can look at: hinges and slides, the lean of a free base, rotation vectors of balls.
+    """All features of a prior: hinges and slides, the lean of a free base, rotation vectors of balls.
 
-    A base's place and heading are left out: the same pose elsewhere is as likely.
+    A base's position and heading are left out: the same pose elsewhere is as likely.
     """
     names: list[str] = []
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
@@ -129,7 +129,7 @@ class PosePrior:
             kind = int(robot.tree.kind[k])
             if colon + part not in _PARTS_OF.get(kind, ("",)):
                 raise InvalidGoalError(
-                    f"the prior looks at {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
+                    f"the prior has {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
                     hint=f"learn one from motions of {robot.name!r}: robot_ik.motion.pose_prior",
                 )
             rows.append((_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k))

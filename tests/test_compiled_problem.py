@@ -191,10 +191,10 @@ def test_threads_may_use_a_problem_in_turn(puma):
     for pose in poses:
         problem.retarget(pose)
         expected.append(solver.solve(problem).q)
-    found, turn = {}, threading.Lock()
+    found, lock = {}, threading.Lock()
 
     def one(k):
-        with turn:
+        with lock:
             problem.retarget(poses[k])
             found[k] = solver.solve(problem).q
 

@@ -21,7 +21,7 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
 # Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library is called.
 _FAR = 1e6
-_PER_TURN = 2.0 / math.pi
+_QUARTERS_PER_RADIAN = 2.0 / math.pi
 # π/2 as 33 bits, so that whole multiples are exact, and the rest.
 _HALF_PI, _HALF_PI_REST = 1.57079632673412561417, 6.07710050650619224932e-11
 _S1, _S2, _S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
@@ -35,7 +35,7 @@ def sine_cosine(angle):
     """(sin, cos) of an angle, rad; NaN of what is not finite."""
     if not abs(angle) < _FAR:
         return math.sin(angle), math.cos(angle)
-    quarter = math.floor(angle * _PER_TURN + 0.5)
+    quarter = math.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
     x = (angle - quarter * _HALF_PI) - quarter * _HALF_PI_REST
     z = x * x
     w = z * z

@@ -232,14 +232,14 @@ def serve_soft(goal, work, level, damping, rank):
     is what the levels before them leave that is solved for.
     """
     basis, own, gram, rhs = work.basis, work.own, work.gram, work.rhs
-    matrix, slope, way, first = work.damped, work.gradient, work.way, work.free
+    matrix, slope, search_direction, first = work.damped, work.gradient, work.search_direction, work.free
     n = work.step.shape[0]
     soft_system(goal, work, level, damping)
-    for i in range(n):  # way = L⁻¹ g, own = B L⁻ᵀ
+    for i in range(n):  # search_direction = L⁻¹ g, own = B L⁻ᵀ
         s = slope[i]
         for k in range(first[i], i):
-            s -= matrix[i, k] * way[k]
-        way[i] = s
+            s -= matrix[i, k] * search_direction[k]
+        search_direction[i] = s
     for b in range(rank):
         for i in range(n):
             s = basis[b, i]
@@ -254,20 +254,20 @@ def serve_soft(goal, work, level, damping, rank):
             gram[b, c] = s
         s = 0.0
         for i in range(n):
-            s += own[b, i] * matrix[i, i] * way[i]
+            s += own[b, i] * matrix[i, i] * search_direction[i]
         rhs[b] = s
     if not eliminate(gram, rhs, rank):
         return
     for b in range(rank):
         for i in range(n):
-            way[i] -= rhs[b] * own[b, i]
+            search_direction[i] -= rhs[b] * own[b, i]
     for i in range(n):
-        way[i] *= matrix[i, i]
+        search_direction[i] *= matrix[i, i]
     for i in range(n - 1, -1, -1):
         for k in range(first[i], i):
-            way[k] -= matrix[i, k] * way[i]
+            search_direction[k] -= matrix[i, k] * search_direction[i]
     for i in range(n):
-        work.step[i] += way[i]
+        work.step[i] += search_direction[i]
 
 
 @pure

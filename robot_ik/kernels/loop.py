@@ -209,14 +209,14 @@ def record(tolerance, work):
 # ------------------------------------------------------------------------------------------
 # Goals that are proven out of reach beside others that are not.
 #
-# A goal for a place farther away than all links laid end to end cannot be met from any start.  The goals
+# A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
 # beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
 # vanishing weight costs the others nothing.
 
 
 @pure
-def squared_way(goal, reach, g):
-    """Squared metres from the centre of the ball that goal ``g`` cannot leave to the place it asks for."""
+def squared_distance(goal, reach, g):
+    """Squared metres from the centre of the ball that goal ``g`` cannot leave to the position it asks for."""
     target, square = goal.target, 0.0
     x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
     if goal.kind[g] != PARTIAL:
@@ -236,7 +236,7 @@ def mark_beyond(goal, work):
     ask_for_all(goal)
     for g in range(goal.kind.shape[0]):
         far = work.reach[g, 3] < math.inf
-        far = far and squared_way(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
+        far = far and squared_distance(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
         work.beyond[g] = 1 if far else 0
         any_beyond = any_beyond or far
     return any_beyond

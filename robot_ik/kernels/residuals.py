@@ -73,7 +73,7 @@ def rotation_error(target, current, g, out, at):
 
 @pure
 def curvature(x, y, z):
-    """The k of ``bent``, which depends on φ = (x, y, z) alone."""
+    """The k of ``rate_of_rotation_vector``, which depends on φ = (x, y, z) alone."""
     square = x * x + y * y + z * z
     if square < 1e-6:
         return 1.0 / 12.0 + square / 720.0
@@ -82,7 +82,7 @@ def curvature(x, y, z):
 
 
 @pure
-def bent(x, y, z, k, a, b, c):
+def rate_of_rotation_vector(x, y, z, k, a, b, c):
     """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
 
     How φ = log(R_target R_currentᵀ) shrinks while the current frame rotates with ω; J_r is the right
@@ -98,8 +98,8 @@ def bent(x, y, z, k, a, b, c):
 
 @pure
 def inverse_right_jacobian(x, y, z, a, b, c):
-    """``bent`` for a single ω."""
-    return bent(x, y, z, curvature(x, y, z), a, b, c)
+    """``rate_of_rotation_vector`` for a single ω."""
+    return rate_of_rotation_vector(x, y, z, curvature(x, y, z), a, b, c)
 
 
 @pure
@@ -186,7 +186,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 # ``goal.how`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
 #     position     all three coordinates, some of them in the axes of the target, or one side of a plane
-#     orientation  the whole orientation, one axis along the target's, or one axis aimed at the target's origin
+#     orientation  the whole orientation, one axis along the target's, or one aimed at the target's origin
 #     of           whose position and orientation: the frame, the centre of mass, or the joints themselves
 #
 # The axis that counts is always z: ``Problem`` rotates frame and target so that it is.
@@ -254,7 +254,7 @@ def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
 
 @outlined
 def joint_rows(tree, goal, work, g):
-    """Rows of a posture: the way of each joint to where it is wanted; returns (|r|², within)."""
+    """Rows of a posture: the distance of each joint to where it is wanted; returns (|r|², within)."""
     kind, qadr, vadr, dof_node = tree.kind, tree.qadr, tree.vadr, tree.dof_node
     q, wanted, residual, miss = work.q, goal.posture, work.residual, work.miss
     metres, radians, cost = 0.0, 0.0, 0.0
@@ -517,11 +517,11 @@ def whole_columns(tree, goal, work, points, g, first, end):
     angular_row = row if what == ORIENTATION else row + 3
     px, py, pz = points[g, 0], points[g, 1], points[g, 2]
     metre, radian = goal.weight[g, 0], goal.weight[g, 1]
-    rx, ry, rz, bend = 0.0, 0.0, 0.0, 0.0
+    rx, ry, rz, factor = 0.0, 0.0, 0.0, 0.0
     if what != POSITION:
         s = 1.0 / radian if radian != 0.0 else 0.0
         rx, ry, rz = s * residual[angular_row], s * residual[angular_row + 1], s * residual[angular_row + 2]
-        bend = curvature(rx, ry, rz)
+        factor = curvature(rx, ry, rz)
     for at in range(first, end):
         mover = goal.movers[g, at]
         u, v = goal.column[mover], goal.moved[mover]
@@ -534,7 +534,7 @@ def whole_columns(tree, goal, work, points, g, first, end):
             jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
         if what != POSITION:
             w = radian * moves if rotational else 0.0
-            x, y, z = bent(rx, ry, rz, bend, ax, ay, az)
+            x, y, z = rate_of_rotation_vector(rx, ry, rz, factor, ax, ay, az)
             jacobian[angular_row, u], jacobian[angular_row + 1, u], jacobian[angular_row + 2, u] = (
                 w * x,
                 w * y,

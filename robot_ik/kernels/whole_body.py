@@ -64,7 +64,7 @@ WHOLE_BODY = Layout(
     carried="table",  # (n + 1, 10) mass, first moment, inertia of what hangs on a node
     center="floats",  # (3,)
     previous="floats",  # (nq,)
-    way="floats",  # (nv,) from the frame before to here
+    displacement="floats",  # (nv,) from the frame before to here
     row="table",  # (3, nv)
     miss="floats",  # (3,)
     hard="table",  # (h, nv)
@@ -214,7 +214,7 @@ def mass_rows(tree, body, momentum, target, t, g):
         if momentum:
             miss[i] = _MOMENTUM_SCALE * target[t, i]
             for v in range(row.shape[1]):
-                miss[i] -= row[i, v] * body.way[v]
+                miss[i] -= row[i, v] * body.displacement[v]
         else:
             miss[i] = target[t, i] - body.center[i]
 
@@ -253,14 +253,14 @@ def frame_rows(tree, body, what, target, t, g):
 
 
 @outlined
-def measure_way(tree, body, q):
+def measure_displacement(tree, body, q):
     """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
-    previous, way = body.previous, body.way
+    previous, displacement = body.previous, body.displacement
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]
         if tree.kind[k] == FREE:
             for i in range(3):
-                way[v + i] = q[a + i] - previous[a + i]
+                displacement[v + i] = q[a + i] - previous[a + i]
             w, x, y, z = previous[a + 3], -previous[a + 4], -previous[a + 5], -previous[a + 6]
             bw, bx, by, bz = q[a + 3], q[a + 4], q[a + 5], q[a + 6]
             cw, cx = w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by
@@ -269,11 +269,15 @@ def measure_way(tree, body, q):
                 cw, cx, cy, cz = -cw, -cx, -cy, -cz
             n = math.sqrt(cx * cx + cy * cy + cz * cz)
             factor = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, cw) / n
-            way[v + 3], way[v + 4], way[v + 5] = factor * cx, factor * cy, factor * cz
+            displacement[v + 3], displacement[v + 4], displacement[v + 5] = (
+                factor * cx,
+                factor * cy,
+                factor * cz,
+            )
             for i in range(6):
                 body.low[v + i], body.high[v + i] = -math.inf, math.inf
         else:
-            way[v] = q[a] - previous[a]
+            displacement[v] = q[a] - previous[a]
             body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
             body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
 
@@ -288,7 +292,7 @@ def gather(tree, body, q, target, weight, t, posture):
     nv = gradient.shape[0]
     forward(tree, tree.every, q, body.world, body.scratch)
     carry(tree, body)
-    measure_way(tree, body, q)
+    measure_displacement(tree, body, q)
     for i in range(nv):
         for j in range(i):
             matrix[i, j] = 0.0
@@ -495,7 +499,7 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
     here = q[0]
     for i in range(nq):
         body.previous[i] = second[i]
-    measure_way(tree, body, start)
+    measure_displacement(tree, body, start)
     for i in range(nq):
         body.previous[i] = start[i]
     for t in range(q.shape[0]):
@@ -505,9 +509,9 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
         for k in range(tree.kind.shape[0]):  # what moved goes on moving
             if tree.kind[k] in (HINGE, SLIDE):
                 a, v = tree.qadr[k], tree.vadr[k]
-                to = min(max(here[a] + body.way[v], body.lower[v]), body.upper[v])
-                body.way[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
-        integrate(tree, tree.every, here, body.way)
+                to = min(max(here[a] + body.displacement[v], body.lower[v]), body.upper[v])
+                body.displacement[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
+        integrate(tree, tree.every, here, body.displacement)
         longest = math.inf
         for step in range(steps + 1):
             count, miss[t] = gather(tree, body, here, target, weight, t, posture)

@@ -28,7 +28,7 @@ from robot_ik.solvers import make_solver
 _BUDGET = Budget(iterations=20, restarts=0)
 # m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
 _LEASH = 0.06
-# Joints that leave the place of their own anchor as it is.
+# Joints that leave the position of their own anchor as it is.
 _TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
 # So often a step that is too fast is halved before the figure rests for a tick.
 _HALVINGS = 8
@@ -72,7 +72,7 @@ class Drag:
             start: (nq,); None: home.
             rate: Steps a second.
             speed: Part of the joints' speed limits, or a multiple of them: they may be those of servos.
-            balance: Keep the centre of mass over the place where it is now.
+            balance: Keep the centre of mass over the point where it is now.
 
         Raises:
             UnknownFrameError: With the close names.
@@ -127,7 +127,7 @@ class Drag:
         self._moved()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
-        """Takes hold of a point of a body: ``pull`` brings it to a place.
+        """Takes hold of a point of a body: ``pull`` brings it to a position.
 
         Args:
             body: Name of a body.
@@ -145,16 +145,16 @@ class Drag:
         self._grip = own, local.rotation.T @ (point - origin)
 
     def pull(self, to: ArrayLike) -> Array:
-        """One tick: the grabbed point towards ``to`` (3,), world, metres, with the body turned as it is now.
+        """One tick: the grabbed point towards ``to`` (3,), world, metres, the body oriented as now.
 
         Returns:
             As ``step``.
         """
-        place = vector(to, 3, "to")
+        position = vector(to, 3, "to")
         if self._grip is not None:
             frame, lever = self._grip
-            place = place - self.robot.forward(self.q, frame).rotation @ lever
-        return self.step(place)
+            position = position - self.robot.forward(self.q, frame).rotation @ lever
+        return self.step(position)
 
     def pin(self, frame: str) -> None:
         """Keeps a frame where it is now.
@@ -181,7 +181,7 @@ class Drag:
         self._moved()
 
     def balance(self, on: bool) -> None:
-        """Keeps the centre of mass over the place where it is now, or no longer."""
+        """Keeps the centre of mass over the point where it is now, or no longer."""
         self._mass = self.robot.center_of_mass(self.q) if on else None
         self._moved()
 
@@ -217,9 +217,9 @@ class Drag:
         require_positive("time", seconds, "s")
         return self._shift([np.asarray(self._pins[frame].position) for frame in frames], seconds)
 
-    def _shift(self, places: Sequence[Array], seconds: float) -> Iterator[Array]:
+    def _shift(self, positions: Sequence[Array], seconds: float) -> Iterator[Array]:
         begin = self.robot.center_of_mass(self.q)
-        way = np.append((np.mean(places, axis=0) - begin)[:2], 0.0)
+        way = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
         self._mass = begin
         self._moved()
         share, pace = 0.0, 1.0 / max(1, round(seconds * self.rate))
@@ -298,7 +298,7 @@ def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
 
     The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
-    joints turn about its origin, a child's origin is as fixed to the body, and usually at its other end.
+    joints rotate about its origin, a child's origin is as fixed to the body, and usually at its other end.
 
     Raises:
         UnknownFrameError: The body has no name and no frame on it.
@@ -309,7 +309,7 @@ def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     found = [(frames[body][0], frames[body][1].position)]
     for child in map(int, np.flatnonzero(model.body_parentid == body)):
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
-        turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
-        if turns and child in frames and not frames[child][1].position.any():
+        rotates = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
+        if rotates and child in frames and not frames[child][1].position.any():
             found.append((frames[child][0], model.body_pos[child]))
     return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))

@@ -97,14 +97,14 @@ def release_cone(work, u):
 
 @outlined
 def slope_left(tree, goal, work):
-    """The slope at work.q along work.way, less what the edges of the held cones take up."""
-    gradient, way = work.gradient, work.way
+    """The slope at work.q along work.search_direction, less what the edges of the held cones take up."""
+    gradient, search_direction = work.gradient, work.search_direction
     left = 0.0
-    for u in range(way.shape[0]):
-        left += gradient[u] * way[u]
+    for u in range(search_direction.shape[0]):
+        left += gradient[u] * search_direction[u]
         if work.side[u] != 0 and is_cone(tree, goal, u):
             x, y, z = edge_axis(tree, goal, work.q, u)
-            left -= along(gradient, u, x, y, z) * along(way, u, x, y, z)
+            left -= along(gradient, u, x, y, z) * along(search_direction, u, x, y, z)
     return left
 
 
@@ -182,13 +182,13 @@ _LEAST_CURVATURE = 1e-8
 
 @outlined
 def slopes(tree, goal, work):
-    """At work.q, which has been measured: work.gradient = Jᵀr, and how far down it the linearised goals want.
+    """At work.q, which has been measured: work.gradient = Jᵀr, and the step along it that the goals ask for.
 
-    That is value[SCALE] = gᵀg / |J g|² (Cauchy 1847).
+    That step is value[SCALE] = gᵀg / |J g|², of the linearised goals (Cauchy 1847).
     """
     goal_jacobian(tree, goal, work, work.frames)
     jacobian, residual, gradient = work.jacobian, work.residual, work.gradient
-    square, bend = 0.0, 0.0
+    square, curvature = 0.0, 0.0
     for u in range(gradient.shape[0]):
         along = 0.0
         for r in range(residual.shape[0]):
@@ -199,8 +199,8 @@ def slopes(tree, goal, work):
         row = 0.0
         for u in range(gradient.shape[0]):
             row += jacobian[r, u] * gradient[u]
-        bend += row * row
-    work.value[SCALE] = square / bend if bend > 0.0 else 1.0
+        curvature += row * row
+    work.value[SCALE] = square / curvature if curvature > 0.0 else 1.0
 
 
 @outlined
@@ -264,21 +264,21 @@ def constrain(tree, goal, work):
 
 @outlined
 def direction(tree, goal, work):
-    """work.way = H g; limits that it would cross at once are held, too.  Returns the slope along it."""
-    metric, gradient, way, side = work.metric, work.gradient, work.way, work.side
+    """work.search_direction = H g; limits that it crosses at once are held, too.  Returns its slope."""
+    metric, gradient, search_direction, side = work.metric, work.gradient, work.search_direction, work.side
     n = gradient.shape[0]
     for _ in range(n + 1):
         for i in range(n):
             s = 0.0
             for j in range(n):
                 s += metric[i, j] * gradient[j]
-            way[i] = s
+            search_direction[i] = s
         crossed = False
         for u in range(n):
-            if is_cone(tree, goal, u) and leaves_cone(work, way, u) and side[u] == 0:
+            if is_cone(tree, goal, u) and leaves_cone(work, search_direction, u) and side[u] == 0:
                 hold_cone(work, u)
                 crossed = True
-            elif leaves(work, way, u) and side[u] == 0:
+            elif leaves(work, search_direction, u) and side[u] == 0:
                 hold_coordinate(work, u)
                 crossed = True
         if not crossed:
@@ -286,7 +286,7 @@ def direction(tree, goal, work):
     pressed, slope = 0, 0.0
     for u in range(n):
         pressed += side[u]
-        slope += gradient[u] * way[u]
+        slope += gradient[u] * search_direction[u]
     work.state[PRESSED] = pressed
     return slope
 
@@ -381,14 +381,14 @@ open_options = options_of(Minimization)
 
 @outlined
 def go(tree, goal, work, share):
-    """Measures the point ``share`` of work.way from work.accepted, inside limits; returns what is promised.
+    """Measures work.accepted plus ``share`` of work.search_direction, in limits; returns what is promised.
 
-    That is the descent which the slope promises for the way that is left of it at the limits.
+    That is the descent which the slope promises for the part that is left of it at the limits.
     """
-    step, low, high, way = work.step, work.low, work.high, work.way
+    step, low, high, search_direction = work.step, work.low, work.high, work.search_direction
     copy(work.accepted, work.q)
     for u in range(step.shape[0]):
-        step[u] = min(max(share * way[u], low[u]), high[u])
+        step[u] = min(max(share * search_direction[u], low[u]), high[u])
     apply_step(tree, goal, work.nodes, step, work.dq, work.q)
     displacement(tree, goal, work)
     measure(tree, goal, work)
@@ -400,16 +400,16 @@ def go(tree, goal, work, share):
 
 @outlined
 def search(tree, goal, work, options, slope):
-    """Goes down along work.way until enough is won and the slope has eased (Wolfe 1969).
+    """Goes down along work.search_direction until enough is won and the slope has eased (Wolfe 1969).
 
     Returns whether a lower point was found: then work.q, work.step, work.gradient and work.moved are its own.
-    A way that meets limits is bent along them, and searched for descent only.
+    A direction that meets limits is clipped to them, and searched for descent only.
     """
     max_step, decrease, curvature = options.max_step, options.decrease, options.curvature
-    cost, way = work.value[COST], work.way
+    cost, search_direction = work.value[COST], work.search_direction
     longest = 0.0
-    for u in range(way.shape[0]):
-        longest = max(longest, abs(way[u]))
+    for u in range(search_direction.shape[0]):
+        longest = max(longest, abs(search_direction[u]))
     share = min(1.0, max_step / longest)
     good, bad = 0.0, 0.0
     for _ in range(_TRIALS):
@@ -417,10 +417,14 @@ def search(tree, goal, work, options, slope):
         won = cost - work.value[COST]
         if promised > 0.0 and won >= decrease * promised:
             slopes(tree, goal, work)
-            bent = False
-            for u in range(way.shape[0]):
-                bent = bent or work.step[u] != share * way[u]
-            if slope_left(tree, goal, work) <= curvature * slope or bent or 2.0 * share * longest > max_step:
+            clipped = False
+            for u in range(search_direction.shape[0]):
+                clipped = clipped or work.step[u] != share * search_direction[u]
+            if (
+                slope_left(tree, goal, work) <= curvature * slope
+                or clipped
+                or 2.0 * share * longest > max_step
+            ):
                 return True
             good = share
             share = 2.0 * share if bad == 0.0 else 0.5 * (good + bad)

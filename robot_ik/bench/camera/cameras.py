@@ -76,7 +76,7 @@ CONDITIONS: tuple[Condition, ...] = (
         "sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH
     ),
     Condition("soft shadow", replace(WEBCAM, shadow=0.5), (0.15, 0.8, 2.5), (), _BIAS_HARSH),
-    # Not mended: the light over a print is smooth in the model.  The answer says how far off it may be.
+    # Not mended: the light over a print is smooth in the model.  The result says how far off it may be.
     Condition("hard shadow", replace(WEBCAM, shadow=0.5, shadow_edge=0.7), (0.4, 1.5, 4.0), (), 0.1),
 )  # fmt: skip
 

@@ -236,7 +236,7 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
         return True
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
     sides = lf * lf + le * le
-    _, reach, bend = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
+    _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
     for shoulder in range(2):
         q1 = middle + half if shoulder == 0 else middle - half
         if not may_fit(q1, radius, lower[0], upper[0]):
@@ -253,7 +253,7 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
         if not some:
             continue
         for elbow in range(2):
-            a3 = bend + half3 if elbow == 0 else bend - half3
+            a3 = middle3 + half3 if elbow == 0 else middle3 - half3
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
                 continue
             c3, s3 = math.cos(a3), math.sin(a3)
@@ -351,7 +351,7 @@ def three_may_fit(
     ex, ey, ez = axes[3, 3] - axes[2, 3], axes[3, 4] - axes[2, 4], axes[3, 5] - axes[2, 5]
     fx, fy, fz = axes[1, 3] - axes[2, 3], axes[1, 4] - axes[2, 4], axes[1, 5] - axes[2, 5]
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
-    _, reach, bend = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
+    _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
     near_side, far_side = max(0.0, far - off), far + off
     sides = lf * lf + le * le
     half, radius, some = arc(
@@ -360,7 +360,7 @@ def three_may_fit(
     if not some:
         return False
     for elbow in range(2):
-        a3 = bend + half if elbow == 0 else bend - half
+        a3 = middle3 + half if elbow == 0 else middle3 - half
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):
             continue
         mx, my, mz = rotate(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
