@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import LARGEST, PoseGoal, PositionGoal, Tolerance, numbers
-from robot_ik.inverse_kinematics import ORIGIN, lent
+from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
 from robot_ik.problem import Budget, Problem, require_options
 from robot_ik.robot import Robot
@@ -176,7 +176,7 @@ def _require_rotations(rows: Array) -> None:
         off = _from_rotation(*np.ascontiguousarray(rotations.T))
     if len(off) and np.max(off) > _ROUNDING:
         raise InvalidGoalError(
-            f"the matrix of pose {int(np.argmax(off))} does not turn: it scales or mirrors"
+            f"the matrix of pose {int(np.argmax(off))} is not a rotation: it scales or mirrors"
         )
 
 
@@ -238,4 +238,6 @@ def solve_batch(
     targets, with_angle = target_rows(poses)
     begin = start_rows(robot, starts, len(targets))
     goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
-    return run_batch(lambda: lent(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads)
+    return run_batch(
+        lambda: borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads
+    )

@@ -101,7 +101,7 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
     ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
 
     Raises:
-        ModelError: A leader has no room left.
+        ModelError: A leader has no range left.
     """
     node_of = {joint: k for k, joint in enumerate(tree.joint_ids)}
     tied, law = [], []
@@ -128,7 +128,7 @@ def narrowed(tree: Tree) -> Tree:
     """The tree with each leader's limits narrowed to where its followers are inside theirs.
 
     Raises:
-        ModelError: There is no such place.
+        ModelError: There is no such position.
     """
     lower, upper = tree.lower.copy(), tree.upper.copy()
     for (node, leader), law in zip(tree.tied, tree.law, strict=True):
@@ -142,7 +142,7 @@ def narrowed(tree: Tree) -> Tree:
         interval = _admissible_interval(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
         if interval is None:
             raise ModelError(
-                f"a coupled joint has no place inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
+                f"a coupled joint has no position inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
                 f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
                 hint="check ratio and offset of the coupling, and both joints' limits",
             )

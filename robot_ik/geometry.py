@@ -136,7 +136,7 @@ class Pose:
 
     @classmethod
     def of_checked(cls, position: Array, wxyz: Array) -> Pose:
-        """From read-only arrays that are finite, and a unit quaternion: nothing is looked at again."""
+        """From read-only arrays that are finite, and a unit quaternion: nothing is checked again."""
         pose = object.__new__(cls)
         pose.__dict__.update(position=position, wxyz=wxyz)
         return pose

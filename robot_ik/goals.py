@@ -89,7 +89,7 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
 def rotation_matrix(values: Array, what: str) -> Array:
     """``values`` (3, 3) if they are a rotation matrix; raises ``InvalidGoalError`` otherwise."""
     if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
-        raise InvalidGoalError(f"{what} has a matrix that does not turn: it scales or mirrors")
+        raise InvalidGoalError(f"{what} has a matrix that is not a rotation: it scales or mirrors")
     return values
 
 
@@ -101,7 +101,7 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
     if norm < 1e-9:
         raise InvalidGoalError(
             f"{what} is a zero quaternion, which is no orientation",
-            hint="quaternions are w, x, y, z; 1 0 0 0 turns nothing",
+            hint="quaternions are w, x, y, z; 1 0 0 0 is no rotation",
         )
     if norm == 1.0:
         return array
@@ -377,7 +377,7 @@ class PositionGoal(_PointGoal):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OrientationGoal(Goal):
-    """The frame turned as the unit quaternion ``wxyz`` (4,), world; its position is free.
+    """The frame oriented as the unit quaternion ``wxyz`` (4,), world; its position is free.
 
     Attributes:
         free_axis: Axis of the frame about which it may rotate freely ("z", "-x" or three numbers):
@@ -417,7 +417,7 @@ class OrientationGoal(Goal):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseGoal(Goal):
-    """The frame at ``position`` (3,) turned as ``wxyz`` (4,), world.
+    """The frame at ``position`` (3,) oriented as ``wxyz`` (4,), world.
 
     Attributes:
         free_axis: As in ``OrientationGoal``: a drill or a cup may rotate about its own axis.
@@ -682,7 +682,7 @@ class PostureGoal(Goal):
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         if not self.weight > 0.0:
             return 0.0, 0.0
-        tree, joint_weights, way = (
+        tree, joint_weights, difference = (
             robot.tree,
             self.joint_weights(robot),
             robot.difference(q, np.asarray(self.q)),
@@ -694,11 +694,11 @@ class PostureGoal(Goal):
             if not joint_weights[v] > 0.0 or k in led:
                 continue
             if kind in (SLIDE, FREE):
-                metres = max(metres, float(np.abs(way[v : v + (3 if kind == FREE else 1)]).max()))
+                metres = max(metres, float(np.abs(difference[v : v + (3 if kind == FREE else 1)]).max()))
             if kind != SLIDE:
                 first = v + 3 if kind == FREE else v
                 last = first + (1 if kind == HINGE else 3)
-                radians = max(radians, float(np.linalg.norm(way[first:last])))
+                radians = max(radians, float(np.linalg.norm(difference[first:last])))
         return metres, radians
 
 

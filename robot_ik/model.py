@@ -219,7 +219,7 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
         if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
             name = joint_names(model)[joint]
             raise ModelError(
-                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
+                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no range",
                 path=path,
                 hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
             )

@@ -391,7 +391,7 @@ def goal_kind(goal: Goal) -> Hashable:
     return goal.frame, kind, metres > 0.0, radians > 0.0, *others
 
 
-# Made once: the front door asks in every solve.
+# Made once: ``solve`` asks in every call.
 _TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
 
 

@@ -318,7 +318,7 @@ class Robot:
         """The same robot inside the intersection of its limits and these (nv,); home moves inside.
 
         Raises:
-            ModelError: No room is left for some joint, or not one number for each degree of freedom.
+            ModelError: No range is left for some joint, or not one number for each degree of freedom.
         """
         try:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
@@ -333,7 +333,7 @@ class Robot:
                 other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
                 one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
                 raise ModelError(
-                    f"no room is left for joint {joint!r}: the model allows {one} … {two}, "
+                    f"no range is left for joint {joint!r}: the model allows {one} … {two}, "
                     f"the other side {three} … {four}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )

@@ -56,7 +56,7 @@ class TableTop(Table):
 
 
 class SceneCamera(Table):
-    """A camera: where it stands, what it looks at, and its optics (pixels)."""
+    """A camera: where it stands, the point that it is aimed at, and its optics (pixels)."""
 
     position: Position
     look_at: Position
@@ -89,7 +89,7 @@ class GalleryScene(Table):
     """What `robot-ik robots --gallery` draws beside the home pose.
 
     A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
-    are at home.  ``view_deg``: from where one looks, azimuth (from x towards y) and elevation.
+    are at home.  ``view_deg``: the viewing direction, azimuth (from x towards y) and elevation.
     """
 
     about: str = "reaching"
@@ -101,7 +101,7 @@ class GalleryScene(Table):
 class FigureParts(Table):
     """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
 
-    ``bend``: the keyframe that a deep bend looks like.
+    ``bend``: the keyframe of a deep bend.
     """
 
     hands: dict[str, str] = Field(default={})

@@ -80,7 +80,7 @@ class Table(BaseModel):
     """A table of a file that people write.
 
     Unknown keys are errors, and values of another type: an integer is no boolean, text in quotes no number.
-    Subclasses check what no single key can tell in validators that raise ``WrongKey``.
+    Subclasses check what concerns several keys in validators that raise ``WrongKey``.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)

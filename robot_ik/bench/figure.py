@@ -162,7 +162,7 @@ def measure_motion(
 def _slip_and_drift(
     soles: _Soles, position: Array, matrix: Array, contact: NDArray[np.int64]
 ) -> tuple[float, float]:
-    """Largest way of a material point that touches from frame to frame, and of a flat foot."""
+    """Largest displacement of a material point that touches from frame to frame, and of a flat foot."""
     slip = drift = 0.0
     for side in (0, 1):
         since = None

@@ -29,7 +29,7 @@ def has_orientation(goal, g):
 
 
 @pure
-def hang(links, points, c, k):
+def attach(links, points, c, k):
     """Makes point ``c`` the first child of node ``k``."""
     links[c, UP] = k
     links[c, NEXT] = links[k, FIRST]
@@ -63,7 +63,7 @@ def link_points(tree, goal, nodes, links, points):
     for g in range(goal.kind.shape[0] - 1, -1, -1):
         if goal.node[g] >= 0:
             points[n + g, SHARE] = goal.weight[g, 0] * goal.weight[g, 0]
-            hang(links, points, n + g, goal.node[g])
+            attach(links, points, n + g, goal.node[g])
     for index in range(nodes.shape[0] - 1, -1, -1):
         k = nodes[index]
         if tree.kind[k] == HINGE:
@@ -82,11 +82,11 @@ def link_points(tree, goal, nodes, links, points):
             elif count > 0:
                 points[k, SHIFT] = along / count
         if tree.parent[k] >= 0:
-            hang(links, points, k, tree.parent[k])
+            attach(links, points, k, tree.parent[k])
 
 
 @pure
-def apart(points, b, at_b, a, at_a):
+def distance(points, b, at_b, a, at_a):
     """Distance of two points, each as it is (NOW) or its target (TARGET)."""
     x = points[b, at_b] - points[a, at_a]
     y = points[b, at_b + 1] - points[a, at_a + 1]
@@ -108,14 +108,14 @@ def across(x, y, z):
 
 
 @outlined
-def keep_pose(world, k, old, first):
+def store_pose(world, k, old, first):
     """old[first:first + 12] = the pose of node ``k``, before it moves."""
     for i in range(12):
         old[first + i] = world[k, i]
 
 
 @outlined
-def carry(world, k, old, first, frames, g):
+def move_with_node(world, k, old, first, frames, g):
     """Moves frames[g], which hangs on node ``k``, as the node has moved from the pose kept in ``old``.
 
     What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
@@ -160,7 +160,7 @@ def locate_all(tree, goal, work, links, points, one):
     for index in range(nodes.shape[0] + goal.kind.shape[0]):
         c = nodes[index] if index < nodes.shape[0] else n + index - nodes.shape[0]
         locate(tree, goal, work, points, one, c)
-        points[c, LENGTH] = apart(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
+        points[c, LENGTH] = distance(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
 
 
 @outlined
@@ -282,7 +282,7 @@ def rotation_axis(sums):
 
 
 # Columns of ``links`` after those of ``bones``, one for each goal: 1 where it hangs on the node.
-HANGS = LINK_COLUMNS
+DESCENDANTS = LINK_COLUMNS
 # A point nearer to the axis than this, metres, is not moved by a rotation about it.
 _NO_LEVER = 1e-6
 # Rotations of a ball with several points to serve, and where they end, rad.
@@ -290,14 +290,14 @@ _BALL_TURNS, _STILL = 12, 1e-10
 
 
 @outlined
-def mark_hanging(goal, links):
-    """Fills links[:, HANGS:]."""
+def mark_descendants(goal, links):
+    """Fills links[:, DESCENDANTS:]."""
     for g in range(goal.kind.shape[0]):
         for c in range(links.shape[0]):
-            links[c, HANGS + g] = 0
+            links[c, DESCENDANTS + g] = 0
         k = goal.node[g]
         while k >= 0:
-            links[k, HANGS + g] = 1
+            links[k, DESCENDANTS + g] = 1
             k = links[k, UP]
 
 
@@ -378,7 +378,7 @@ def add_goals(tree, goal, work, links, points, sums, k, pull):
     """
     n = tree.parent.shape[0]
     for g in range(goal.kind.shape[0]):
-        if points[n + g, SHARE] <= 0.0 or links[k, HANGS + g] == 0:
+        if points[n + g, SHARE] <= 0.0 or links[k, DESCENDANTS + g] == 0:
             continue
         count = sums[AIMS]
         add_aim(
@@ -396,11 +396,11 @@ def add_goals(tree, goal, work, links, points, sums, k, pull):
 @outlined
 def relocate(tree, goal, work, links, points, one, sums, k):
     """Where joint ``k`` is after a rotation; the frames of all goals that hang on it come along."""
-    keep_pose(work.world, k, sums, KEPT)
+    store_pose(work.world, k, sums, KEPT)
     locate(tree, goal, work, points, one, k)
     for g in range(goal.kind.shape[0]):
-        if links[k, HANGS + g] == 1:
-            carry(work.world, k, sums, KEPT, work.frames, g)
+        if links[k, DESCENDANTS + g] == 1:
+            move_with_node(work.world, k, sums, KEPT, work.frames, g)
 
 
 @outlined

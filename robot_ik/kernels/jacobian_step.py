@@ -3,16 +3,16 @@
 A step is made as follows; the middle is what makes a method:
 
     prepare(tree, goal, work, clamp, alternative)
-    pin_downhill(work)
+    fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
         ...                              # fills work.step from work.jacobian and work.wanted
-        if not pin_outward(work):
+        if not fix_pushed_by_step(work):
             break
     keep_inside(work)
     cap(work, gain, max_step)
 
-A *pinned* joint stands at its bound and would be pushed out: its column is zero, so that the others do
-its work and it holds no other joint back.  Joints inside their range are never pinned.
+A *fixed* joint stands at its bound and would be pushed out: its column is zero, so that the others do
+its work and it holds no other joint back.  Joints inside their range are never fixed.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -28,7 +28,7 @@ AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
 _EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
-# motion out of its plane, a joint that is pinned.
+# motion out of its plane, a joint that is fixed.
 NEGLIGIBLE = 1e-9
 
 
@@ -61,7 +61,7 @@ def slope(work):
 
 
 @pure
-def pin(work, u):
+def fix_joint(work, u):
     """Takes joint ``u`` out of this step."""
     work.side[u] = 1
     for r in range(work.wanted.shape[0]):
@@ -69,25 +69,25 @@ def pin(work, u):
 
 
 @outlined
-def pin_downhill(work):
-    """Pins the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
+def fix_pushed_by_gradient(work):
+    """Fixes the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
     slope(work)
     pressed = 0
     for u in range(work.step.shape[0]):
         work.side[u] = 0
         g = work.gradient[u]
         if (g < 0.0 and work.low[u] > -AT_BOUND) or (g > 0.0 and work.high[u] < AT_BOUND):
-            pin(work, u)
+            fix_joint(work, u)
             work.gradient[u] = 0.0
             pressed += 1
     work.state[PRESSED] = pressed
 
 
 @outlined
-def pin_outward(work):
-    """Pins the joint at a bound that work.step pushes out most; False when there is none.
+def fix_pushed_by_step(work):
+    """Fixes the joint at a bound that work.step pushes out most; False when there is none.
 
-    One at a time: the last one pinned was driven out by the others, so these still lead downhill.
+    One at a time: the last one fixed was driven out by the others, so these still lead downhill.
     """
     worst, most = -1, AT_BOUND
     for u in range(work.step.shape[0]):
@@ -100,7 +100,7 @@ def pin_outward(work):
             worst, most = u, out
     if worst < 0:
         return False
-    pin(work, worst)
+    fix_joint(work, worst)
     work.aim[worst] = 0.0
     work.state[PRESSED] += 1
     return True

@@ -88,14 +88,14 @@ _TOGETHER = -1
 
 
 @pure
-def arrive(tree, goal, work):
+def take_step(tree, goal, work):
     """Measures where work.step leads, in the costs of the levels."""
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
     measure_levels(tree, goal, work)
 
 
 @pure
-def go_back(tree, goal, work):
+def revert_step(tree, goal, work):
     """To where work.accepted is."""
     copy(work.accepted, work.q)
     measure_levels(tree, goal, work)
@@ -110,7 +110,7 @@ def count_step(goal, work):
 
 
 @pure
-def hurried(state):
+def in_random_try(state):
     """Whether a level is served for a random try only, which is short."""
     return state[LEVEL] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
 
@@ -141,16 +141,16 @@ def level_step(tree, goal, work, options):
     if soft and largest <= _REST:
         state[STALLS] = _LEVEL_PATIENCE
         return
-    arrive(tree, goal, work)
+    take_step(tree, goal, work)
     helped = restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
-        progress = value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS
+        progress = value[PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
         state[PRESSED] = pressed
         value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
         state[STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[STALLS] + 1
         keep_first(work)
     else:
-        go_back(tree, goal, work)
+        revert_step(tree, goal, work)
         value[DAMPING] *= increase
         state[STALLS] += 1
     state[TRY_STEPS] += 1
@@ -178,7 +178,7 @@ def step_together(tree, goal, work):
         return False
     copy(work.q, work.accepted)
     copy(work.level_cost, work.level_bar)
-    arrive(tree, goal, work)
+    take_step(tree, goal, work)
     helped = not met or work.level_cost[last] < work.level_bar[last]
     for level in range(needed):
         shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
@@ -186,7 +186,7 @@ def step_together(tree, goal, work):
     state[STALLS] += 1
     count_step(goal, work)
     if not helped:
-        go_back(tree, goal, work)
+        revert_step(tree, goal, work)
         return False
     state[PRESSED] = pressed
     keep_first(work)
@@ -196,7 +196,7 @@ def step_together(tree, goal, work):
 
 
 @outlined
-def serve_from(tree, goal, work, q):
+def begin_at(tree, goal, work, q):
     """Begins with the first level at ``q``."""
     state = work.state
     copy(q, work.q)
@@ -216,7 +216,7 @@ def start_anew(tree, goal, work):
         if work.level_cost[0] < lowest:
             lowest = work.level_cost[0]
             copy(work.q, work.candidate)
-    serve_from(tree, goal, work, work.candidate)
+    begin_at(tree, goal, work, work.candidate)
 
 
 @pure
@@ -229,7 +229,7 @@ def beyond_first(goal, work):
 
 
 @outlined
-def go_on(tree, goal, work):
+def try_again(tree, goal, work):
     """Another try for the first level; False where none can help.
 
     Where it has goals that are proven out of reach, the others are searched for without them, first from the
@@ -245,7 +245,7 @@ def go_on(tree, goal, work):
         return False
     drop_beyond(goal, work)
     state[SEARCH] = SEARCHING
-    serve_from(tree, goal, work, work.best)
+    begin_at(tree, goal, work, work.best)
     return not level_met(goal, work, 0)
 
 
@@ -269,11 +269,11 @@ def end_try(tree, goal, work):
         state[STATUS] = CONVERGED
     elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
         state[STATUS] = ITERATION_LIMIT
-    elif more and state[RESTARTS] < state[MAX_RESTARTS] and go_on(tree, goal, work):
+    elif more and state[RESTARTS] < state[MAX_RESTARTS] and try_again(tree, goal, work):
         return
     elif more and state[RESTARTS] > 0 and state[SEARCH] == ALL_GOALS:
         state[POLISHING] = 1
-        serve_from(tree, goal, work, work.best)
+        begin_at(tree, goal, work, work.best)
         return
     else:
         state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
@@ -290,17 +290,17 @@ def next_level(tree, goal, work, first_damping):
             ask_for_all(goal)
             state[SEARCH] = FOUND
             copy(work.q, work.candidate)
-            serve_from(tree, goal, work, work.candidate)
+            begin_at(tree, goal, work, work.candidate)
         else:
             end_try(tree, goal, work)
         return
-    if hurried(state) and not met:
+    if in_random_try(state) and not met:
         end_try(tree, goal, work)
         return
     leave_level(goal, work, level)
     copy(work.q, work.accepted)
     if not restore(tree, goal, work, level + 1):
-        go_back(tree, goal, work)
+        revert_step(tree, goal, work)
     state[LEVEL], state[STALLS] = level + 1, 0
     work.value[DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
 
@@ -308,7 +308,7 @@ def next_level(tree, goal, work, first_damping):
 @pure
 def exhausted(state):
     """Whether a level has had its steps."""
-    if hurried(state):
+    if in_random_try(state):
         return state[STALLS] >= state[PATIENCE] or state[TRY_STEPS] >= state[TRY_LIMIT]
     return state[STALLS] >= _LEVEL_PATIENCE
 

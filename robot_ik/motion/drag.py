@@ -24,7 +24,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 
-# A solve of one tick begins a tick away from its answer: no search.
+# A solve of one tick begins a tick away from its solution: no search.
 _BUDGET = Budget(iterations=20, restarts=0)
 # m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
 _LEASH = 0.06
@@ -88,7 +88,9 @@ class Drag:
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
-        self._grip: tuple[str, Array] | None = None  # a frame of the grabbed body, and the way to its point
+        self._grip: tuple[str, Array] | None = (
+            None  # a frame of the grabbed body, and the offset of its point
+        )
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -194,8 +196,10 @@ class Drag:
         wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
         if target is not None and self.dragged is not None:
             self._point = self.robot.forward(self.q, self.dragged).position
-            way = wanted - self._point
-            wanted = self._point + way * min(1.0, _LEASH / max(float(np.linalg.norm(way)), 1e-12))
+            displacement = wanted - self._point
+            wanted = self._point + displacement * min(
+                1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12)
+            )
         return np.array(self._towards(wanted, self._mass))
 
     def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
@@ -219,7 +223,7 @@ class Drag:
 
     def _shift(self, positions: Sequence[Array], seconds: float) -> Iterator[Array]:
         begin = self.robot.center_of_mass(self.q)
-        way = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
+        displacement = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
         self._mass = begin
         self._moved()
         share, pace = 0.0, 1.0 / max(1, round(seconds * self.rate))
@@ -228,8 +232,12 @@ class Drag:
             x = min(1.0, x + pace)
             wanted = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
             before = np.array(self._mass)
-            q = self._towards(self._point, begin + wanted * way)
-            share = float((self._mass - begin) @ way / max(float(way @ way), 1e-12)) if way.any() else 1.0
+            q = self._towards(self._point, begin + wanted * displacement)
+            share = (
+                float((self._mass - begin) @ displacement / max(float(displacement @ displacement), 1e-12))
+                if displacement.any()
+                else 1.0
+            )
             share = 1.0 if share > 1.0 - 1e-9 else share
             yield np.array(q)
             if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:

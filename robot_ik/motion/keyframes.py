@@ -1,6 +1,6 @@
 """Keyframes: a smooth motion through joint vectors, and its replay without inverse kinematics.
 
-A00 records start and end poses of a walk and replays them by interpolating joint angles.  Here the way
+A00 records start and end poses of a walk and replays them by interpolating joint angles.  Here the path
 between two keys is a cubic in the tangent of the first, q(t) = q_i ⊕ h(s): for hinges and slides the monotone
 spline of Fritsch & Butland (SIAM J. Sci. Stat. Comput. 5(2), 1984), which never leaves the span of its
 keys; for balls and the free base it runs along the geodesic (slerp) where the motion comes to rest at both
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _SLACK = 1e-6
 # Part by which a joint may exceed its speed limit: rounding.
 _OVER_SPEED = 1e-9
-# s: the shortest way between two keys.
+# s: the shortest segment between two keys.
 _SHORTEST = 1e-3
 # Rounds that lengthen the segments that are too fast; what is left is taken from all alike.
 _TIMING_ROUNDS = 60
@@ -203,7 +203,7 @@ class Keyframes:
         Args:
             robot: Its limits count.
             poses: (nq,) each.
-            durations: Seconds that each way shall take at least: one number, or one for each.
+            durations: Seconds that each segment shall take at least: one number, or one for each.
             speed: Part of the speed limits to use, above 0 and up to 1.
             velocity: (nv,) speed limits in place of the robot's, rad/s or m/s.
             loop: Come back to the first pose, which is added behind the last unless it stands there.
@@ -295,7 +295,7 @@ class Keyframes:
         yield np.array(self.q[-1])
 
     def peak_velocity_of_segments(self) -> Array:
-        """(n - 1, nv) largest speed of each degree of freedom on the way from key to key, rad/s or m/s.
+        """(n - 1, nv) largest speed of each degree of freedom on the segment from key to key, rad/s or m/s.
 
         Of a rotation it is the bound |J_r(h) h'| <= |h'| for all three numbers together.
         """
@@ -424,7 +424,7 @@ class Keyframes:
             loose = self._out_of_cone()
             if not loose:
                 return
-            for i, v in loose:  # at rest at both keys the way is the geodesic, which stays inside
+            for i, v in loose:  # at rest at both keys the segment is the geodesic, which stays inside
                 slopes[i : i + 2, v : v + 3] = 0.0
             self._cubic = self._coefficients(ways, gaps, slopes)
 
@@ -476,7 +476,7 @@ class Keyframes:
                 yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
 
     def _require_speed(self, velocity: Array) -> None:
-        """Raises where a speed limit is broken, with the time that the way would need."""
+        """Raises where a speed limit is broken, with the time that the segment would need."""
         over = self.peak_velocity_of_segments() / velocity
         if not over.size or not over.max() > 1.0 + _OVER_SPEED:
             return

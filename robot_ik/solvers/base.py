@@ -86,7 +86,7 @@ class Solver(ABC):
         name: Its key in ``SOLVERS``.
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
-        parts: Whether it also serves goals that ask for single coordinates or axes only.
+        partial_goals: Whether it also serves goals that ask for single coordinates or axes only.
         capabilities: What else of a problem it supports: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
@@ -95,7 +95,7 @@ class Solver(ABC):
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
-    parts: ClassVar[bool] = False
+    partial_goals: ClassVar[bool] = False
     capabilities: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
@@ -114,18 +114,18 @@ class Solver(ABC):
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
-        return isinstance(goal, self.goals) and (self.parts or goal.rows.whole)
+        return isinstance(goal, self.goals) and (self.partial_goals or goal.rows.whole)
 
     def applies(self, problem: Problem) -> bool:
         """Whether it can try this problem at all."""
-        return not self.beyond(problem)
+        return not self.unsupported(problem)
 
     def family(self, problem: Problem) -> str:
         """What it has recognised the arm as, for this goal; empty when it recognises none."""
         return ""
 
-    def beyond(self, problem: Problem) -> str:
-        """What of the problem it cannot serve, in words; empty when nothing is."""
+    def unsupported(self, problem: Problem) -> str:
+        """What of the problem it cannot serve, as text; empty when nothing is."""
         for goal in problem.given:
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
@@ -136,10 +136,10 @@ class Solver(ABC):
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
-        if beyond := self.beyond(problem):
+        if unsupported := self.unsupported(problem):
             from robot_ik.solvers import able_solvers  # here: a new row shall not compile every method anew
 
-            raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
+            raise UnsupportedGoalError(self.name, unsupported, able_solvers(problem))
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception.

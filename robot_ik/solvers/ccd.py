@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.kernels.bones import carry, keep_pose
+from robot_ik.kernels.bones import move_with_node, store_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
@@ -170,7 +170,7 @@ def move_joint(tree, goal, work, u, one, old):
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
-    keep_pose(work.world, k, old, 0)
+    store_pose(work.world, k, old, 0)
     if tree.kind[k] < BALL:
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
@@ -186,7 +186,7 @@ def move_joint(tree, goal, work, u, one, old):
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 1:
-            carry(work.world, k, old, 0, work.frames, g)
+            move_with_node(work.world, k, old, 0, work.frames, g)
 
 
 @outlined

@@ -44,7 +44,7 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, generalised"
 
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     # Those of its methods that can.
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
@@ -109,8 +109,8 @@ class Combined(Solver):
         members = tuple(member for member in self._members if member.applies(problem))
         if not members:
             goal = problem.given[0]
-            beyond = [member.beyond(problem) for member in self._members]
-            what = next(filter(None, beyond), f"a {goal.name}")
+            unsupported = [member.unsupported(problem) for member in self._members]
+            what = next(filter(None, unsupported), f"a {goal.name}")
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
         return members
 

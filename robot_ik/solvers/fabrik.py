@@ -28,8 +28,8 @@ import numpy as np
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels.bones import (
     BALL_PULL,
+    DESCENDANTS,
     FIRST,
-    HANGS,
     LENGTH,
     NEXT,
     NOW,
@@ -41,11 +41,11 @@ from robot_ik.kernels.bones import (
     TARGET,
     UP,
     across,
-    apart,
+    distance,
     has_orientation,
     link_points,
     locate_all,
-    mark_hanging,
+    mark_descendants,
     settle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
@@ -105,18 +105,18 @@ open_options = options_of(Fabrik)
 
 
 @pure
-def pulled(tree, goal, points, k, c, i):
+def pulled_position(tree, goal, points, k, c, i):
     """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
     if tree.kind[k] == SLIDE:  # cannot rotate: comes along as it is
         return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
-    gap = apart(points, k, NOW, c, TARGET)
+    gap = distance(points, k, NOW, c, TARGET)
     if gap > 1e-12:
         return points[c, TARGET + i] + points[c, LENGTH] / gap * (points[k, NOW + i] - points[c, TARGET + i])
     return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
 
 
 @pure
-def posed(goal, points, k, g, i):
+def posed_position(goal, points, k, g, i):
     """Coordinate ``i`` of where node ``k`` stands when the frame of goal ``g`` has the wanted pose."""
     target, local = goal.target, goal.local
     result = target[g, i]
@@ -131,7 +131,7 @@ def posed(goal, points, k, g, i):
 
 @outlined
 def reach_back(tree, goal, work, links, points):
-    """Wishes of all points, from the goals towards the roots."""
+    """Targets of all points, from the goals towards the roots."""
     n = tree.parent.shape[0]
     for index in range(work.nodes.shape[0] - 1, -1, -1):
         k = work.nodes[index]
@@ -144,7 +144,9 @@ def reach_back(tree, goal, work, links, points):
                 fixed = c >= n and has_orientation(goal, c - n)
                 for i in range(3):
                     target = (
-                        posed(goal, points, k, c - n, i) if fixed else pulled(tree, goal, points, k, c, i)
+                        posed_position(goal, points, k, c - n, i)
+                        if fixed
+                        else pulled_position(tree, goal, points, k, c, i)
                     )
                     points[k, TARGET + i] += share * target
             c = links[c, NEXT]
@@ -164,13 +166,13 @@ def bend(tree, goal, work, links, points, kick):
             length += points[root, LENGTH]
             root = links[root, UP]
         end, at = tip, TARGET
-        far = apart(points, tip, TARGET, root, NOW)
+        far = distance(points, tip, TARGET, root, NOW)
         if far >= length * (1.0 - _STRETCHED):
             too_far = True
             continue
         if far < 1e-9 * length:  # the goal is at the root: the line is the chain's own
             at = NOW
-            far = apart(points, tip, NOW, root, NOW)
+            far = distance(points, tip, NOW, root, NOW)
             if far < 1e-9 * length:
                 continue
         x = (points[end, at] - points[root, NOW]) / far
@@ -184,12 +186,12 @@ def bend(tree, goal, work, links, points, kick):
             off = max(off, abs(y * dz - z * dy), abs(z * dx - x * dz), abs(x * dy - y * dx))
             k = links[k, UP]
         if off < _STRAIGHT * length:
-            bulge(tree, work.world, links, points, root, tip, x, y, z, kick)
+            push_off_line(tree, work.world, links, points, root, tip, x, y, z, kick)
     return too_far
 
 
 @outlined
-def bulge(tree, world, links, points, root, tip, x, y, z, kick):
+def push_off_line(tree, world, links, points, root, tip, x, y, z, kick):
     """Moves the points between root and tip off the line (x, y, z), to where their hinges can go."""
     ax, ay, az = across(x, y, z)
     k = links[tip, UP]
@@ -210,13 +212,13 @@ def bulge(tree, world, links, points, root, tip, x, y, z, kick):
 
 @outlined
 def straighten(tree, links, points):
-    """Wishes of a single chain on the line from its root to its goal, bone after bone."""
+    """Targets of a single chain on the line from its root to its goal, bone after bone."""
     tip = tree.parent.shape[0]
     root, length = tip, 0.0
     while links[root, UP] >= 0:
         length += points[root, LENGTH]
         root = links[root, UP]
-    far = apart(points, tip, TARGET, root, NOW)
+    far = distance(points, tip, TARGET, root, NOW)
     x, y, z = points[tip, TARGET], points[tip, TARGET + 1], points[tip, TARGET + 2]
     k = tip
     while k != root:
@@ -269,11 +271,11 @@ def fabrik(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
+    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
-    mark_hanging(goal, links)
+    mark_descendants(goal, links)
     work.step[:] = 0.0
     sums[PULL] = options.pull
     begin(tree, goal, work)

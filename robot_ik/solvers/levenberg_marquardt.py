@@ -4,7 +4,7 @@ Each step minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside the joint limi
 proportion to the cost, as Chan & Lawrence (General inverse kinematics with the error damped
 pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back and λ raised
 (Marquardt 1963).  Short tries from random starts, each the best of a few draws, replace long ones
-that creep; in these a joint with a range of 2π goes round rather than stop at its limit.
+that creep; in these a joint with a range of 2π wraps around rather than stop at its limit.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -185,7 +185,7 @@ class LevenbergMarquardt(IterativeSolver):
 
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
@@ -204,10 +204,10 @@ class LevenbergMarquardt(IterativeSolver):
 
         return lm_levels
 
-    def beyond(self, problem: Problem) -> str:
+    def unsupported(self, problem: Problem) -> str:
         if self.guided and has_levels(problem.compiled):
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
-        return super().beyond(problem)
+        return super().unsupported(problem)
 
     def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
         options = self.option_values
@@ -245,37 +245,37 @@ def has_levels(compiled: CompiledProblem) -> bool:
 
 @pure
 def stride_bounds(tree, goal, work, stride):
-    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may go round."""
+    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may wrap around."""
     step_bounds(tree, goal, work)
     low, high, joint_scale = work.low, work.high, goal.joint_scale
-    around = roams(tree, work)
+    around = may_wrap(tree, work)
     for u in range(low.shape[0]):
         most = stride / joint_scale[u]
-        if around and goes_round(tree, goal.dofs[u]):
+        if around and can_wrap(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:
             low[u], high[u] = max(low[u], -most), min(high[u], most)
 
 
 @pure
-def roams(tree, work):
-    """Whether joints may go round: not where others follow, nor in the tries that stay near the start."""
+def may_wrap(tree, work):
+    """Whether joints may wrap around: not where others follow, nor in the tries that stay near the start."""
     return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.tied.shape[0] == 0
 
 
 @pure
-def goes_round(tree, v):
-    """Whether a joint has a whole revolution between its limits, so that no pose is lost by going round."""
+def can_wrap(tree, v):
+    """Whether a joint has a whole revolution between its limits, so that wrapping loses no pose."""
     span = tree.upper[v] - tree.lower[v]
     return span >= 2.0 * math.pi and span < math.inf and tree.kind[tree.dof_node[v]] == HINGE
 
 
 @pure
-def go_round(tree, goal, work):
+def wrap_around(tree, goal, work):
     """Where a step leads a joint past its limit, it goes on a whole revolution before."""
     for u in range(work.step.shape[0]):
         v = goal.dofs[u]
-        if goes_round(tree, v):
+        if can_wrap(tree, v):
             joint_scale = goal.joint_scale[u]
             there = work.q[tree.qadr[tree.dof_node[v]]] + joint_scale * work.step[u]
             if there > tree.upper[v]:
@@ -336,8 +336,8 @@ def lm_step(tree, goal, work, points, wanted, options):
             step[i] = 0.0
     else:
         state[PRESSED] = pressed
-        if roams(tree, work):
-            go_round(tree, goal, work)
+        if may_wrap(tree, work):
+            wrap_around(tree, goal, work)
 
 
 @pure

@@ -29,7 +29,7 @@ from robot_ik.solvers.base import IterativeSolver, option, options_of
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
-# zero at the minimum, would spoil what the metric learns.)
+# zero at the minimum, would spoil the update of the metric.)
 
 
 # A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
@@ -120,7 +120,7 @@ def rotated(x, y, z, vx, vy, vz, k):
 
 
 @outlined
-def carry(tree, goal, work):
+def transport(tree, goal, work):
     """Takes metric, work.moved and work.before of the held cones from work.accepted along to work.q."""
     metric, normal, moved, before = work.metric, work.outward, work.moved, work.before
     n = metric.shape[0]
@@ -163,7 +163,7 @@ def carry(tree, goal, work):
 # The metric of a variable-metric method, projected on the limits that are active.
 #
 # ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as a multiple of
-# the identity and learns the inverse of the Hessian from the steps that are taken (``learn``).
+# the identity and is updated to the inverse of the Hessian by the steps that are taken (``update_metric``).
 #
 # A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
 # it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
@@ -176,12 +176,12 @@ def carry(tree, goal, work):
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
-# Least cosine between a step and the change of slope along it for the metric to learn from them.
+# Least cosine between a step and the change of slope along it for the metric to be updated from them.
 _LEAST_CURVATURE = 1e-8
 
 
 @outlined
-def slopes(tree, goal, work):
+def measure_gradient(tree, goal, work):
     """At work.q, which has been measured: work.gradient = Jᵀr, and the step along it that the goals ask for.
 
     That step is value[SCALE] = gᵀg / |J g|², of the linearised goals (Cauchy 1847).
@@ -231,7 +231,7 @@ def hold_coordinate(work, u):
 
 
 @pure
-def leaves(work, vector, u):
+def leaves_bound(work, vector, u):
     """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
     return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
 
@@ -254,7 +254,7 @@ def constrain(tree, goal, work):
                 for i in range(u, u + 3):
                     work.low[i] = work.high[i] = 0.0
             continue
-        leaving = leaves(work, gradient, u)
+        leaving = leaves_bound(work, gradient, u)
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
@@ -278,7 +278,7 @@ def direction(tree, goal, work):
             if is_cone(tree, goal, u) and leaves_cone(work, search_direction, u) and side[u] == 0:
                 hold_cone(work, u)
                 crossed = True
-            elif leaves(work, search_direction, u) and side[u] == 0:
+            elif leaves_bound(work, search_direction, u) and side[u] == 0:
                 hold_coordinate(work, u)
                 crossed = True
         if not crossed:
@@ -312,7 +312,7 @@ def displacement(tree, goal, work):
 
 
 @outlined
-def learn(work):
+def update_metric(work):
     """The update of Broyden, Fletcher, Goldfarb and Shanno (1970) from s = moved and y = before − gradient.
 
     H ← (1 − s yᵀ/σ) H (1 − y sᵀ/σ) + s sᵀ/σ, σ = sᵀy; left out where σ is not clearly positive, which
@@ -369,7 +369,7 @@ class Minimization(IterativeSolver):
     name: ClassVar[str] = "bfgs"
     title: ClassVar[str] = "minimisation by a variable metric (BFGS), projected on the limits"
     source: ClassVar[str] = "Zhao & Badler, ACM Transactions on Graphics 13(4), 1994"
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     def kernel(self) -> Callable[..., None]:
@@ -380,7 +380,7 @@ open_options = options_of(Minimization)
 
 
 @outlined
-def go(tree, goal, work, share):
+def try_step(tree, goal, work, share):
     """Measures work.accepted plus ``share`` of work.search_direction, in limits; returns what is promised.
 
     That is the descent which the slope promises for the part that is left of it at the limits.
@@ -399,7 +399,7 @@ def go(tree, goal, work, share):
 
 
 @outlined
-def search(tree, goal, work, options, slope):
+def line_search(tree, goal, work, options, slope):
     """Goes down along work.search_direction until enough is won and the slope has eased (Wolfe 1969).
 
     Returns whether a lower point was found: then work.q, work.step, work.gradient and work.moved are its own.
@@ -413,10 +413,10 @@ def search(tree, goal, work, options, slope):
     share = min(1.0, max_step / longest)
     good, bad = 0.0, 0.0
     for _ in range(_TRIALS):
-        promised = go(tree, goal, work, share)
+        promised = try_step(tree, goal, work, share)
         won = cost - work.value[COST]
         if promised > 0.0 and won >= decrease * promised:
-            slopes(tree, goal, work)
+            measure_gradient(tree, goal, work)
             clipped = False
             for u in range(search_direction.shape[0]):
                 clipped = clipped or work.step[u] != share * search_direction[u]
@@ -435,8 +435,8 @@ def search(tree, goal, work, options, slope):
             else:  # the parabola through both costs and the slope
                 share *= min(max(0.5 * promised / (promised - won), 0.1), 0.5)
     if good > 0.0:
-        go(tree, goal, work, good)
-        slopes(tree, goal, work)
+        try_step(tree, goal, work, good)
+        measure_gradient(tree, goal, work)
     return good > 0.0
 
 
@@ -445,17 +445,17 @@ def bfgs_step(tree, goal, work, options):
     """work.step for one step downhill; zero, and the end of the try, where there is none."""
     state, cost = work.state, work.value[COST]
     if state[TRY_STEPS] == 0:
-        slopes(tree, goal, work)
+        measure_gradient(tree, goal, work)
         reset(work)
     copy(work.q, work.accepted)
     for _ in range(2):
         constrain(tree, goal, work)
         slope = direction(tree, goal, work)
         copy(work.gradient, work.before)
-        found = slope > 0.0 and search(tree, goal, work, options, slope)
+        found = slope > 0.0 and line_search(tree, goal, work, options, slope)
         if found:
-            carry(tree, goal, work)
-            learn(work)
+            transport(tree, goal, work)
+            update_metric(work)
         copy(work.accepted, work.q)  # ``advance`` goes on from there
         work.value[COST] = cost
         if found:

@@ -238,10 +238,11 @@ def every_kind(robot, q, frame, other):
     return [
         PositionGoal(frame, position), PositionGoal(frame, position, axes="xz"),
         OrientationGoal(frame, pose.wxyz), OrientationGoal(frame, pose.wxyz, free_axis="y"),
-        PoseGoal.at(frame, pose), PoseGoal(frame, position, pose.wxyz, free_axis="x"), AimGoal(frame, aimed_at, axis="z"),
-        LineGoal(frame, position, (1, 2, 3)), PlaneGoal(frame, position, (3, 2, 1)),
-        HalfSpaceGoal(frame, position, (0, 0, -1)), CenterOfMassGoal(None, robot.center_of_mass(q)),
-        PostureGoal(q=q), [PositionGoal(frame, position), PlaneGoal(other, there, (1, 1, 0))],
+        PoseGoal.at(frame, pose), PoseGoal(frame, position, pose.wxyz, free_axis="x"),
+        AimGoal(frame, aimed_at, axis="z"), LineGoal(frame, position, (1, 2, 3)),
+        PlaneGoal(frame, position, (3, 2, 1)), HalfSpaceGoal(frame, position, (0, 0, -1)),
+        CenterOfMassGoal(None, robot.center_of_mass(q)), PostureGoal(q=q),
+        [PositionGoal(frame, position), PlaneGoal(other, there, (1, 1, 0))],
     ]  # fmt: skip
 
 

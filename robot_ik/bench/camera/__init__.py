@@ -113,7 +113,9 @@ ROWS: tuple[Row, ...] = (
         "joint zeros from 30 pictures of a board in the hand",
         _HERE + "arm:offsets",
     ),
-    Row("honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:honesty"),
+    Row(
+        "honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:consistency"
+    ),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "arm:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "speed:times"),
     Row("drawing", "drawing a robot over a picture", _HERE + "speed:drawing"),

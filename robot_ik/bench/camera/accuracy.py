@@ -84,9 +84,9 @@ def corners(effort: Effort) -> Iterator[Quantity]:
             if seen is None:
                 continue
             error = seen.corners - view.corners
-            way = view.corners - view.corners.mean(axis=0)
+            direction = view.corners - view.corners.mean(axis=0)
             errors.append(error)
-            outward.append((error * way).sum(axis=1) / np.linalg.norm(way, axis=1))
+            outward.append((error * direction).sum(axis=1) / np.linalg.norm(direction, axis=1))
     every = np.array(errors)
     bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outward))))
     yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
@@ -202,13 +202,13 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
         seen = tracker.observe(frame)
         finds += len(seen)
         for marker_id in {observation.id for observation in seen}:
-            one = MarkerGoalSource(_One(frame), tracker, Pose(), marker_id, Pose())
+            one = MarkerGoalSource(_SingleFrameSource(frame), tracker, Pose(), marker_id, Pose())
             false += one.poll(0.05 * number) is not None
     yield Quantity(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
     yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
 
 
-class _One(ClosingSource):
+class _SingleFrameSource(ClosingSource):
     """One frame for ever."""
 
     live = False
@@ -387,7 +387,7 @@ LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
     "prediction and shifting": (1.0, LatencyOptions("latest", predict=True, shift=True)),
     "delayed video": (0.0, LatencyOptions("tracked")),
 }
-"""Azuma's remedies: what part of the delay is left, and what is done about it."""
+"""Azuma's latency options: what part of the delay is left, and what is done about it."""
 
 
 # Pictures a second of the registration that lags.
@@ -419,7 +419,7 @@ def _latency_error(
     points: Array,
 ) -> Misses:
     registrar = Registrar(
-        _Remembering(observations),
+        _RecordedWatcher(observations),
         PainterArtist(),
         DrawnRobot(mujoco.MjSpec().compile()),
         STANDARD_CAMERA,
@@ -442,7 +442,7 @@ def _latency_error(
     return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
 
 
-class _Remembering(BoardWatcher):
+class _RecordedWatcher(BoardWatcher):
     """Has seen all pictures before."""
 
     def __init__(self, observations: list[Seen | None]) -> None:

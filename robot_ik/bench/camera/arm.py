@@ -36,7 +36,7 @@ _ROBOT, _VIEWS, _TRIALS = "puma560", 30, 6
 # Hidden offsets up to so much; scatter of a servo (half a tick of twelve bits) and of corners.
 _HIDDEN, _SERVO, _PIXELS = np.deg2rad(2.0), np.deg2rad(0.044), 0.1
 _DISTANCE, _BEND, _STEEPEST = 0.8, 1.2, 0.4
-# So far inside the picture, px, is a board that is looked at.
+# So far inside the picture, px, is a board that is observed.
 _EDGE = 6.0
 # On the tool, a board of 2×2, where the drawing of its mount has it; on the table, a sheet of A4, seen at 45
 # degrees, 0.9 m away.
@@ -150,8 +150,8 @@ def _view(
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
         true = q + hidden + rng.normal(0.0, _SERVO, robot.nv)
         there = eye.inverse().compose(robot.forward(true)).compose(board)
-        way = -there.position / np.linalg.norm(there.position)
-        if there.position[2] < 0.3 or there.rotation[:, 2] @ way < _STEEPEST:
+        direction = -there.position / np.linalg.norm(there.position)
+        if there.position[2] < 0.3 or there.rotation[:, 2] @ direction < _STEEPEST:
             continue
         corners = np.concatenate([on.apply(marker_points(side)) for side, on in _CARRIED.values()])
         pixels = STANDARD_CAMERA.project(there.apply(corners))
@@ -167,7 +167,7 @@ def _view(
 
 _SEEDS, _CHAIN_VIEWS = 20, 20
 # Mean squared error over the stated one.
-_HONEST = (0.3, 3.0)
+_NEES_RANGE = (0.3, 3.0)
 _PRINTED = "DICT_4X4_50"
 
 
@@ -179,7 +179,7 @@ def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> Board
 
 
 @dataclass
-class _Honesty:
+class _Consistency:
     """Squared errors over the stated ones, one a seed.
 
     Attributes:
@@ -220,15 +220,15 @@ class _Honesty:
 
 
 def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
-    """Squared error of a pose over the stated one: 1 on average for an honest one."""
+    """Squared error of a pose over the stated one: 1 on average for a consistent one."""
     rotation = rotation_log(quat_multiply(found.wxyz, truth.inverse().wxyz))
     off = np.concatenate([found.position - truth.position, rotation])
     return float(off @ np.linalg.solve(covariance, off)) / 6.0
 
 
-def honesty(effort: Effort) -> Iterator[Quantity]:
+def consistency(effort: Effort) -> Iterator[Quantity]:
     """Locate, hand-eye and ``verify --fit`` by the pictures of a webcam: is each as near as it says?"""
-    robot, result = load_robot(_ROBOT), _Honesty()
+    robot, result = load_robot(_ROBOT), _Consistency()
     seen = robot.forward(robot.home).compose(_DRAWN)
     eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
     for seed in range(effort.count(_SEEDS)):
@@ -238,8 +238,8 @@ def honesty(effort: Effort) -> Iterator[Quantity]:
         ("joint zeros", result.zeros),
     ):  # fmt: skip
         nees = float(np.mean(values))
-        yield Quantity(f"{what}, squared error over the stated", nees, "", _HONEST[1])
-        yield Quantity(f"{what}, the same, at least", nees, "", _HONEST[0], at_least=True)
+        yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES_RANGE[1])
+        yield Quantity(f"{what}, the same, at least", nees, "", _NEES_RANGE[0], at_least=True)
     off = np.degrees(result.offsets)
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")

@@ -138,9 +138,9 @@ def outward_of_saddles(
         if number not in seen or not 0 < row < board.rows - 1:
             continue
         expected = lens.distort(_predicted(homography, board, column, row))
-        way = expected - expected.mean(axis=0)
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        off.append(float(np.mean(np.sum((seen[number] - expected) * way, axis=1))))
+        direction = expected - expected.mean(axis=0)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        off.append(float(np.mean(np.sum((seen[number] - expected) * direction, axis=1))))
     return off
 
 

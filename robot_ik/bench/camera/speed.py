@@ -69,7 +69,7 @@ def moving_frames(camera: CameraIntrinsics, count: int, seed: int) -> list[Frame
 
 
 @dataclass(frozen=True)
-class Took:
+class ElapsedTimes:
     """Median over pictures of the best of three rounds, ms: of one thread's processor time, by the clock."""
 
     processor: float
@@ -81,7 +81,7 @@ class Took:
         yield Quantity(f"{what}, by the clock", self.clock, "ms", timed=True)
 
 
-def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
+def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> ElapsedTimes:
     """How long ``work`` takes for one of the ``items``."""
     for item in items:  # compiles and warms up
         work(item)
@@ -91,7 +91,7 @@ def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
         processor = _best(work, items, time.thread_time)
     finally:
         cv2.setNumThreads(threads)
-    return Took(processor, _best(work, items, time.perf_counter))
+    return ElapsedTimes(processor, _best(work, items, time.perf_counter))
 
 
 def _best(work: Callable[[Any], object], items: Sequence[Any], clock: Callable[[], float]) -> float:
@@ -245,7 +245,7 @@ class _Camera:
 
 
 def delay(effort: Effort) -> Iterator[Quantity]:
-    """A camera of 30 Hz with its thread, a thread that looks, and a loop of 100 Hz that asks for goals."""
+    """A camera of 30 Hz with its thread, a thread that detects, and a loop of 100 Hz that asks for goals."""
     from robot_ik.robot import load_robot
 
     robot = load_robot(_ARM)

@@ -21,7 +21,7 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
-# A robot written out in the plainest MJCF: one hinge a body, turning about the body's own origin.
+# A robot written out in the plainest MJCF: one hinge a body, rotating about the body's own origin.
 #
 # Other libraries' readers and converters ask for that form; a body of ours may carry several hinges with
 # anchors of their own.  The kinematics are the same, which a test holds to MuJoCo.
@@ -272,8 +272,8 @@ def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) 
         assert ball is not None
         centre, radius = ball
         pose = judge.pose(robot.sample(rng))
-        way = pose[:3, 3] - centre
-        pose[:3, 3] = centre + way / np.linalg.norm(way) * radius * rng.uniform(*BEYOND)
+        direction = pose[:3, 3] - centre
+        pose[:3, 3] = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(*BEYOND)
         targets.append(pose)
     reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
     empty = np.empty((0, robot.nq))

@@ -3,7 +3,7 @@
     python -m robot_ik.bench.peers install ENVIRONMENTS            # a virtual environment for each library
     python -m robot_ik.bench.peers run --environments ENVIRONMENTS --out RESULTS
 
-Without an environment a library is looked for beside robot_ik.  One that is not there is named, with the line
+Without an environment a library is expected beside robot_ik.  One that is not there is named, with the line
 that installs it, and the others go on; the exit code is then 1.  RESULTS/peers.json says what was measured,
 with which versions, seed and day; RESULTS/tasks holds the problems.
 """
@@ -87,7 +87,7 @@ def compare(
     seconds: float = 8.0,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Every library on every robot, in turn, several rounds.
+    """Every library on every robot, one after the other, several rounds.
 
     Args:
         names: Rows of ``worker.LIBRARIES``, or FILE.py:CLASS.

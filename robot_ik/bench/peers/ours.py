@@ -55,6 +55,6 @@ class Numeric(OursAuto):
 
 
 class ClosedForm(OursAuto):
-    """The closed form alone: out of reach it proves that, and looks for nothing nearest."""
+    """The closed form alone: out of reach it proves that, and searches for nothing nearest."""
 
     solver = "analytic"

@@ -30,7 +30,7 @@ FIGURE_SITES = {
     "left_foot": "left_foot",
     "right_foot": "right_foot",
 }
-# Of the four goals: how far joints go, as a share of the way to random angles, and the base, m.
+# Of the four goals: how far joints go, as a share of the distance to random angles, and the base, m.
 _AWAY, _BASE_M, _POINTS_TOLERANCE = 0.5, 0.1, 1e-4
 _FAR, _PROBES = 30, 20
 _BASE = 7  # numbers of a free base in qpos

@@ -245,7 +245,7 @@ def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
                 solved.append(cell[1])
                 times.append(cell[0])
         style = {"width": 0.25, "color": _COLOURS[kind], "label": _TITLES[kind]}
-        # A bar of nothing would look like a missing one: 0 % gets a sliver.
+        # A bar of zero height cannot be told from a missing one: 0 % gets a sliver.
         axes[0].bar(at, np.maximum(solved, 0.7), **style)
         axes[1].bar(at, times, **style)
     axes[0].set_title(f"{case.number}: {case.title}")

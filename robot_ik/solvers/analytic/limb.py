@@ -85,7 +85,7 @@ def smallest(tally):
 
 
 @outlined
-def weigh(form, lower, upper, angle, low, high, nearest):
+def evaluate_angle(form, lower, upper, angle, low, high, nearest):
     """Looks at one swivel angle: notes in the tally where a combination of flips is nearer; whether any fits.
 
     What cannot come nearer than the squared distance ``nearest`` is not evaluated to the end.
@@ -145,7 +145,7 @@ def find_cuts(form, lower, upper, widest):
         for end in range(2):  # where axes 1 and 3 are most nearly in line
             if abs(a + amplitude * (1 - 2 * end)) > _IN_LINE:  # an angle more is free, just there
                 angle = math.atan2(c, b) + math.pi * end
-                weigh(form, lower, upper, angle, angle, angle, math.inf)
+                evaluate_angle(form, lower, upper, angle, angle, angle, math.inf)
     return count
 
 
@@ -242,7 +242,7 @@ def scan(form, lower, upper, every, nearest):
     tally, cuts = form.tally, form.cuts
     for i in range(4):
         tally[i, VALUE] = math.inf
-    weigh(form, lower, upper, 0.0, 0.0, 0.0, math.inf)
+    evaluate_angle(form, lower, upper, 0.0, 0.0, 0.0, math.inf)
     widest = math.pi
     if not every:
         nearest = min(nearest, smallest(tally))
@@ -266,7 +266,7 @@ def scan(form, lower, upper, every, nearest):
         step = (high - low) / samples
         for k in range(samples):
             angle = low + (k + 0.5) * step
-            fits = weigh(
+            fits = evaluate_angle(
                 form, lower, upper, angle, max(low, angle - step), min(high, angle + step),
                 math.inf if every else min(nearest, smallest(tally)),
             )  # fmt: skip
@@ -279,7 +279,7 @@ def scan(form, lower, upper, every, nearest):
         if alone or abs(cuts[j]) < _NEAR_RANGE:
             low = max(cuts[max(j - 1, 0)], cuts[j] - spacing)
             high = min(cuts[min(j + 1, count - 1)], cuts[j] + spacing)
-            weigh(form, lower, upper, cuts[j], low, high, math.inf)
+            evaluate_angle(form, lower, upper, cuts[j], low, high, math.inf)
 
 
 # Metres by which the reach may be missed through rounding.
