@@ -20,8 +20,8 @@ BALLS = (0.45, -0.25, 1.3), (0.5, -0.25, 0.25), (1.6, 0.6, 1.2)
 
 def main(*ball: float) -> None:
     session = FigureSession(load_abilities(load_figure()))
-    for place in (ball,) if ball else BALLS:
-        session.send(SetBall(place))
+    for position in (ball,) if ball else BALLS:
+        session.send(SetBall(position))
         frame, decision, frames = session.step(), None, 1
         while session.busy and frames < 40 * RATE:
             if frame.decision is not decision:

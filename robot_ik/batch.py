@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import LARGEST, PoseGoal, PositionGoal, Tolerance, numbers
-from robot_ik.inverse_kinematics import ORIGIN, lent
+from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
 from robot_ik.problem import Budget, Problem, require_options
 from robot_ik.robot import Robot
@@ -36,7 +36,7 @@ _LEAST_PER_THREAD = 256
 
 @dataclass(frozen=True, eq=False)
 class BatchSolution:
-    """Answers to many poses; row i belongs to pose i.
+    """Results for many poses; row i belongs to pose i.
 
     Attributes:
         q: (n, nq) best found, inside the limits.
@@ -90,27 +90,27 @@ def run_batch(
     """
     if threads is not None and threads < 1:
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
-    answers = BatchResult.empty(len(targets), starts.shape[1])
+    results = BatchResult.empty(len(targets), starts.shape[1])
     most = len(targets) // _LEAST_PER_THREAD
     count = min(threads or usable_cores(), most) if most > 1 else 1
 
-    def part(targets: Array, starts: Array, answers: BatchResult) -> str:
+    def part(targets: Array, starts: Array, results: BatchResult) -> str:
         with parts() as (method, problem):
-            method.solve_many(problem, targets, starts, answers)
+            method.solve_many(problem, targets, starts, results)
         return method.name
 
     began = time.perf_counter()
     if count == 1:
-        name = part(targets, starts, answers)
+        name = part(targets, starts, results)
     else:
         edges = [len(targets) * k // count for k in range(count + 1)]
         shares = [slice(first, last) for first, last in itertools.pairwise(edges)]
         with ThreadPoolExecutor(count) as pool:
-            done = [pool.submit(part, targets[s], starts[s], answers.part(s)) for s in shares]
+            done = [pool.submit(part, targets[s], starts[s], results.part(s)) for s in shares]
             name, *_ = [one.result() for one in done]
-    miss, seconds = answers.miss, time.perf_counter() - began
+    miss, seconds = results.miss, time.perf_counter() - began
     return BatchSolution(
-        answers.q, answers.status, miss[:, 0], miss[:, 1], answers.iterations, answers.restarts, seconds, name
+        results.q, results.status, miss[:, 0], miss[:, 1], results.iterations, results.restarts, seconds, name
     )
 
 
@@ -168,15 +168,15 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
 
 
 def _require_rotations(rows: Array) -> None:
-    """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) turn and do nothing else."""
-    turns = rows[:, 3:]
+    """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) are rotation matrices."""
+    rotations = rows[:, 3:]
     if len(rows) <= _FEW:  # Python's own numbers are quicker for so few
-        off: Any = [_from_rotation(*row) for row in turns.tolist()]
+        off: Any = [_from_rotation(*row) for row in rotations.tolist()]
     else:  # row by row; one copy, then quick sums
-        off = _from_rotation(*np.ascontiguousarray(turns.T))
+        off = _from_rotation(*np.ascontiguousarray(rotations.T))
     if len(off) and np.max(off) > _ROUNDING:
         raise InvalidGoalError(
-            f"the matrix of pose {int(np.argmax(off))} does not turn: it scales or mirrors"
+            f"the matrix of pose {int(np.argmax(off))} is not a rotation: it scales or mirrors"
         )
 
 
@@ -215,7 +215,7 @@ def solve_batch(
     seed: int = 0,
     threads: int | None = None,
 ) -> BatchSolution:
-    """Solves each pose on its own, the same answers as ``solve`` one by one.
+    """Solves each pose on its own, the same results as ``solve`` one by one.
 
     Args:
         robot: From ``load_robot``.
@@ -238,4 +238,6 @@ def solve_batch(
     targets, with_angle = target_rows(poses)
     begin = start_rows(robot, starts, len(targets))
     goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
-    return run_batch(lambda: lent(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads)
+    return run_batch(
+        lambda: borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads
+    )

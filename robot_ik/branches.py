@@ -1,4 +1,4 @@
-"""``solve_all``: every way in which an arm can meet a goal, where a closed form is known."""
+"""``solve_all``: every solution (branch) with which an arm can meet a goal, where a closed form is known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal
-from robot_ik.inverse_kinematics import lent
+from robot_ik.inverse_kinematics import borrowed_problem
 from robot_ik.robot import Robot
 from robot_ik.solution import short_numbers
 from robot_ik.solvers.analytic import Analytic
@@ -28,7 +28,7 @@ class Branch:
 
     Attributes:
         name: The choice made at each fork, such as ``shoulder+ elbow- wrist+``.
-        q: (nq,) joint angles; each turned by whole turns to lie inside its limits next to the start.
+        q: (nq,) joint angles; each moved by multiples of 2π to lie inside its limits next to the start.
         inside: Whether all joints are inside their limits.
     """
 
@@ -68,7 +68,7 @@ def solve_all(
     start: ArrayLike | None = None,
     limits: bool = True,
 ) -> Branches | tuple[Branches, ...]:
-    """Every way of meeting a goal that the closed form knows, the nearest to ``start`` first.
+    """Every branch with which the closed form meets a goal, the nearest to ``start`` first.
 
     At a singular pose one joint angle is free; it is kept as near to ``start`` as can be.
 
@@ -96,7 +96,7 @@ def _branches(
 ) -> Branches:
     """``solve_all`` for one."""
     wanted = goal if isinstance(goal, Goal) else PoseGoal.at(None, _pose_of(goal))
-    with lent(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
+    with borrowed_problem(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
         origin = robot.home if start is None else robot.check_q(start, "start")
         branches = cast(Analytic, solver).branches(problem, origin)
     if not branches:

@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, UnsupportedJointError
-from robot_ik.geometry import turn_z_to
+from robot_ik.geometry import rotation_z_to
 from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
 from robot_ik.kernels import residuals, workspace
 from robot_ik.kernels.residuals import (
     BLOCK,
     HOW_SIZE,
-    NO_PLACE,
-    NO_TURN,
+    NO_ORIENTATION,
+    NO_POSITION,
     OF,
     OF_FRAME,
     OF_MASS,
     OF_PRIOR,
-    PLACE,
-    TURN,
+    ORIENTATION_PART,
+    POSITION_PART,
     WHOLE,
 )
 from robot_ik.model import pose_row, row_pose
@@ -72,7 +72,7 @@ def target_row(goal: Goal) -> Array:
     pose = goal.target
     row = pose_row(pose)
     if not goal.rows.whole:
-        row[3:] = (pose.rotation @ turn_z_to(goal.rows.axis)).ravel()
+        row[3:] = (pose.rotation @ rotation_z_to(goal.rows.axis)).ravel()
     return row
 
 
@@ -90,8 +90,8 @@ def kind_of(goal: Goal) -> int:
         return residuals.PRIOR
     if not rows.whole:
         return residuals.PARTIAL
-    if rows.place == WHOLE:
-        return residuals.POSITION if rows.turn == NO_TURN else residuals.POSE
+    if rows.position == WHOLE:
+        return residuals.POSITION if rows.orientation == NO_ORIENTATION else residuals.POSE
     return residuals.ORIENTATION
 
 
@@ -145,7 +145,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
     for g, goal in enumerate(goals):
         arrays["row"][g] = rows
         asked = goal.rows
-        arrays["how"][g, [PLACE, TURN, OF]] = asked.place, asked.turn, asked.of
+        arrays["how"][g, [POSITION_PART, ORIENTATION_PART, OF]] = asked.position, asked.orientation, asked.of
         arrays["weight"][g, 0] /= length_of(robot, goal)
         if isinstance(goal, PostureGoal):
             set_posture(robot, arrays, g, goal)
@@ -154,7 +154,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         if isinstance(goal, PosePriorGoal):
             rows += _set_prior(robot, arrays, goal)
             continue
-        rows += 3 * ((asked.place != NO_PLACE) + (asked.turn != NO_TURN))
+        rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
         if asked.of == OF_MASS:
             arrays["how"][g, BLOCK] = sum(len(block) for block in masses)
             masses.append(robot.masses(goal.frame))
@@ -162,7 +162,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         node, local = robot.attachment(goal.frame)
         arrays["node"][g], arrays["local"][g] = node, local
         if not asked.whole:
-            arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ turn_z_to(asked.axis)).ravel()
+            arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
     arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
@@ -172,7 +172,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
 
 
 def levels_of(goals: Sequence[Goal]) -> list[int]:
-    """The place of each goal in the order in which they are served: by priority, the soft ones last."""
+    """The rank of each goal in the order in which they are served: by priority, the soft ones last."""
     ranks = sorted({(goal.soft, goal.priority) for goal in goals})
     return [ranks.index((goal.soft, goal.priority)) for goal in goals]
 
@@ -202,7 +202,7 @@ def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int
     if len(arrays["feature"]):
         raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
     assert goal.prior is not None
-    arrays["feature"], arrays["prior"] = goal.prior.places(robot), goal.prior.table()
+    arrays["feature"], arrays["prior"] = goal.prior.indices(robot), goal.prior.table()
     return len(arrays["feature"]) + 1
 
 
@@ -248,7 +248,7 @@ def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
         joint_weights = goal.joint_weights(robot)
         return {int(tree.dof_node[v]) for v in range(tree.nv) if joint_weights[v] > 0.0}
     if isinstance(goal, PosePriorGoal) and goal.prior is not None:
-        return set(goal.prior.places(robot)[:, 2].tolist())
+        return set(goal.prior.indices(robot)[:, 2].tolist())
     if goal.rows.of == OF_MASS:
         carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
         return {k for node in carried for k in tree.ancestors(int(node))}
@@ -289,11 +289,11 @@ class CompiledProblem:
         rows: Length of the residual.
         nodes: Joints that move any goal and those that lead them, parents first.
         made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
-        turn: Holds one thing, which a call takes out while it uses the arrays: who finds nothing is refused.
+        token: A list of one item, which a call removes while it uses the arrays; else it is refused.
             (``list.pop`` is one step for all threads, and costs a fifth of a lock.)
     """
 
-    __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "tree", "turn", "work")
+    __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "token", "tree", "work")
 
     def __init__(self, robot: Robot, goals: Sequence[Goal], tolerance: Tolerance, trace_rows: int) -> None:
         found = compile_goals(robot, goals, tolerance)
@@ -302,7 +302,7 @@ class CompiledProblem:
         self.tree = robot.tree.handle
         self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
         self.made: dict[int, Any] = {}
-        self.turn = [None]
+        self.token = [None]
 
     def made_for(self, solver: object, make: Callable[[], T]) -> T:
         """What ``make`` returns, which must hold ``solver``: made once for each solver."""
@@ -334,8 +334,8 @@ def _work_arrays(
         "trace": (trace_rows, len(workspace.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
         "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
         "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-        "gram": (dense, dense), "metric": (nu, nu), "way": (nu,), "before": (nu,), "moved": (nu,),
-        "outward": (nu,),
+        "gram": (dense, dense), "metric": (nu, nu), "search_direction": (nu,), "before": (nu,),
+        "moved": (nu,), "outward": (nu,),
     }  # fmt: skip
     arrays: dict[str, Any] = {
         name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)

@@ -101,7 +101,7 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
     ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
 
     Raises:
-        ModelError: A leader has no room left.
+        ModelError: A leader has no range left.
     """
     node_of = {joint: k for k, joint in enumerate(tree.joint_ids)}
     tied, law = [], []
@@ -128,7 +128,7 @@ def narrowed(tree: Tree) -> Tree:
     """The tree with each leader's limits narrowed to where its followers are inside theirs.
 
     Raises:
-        ModelError: There is no such place.
+        ModelError: There is no such position.
     """
     lower, upper = tree.lower.copy(), tree.upper.copy()
     for (node, leader), law in zip(tree.tied, tree.law, strict=True):
@@ -139,18 +139,18 @@ def narrowed(tree: Tree) -> Tree:
             lower[v], upper[v] = min(lower[v], value), max(upper[v], value)
             continue
         w = int(tree.vadr[leader])
-        room = _room(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
-        if room is None:
+        interval = _admissible_interval(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
+        if interval is None:
             raise ModelError(
-                f"a coupled joint has no place inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
+                f"a coupled joint has no position inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
                 f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
                 hint="check ratio and offset of the coupling, and both joints' limits",
             )
-        lower[w], upper[w] = room
+        lower[w], upper[w] = interval
     return tree.with_limits(lower, upper)
 
 
-def _room(
+def _admissible_interval(
     law: Polynomial, wanted: tuple[float, float], given: tuple[float, float]
 ) -> tuple[float, float] | None:
     """The widest interval inside ``given`` on which the law stays inside ``wanted``."""

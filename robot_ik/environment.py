@@ -196,7 +196,7 @@ OK, NOTE, PROBLEM = "ok", "note", "problem"
 
 @dataclass(frozen=True)
 class CheckRow:
-    """One line of the report: what was looked at, how it is, what was found, what to do about it."""
+    """One line of the report: what was checked, how it is, what was found, what to do about it."""
 
     what: str
     status: str

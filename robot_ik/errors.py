@@ -50,7 +50,7 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
 
 
 def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
-    """Numbers as text, with as many digits as it takes to tell those that differ from each other.
+    """Numbers as text, with as many digits as it takes to distinguish those that differ.
 
     "160.0 is outside; allowed: -160.0 to 160.0" explains nothing: 160.04 does.
 
@@ -121,7 +121,7 @@ class ConfigError(RobotIkError, ValueError):
     Attributes:
         file: The file.
         key: Dotted key, or empty when the whole file is meant.
-        allowed: What would be right, in words.
+        allowed: What would be right, as text.
     """
 
     def __init__(

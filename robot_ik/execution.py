@@ -125,7 +125,7 @@ class FollowTick:
         goal: What the source gave; None while holding.
         solution: What the solver found, None while holding.
         q: (nq,) what was sent: towards ``solution.q`` as far as the joints are allowed in one period.
-        capped: True when that was less than the whole way.
+        capped: True when that was less than the whole distance.
         measured: (nq,) what the source of joints then read, or None without one.
     """
 
@@ -344,7 +344,7 @@ def follow(
     What goals of the tool may need, one out of reach included, is loaded before the loop starts.
 
     Each joint moves at most ``speed`` times its velocity limit; when one would be too fast all are
-    slowed alike, so the way stays straight.  A solution that did not converge is followed too: it is
+    slowed alike, so the path stays straight.  A solution that did not converge is followed too: it is
     the nearest that was found.  Runs until ``duration`` is over or ``until`` says so, else for ever.
 
     Args:
@@ -373,26 +373,28 @@ def follow(
         start = source.read().q
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
-    chase = _Chase(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
-    chase.load()
+    following = _FollowState(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
+    following.load()
     schedule = Schedule(clock)
     begin = schedule.origin
     while True:
-        now = schedule.wait(chase.ticks / rate, 1.0 / rate if chase.ticks else 0.0)
-        begin = now if chase.ticks == 0 else begin
+        now = schedule.wait(following.ticks / rate, 1.0 / rate if following.ticks else 0.0)
+        begin = now if following.ticks == 0 else begin
         goal = goal_source.poll(now)
-        capped = chase.step(goal)
+        capped = following.step(goal)
         for sink in sinks:
-            sink.send(chase.q, now)
-        measured = None if source is None else chase.compare(source.read().q)
-        tick = FollowTick(chase.ticks - 1, now - begin, goal, chase.solution, chase.q, capped, measured)
+            sink.send(following.q, now)
+        measured = None if source is None else following.compare(source.read().q)
+        tick = FollowTick(
+            following.ticks - 1, now - begin, goal, following.solution, following.q, capped, measured
+        )
         if on_tick is not None:
             on_tick(tick)
-        if chase.ticks == count or (until is not None and until(tick)):
-            return chase.report(now - begin, schedule)
+        if following.ticks == count or (until is not None and until(tick)):
+            return following.report(now - begin, schedule)
 
 
-class _Chase:
+class _FollowState:
     """State of `follow`: the command, the problem, and the counters of the report."""
 
     def __init__(
@@ -424,8 +426,8 @@ class _Chase:
                 warm_up(self.robot, goal, solver=self.solver, tolerance=self.tolerance)
 
     def step(self, goal: Goals | None) -> bool:
-        """Moves the command towards ``goal``; True when the way was cut short."""
-        from robot_ik.inverse_kinematics import lent
+        """Moves the command towards ``goal``; True when the step was cut short."""
+        from robot_ik.inverse_kinematics import borrowed_problem
 
         self.ticks += 1
         self.solution = None
@@ -433,15 +435,18 @@ class _Chase:
             self.held += 1
             return False
         goals = goal if isinstance(goal, Goal) else list(goal)
-        with lent(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0) as (solver, problem):
+        with borrowed_problem(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0) as (
+            solver,
+            problem,
+        ):
             solution = solver.solve(problem, self.q)
         self.solution = self._last = solution
         self._statuses[solution.status.name] += 1
-        way = solution.q - self.q
-        if not np.isfinite(way).all():  # NUMERICAL: nothing to go to
+        difference = solution.q - self.q
+        if not np.isfinite(difference).all():  # NUMERICAL: nothing to go to
             return False
-        excess = float(np.max(np.abs(way) / self._largest_allowed))
-        q = self.q + way / excess if excess > 1.0 else np.array(solution.q, dtype=float)
+        excess = float(np.max(np.abs(difference) / self._largest_allowed))
+        q = self.q + difference / excess if excess > 1.0 else np.array(solution.q, dtype=float)
         self._largest_step = np.maximum(self._largest_step, np.abs(q - self.q))
         self.q = _frozen(q)
         self.capped += excess > 1.0

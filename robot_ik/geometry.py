@@ -69,7 +69,7 @@ def matrix_to_quat(rotation: ArrayLike) -> Array:
     return -quat if quat[0] < 0 else quat
 
 
-def turn_z_to(axis: ArrayLike) -> Array:
+def rotation_z_to(axis: ArrayLike) -> Array:
     """A rotation matrix (3, 3) whose z column is the unit vector ``axis``; the identity for z itself."""
     z = np.asarray(axis, dtype=float)
     # The coordinate axis least along z keeps the cross product well away from zero.
@@ -136,7 +136,7 @@ class Pose:
 
     @classmethod
     def of_checked(cls, position: Array, wxyz: Array) -> Pose:
-        """From read-only arrays that are finite, and a unit quaternion: nothing is looked at again."""
+        """From read-only arrays that are finite, and a unit quaternion: nothing is checked again."""
         pose = object.__new__(cls)
         pose.__dict__.update(position=position, wxyz=wxyz)
         return pose
@@ -203,10 +203,10 @@ class Pose:
 
     def distance(self, other: Pose) -> tuple[float, float]:
         """Distance to ``other``: metres between origins, radians of the rotation between axes."""
-        turn = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
+        rotation = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
         return (
             float(np.linalg.norm(other.position - self.position)),
-            float(np.linalg.norm(turn)),
+            float(np.linalg.norm(rotation)),
         )
 
     def __eq__(self, other: object) -> bool:

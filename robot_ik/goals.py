@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError, UnknownJointError
-from robot_ik.geometry import Pose, turn_z_to
+from robot_ik.geometry import Pose, rotation_z_to
 from robot_ik.kernels.residuals import (
     AIMED,
     ALL_AXES,
-    NO_PLACE,
-    NO_TURN,
+    NO_ORIENTATION,
+    NO_POSITION,
     OF_FRAME,
     OF_JOINTS,
     OF_MASS,
@@ -65,7 +65,7 @@ class Tolerance:
 
 
 def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
-    """A new array of floats; raises ``InvalidGoalError`` in words for text or uneven rows."""
+    """A new array of floats; raises ``InvalidGoalError`` with a clear message for text or uneven rows."""
     try:
         return np.array(values, dtype=float)
     except (TypeError, ValueError) as error:
@@ -73,7 +73,7 @@ def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
 
 
 def vector(values: ArrayLike, size: int, what: str) -> Array:
-    """A read-only finite array (size,); raises ``InvalidGoalError`` in words for anything else."""
+    """A read-only finite array (size,); raises ``InvalidGoalError`` with a message for anything else."""
     array = numbers(values, what, f"{size} numbers")
     if array.shape != (size,):
         found = array.size if array.size != size else f"an array of shape {array.shape}"
@@ -87,9 +87,9 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
 
 
 def rotation_matrix(values: Array, what: str) -> Array:
-    """``values`` (3, 3) if they turn and do nothing else; raises ``InvalidGoalError`` otherwise."""
+    """``values`` (3, 3) if they are a rotation matrix; raises ``InvalidGoalError`` otherwise."""
     if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
-        raise InvalidGoalError(f"{what} has a matrix that does not turn: it scales or mirrors")
+        raise InvalidGoalError(f"{what} has a matrix that is not a rotation: it scales or mirrors")
     return values
 
 
@@ -101,7 +101,7 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
     if norm < 1e-9:
         raise InvalidGoalError(
             f"{what} is a zero quaternion, which is no orientation",
-            hint="quaternions are w, x, y, z; 1 0 0 0 turns nothing",
+            hint="quaternions are w, x, y, z; 1 0 0 0 is no rotation",
         )
     if norm == 1.0:
         return array
@@ -172,13 +172,13 @@ class Rows:
     """Which rows a goal makes: all that the kernels know of its kind (``kernels/residuals.py``).
 
     Attributes:
-        place, turn, of: Codes: what of the position and of the orientation is asked for, and of what.
+        position, orientation, of: Codes: what of the position and orientation is asked for, and of what.
         mask: (3,) which coordinates count, in the axes of the target.
-        axis: (3,) the axis of the frame that is turned to the target's, or aimed at it.
+        axis: (3,) the axis of the frame that is aligned with the target's, or aimed at it.
     """
 
-    place: int = NO_PLACE
-    turn: int = NO_TURN
+    position: int = NO_POSITION
+    orientation: int = NO_ORIENTATION
     of: int = OF_FRAME
     mask: tuple[float, float, float] = (1.0, 1.0, 1.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -186,7 +186,11 @@ class Rows:
     @property
     def whole(self) -> bool:
         """A whole position, orientation or pose of a frame: what every method understands."""
-        return self.place in (NO_PLACE, WHOLE) and self.turn in (NO_TURN, ALL_AXES) and self.of == OF_FRAME
+        return (
+            self.position in (NO_POSITION, WHOLE)
+            and self.orientation in (NO_ORIENTATION, ALL_AXES)
+            and self.of == OF_FRAME
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -289,14 +293,14 @@ class Goal:
         """Metres and radians that a frame at ``here`` is off ``target``, in what is asked for."""
         rows, asked = self.rows, self.weights
         metres = radians = 0.0
-        if rows.place != NO_PLACE and asked[0] > 0.0:
+        if rows.position != NO_POSITION and asked[0] > 0.0:
             off = (target.rotation.T @ (target.position - here.position)) * rows.mask
-            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.place == ONE_SIDE else off))
-        if rows.turn == ALL_AXES and asked[1] > 0.0:
+            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.position == ONE_SIDE else off))
+        if rows.orientation == ALL_AXES and asked[1] > 0.0:
             radians = here.distance(target)[1]
-        elif rows.turn in (ONE_AXIS, AIMED) and asked[1] > 0.0:
+        elif rows.orientation in (ONE_AXIS, AIMED) and asked[1] > 0.0:
             axis, wanted = here.rotation @ rows.axis, target.rotation @ rows.axis
-            if rows.turn == AIMED:
+            if rows.orientation == AIMED:
                 wanted = target.position - here.position
                 if np.linalg.norm(wanted) < 1e-9:
                     return metres, 0.0
@@ -306,20 +310,22 @@ class Goal:
 
 
 # ------------------------------------------------------------------------------------------
-# Goals for where a frame is and how it is turned.
+# Goals for the position and the orientation of a frame.
 
 
-# Made once: the front door looks at them in every solve.
-_WHOLE_TURN = {place: Rows(place=place, turn=ALL_AXES) for place in (NO_PLACE, WHOLE)}
-_WHOLE_PLACE = Rows(place=WHOLE)
+# Made once: ``solve`` reads them in every call.
+_WHOLE_ORIENTATION = {
+    position: Rows(position=position, orientation=ALL_AXES) for position in (NO_POSITION, WHOLE)
+}
+_WHOLE_POSITION = Rows(position=WHOLE)
 
 
-def _turn_rows(place: int, free_axis: str | ArrayLike | None) -> Rows:
-    """Rows of an orientation that may leave the turn about one axis of the frame free."""
+def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
+    """Rows of an orientation that may leave the rotation about one axis of the frame free."""
     if free_axis is None:
-        return _WHOLE_TURN[place]
+        return _WHOLE_ORIENTATION[position]
     x, y, z = axis_vector(free_axis, "free_axis").tolist()
-    return Rows(place=place, turn=ONE_AXIS, axis=(x, y, z))
+    return Rows(position=position, orientation=ONE_AXIS, axis=(x, y, z))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -366,15 +372,15 @@ class PositionGoal(_PointGoal):
     @property
     def rows(self) -> Rows:
         mask = axes_mask(self.axes)
-        return _WHOLE_PLACE if all(mask) else Rows(place=SOME_AXES, mask=mask)
+        return _WHOLE_POSITION if all(mask) else Rows(position=SOME_AXES, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OrientationGoal(Goal):
-    """The frame turned as the unit quaternion ``wxyz`` (4,), world; its position is free.
+    """The frame oriented as the unit quaternion ``wxyz`` (4,), world; its position is free.
 
     Attributes:
-        free_axis: Axis of the frame about which it may turn as it likes ("z", "-x" or three numbers):
+        free_axis: Axis of the frame about which it may rotate freely ("z", "-x" or three numbers):
             only where that axis points is then asked for.
 
     Raises:
@@ -391,11 +397,11 @@ class OrientationGoal(Goal):
     def __post_init__(self) -> None:
         super().__post_init__()
         self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=positive_number(self.weight, "weight"))
-        _turn_rows(NO_PLACE, self.free_axis)
+        _orientation_rows(NO_POSITION, self.free_axis)
 
     @property
     def rows(self) -> Rows:
-        return _turn_rows(NO_PLACE, self.free_axis)
+        return _orientation_rows(NO_POSITION, self.free_axis)
 
     @property
     def target(self) -> Pose:
@@ -411,10 +417,10 @@ class OrientationGoal(Goal):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseGoal(Goal):
-    """The frame at ``position`` (3,) turned as ``wxyz`` (4,), world.
+    """The frame at ``position`` (3,) oriented as ``wxyz`` (4,), world.
 
     Attributes:
-        free_axis: As in ``OrientationGoal``: a drill or a cup may turn about its own axis.
+        free_axis: As in ``OrientationGoal``: a drill or a cup may rotate about its own axis.
 
     Raises:
         InvalidGoalError: Wrong shapes, numbers that are not finite, a zero quaternion, a negative weight.
@@ -438,7 +444,7 @@ class PoseGoal(Goal):
             position_weight=positive_number(self.position_weight, "position_weight"),
             angle_weight=positive_number(self.angle_weight, "angle_weight"),
         )
-        _turn_rows(WHOLE, self.free_axis)
+        _orientation_rows(WHOLE, self.free_axis)
 
     @classmethod
     def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
@@ -447,7 +453,7 @@ class PoseGoal(Goal):
 
     @property
     def rows(self) -> Rows:
-        return _turn_rows(WHOLE, self.free_axis)
+        return _orientation_rows(WHOLE, self.free_axis)
 
     @property
     def target(self) -> Pose:
@@ -487,7 +493,7 @@ class AimGoal(Goal):
     @property
     def rows(self) -> Rows:
         x, y, z = axis_vector(self.axis).tolist()
-        return Rows(turn=AIMED, axis=(x, y, z))
+        return Rows(orientation=AIMED, axis=(x, y, z))
 
     @property
     def target(self) -> Pose:
@@ -506,7 +512,7 @@ class AimGoal(Goal):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _Place(Goal):
+class _DirectionGoal(Goal):
     """The frame's origin, measured along and across a direction through ``point`` (3,), world."""
 
     point: ArrayLike = ()
@@ -526,7 +532,7 @@ class _Place(Goal):
     @property
     def target(self) -> Pose:
         """Its z axis is the direction."""
-        return Pose.from_rotation(turn_z_to(axis_vector(self.direction)), self.point)
+        return Pose.from_rotation(rotation_z_to(axis_vector(self.direction)), self.point)
 
     @property
     def weights(self) -> tuple[float, float]:
@@ -537,7 +543,7 @@ class _Place(Goal):
         return replace(self, point=target.position, direction=target.rotation[:, 2])
 
 
-class LineGoal(_Place):
+class LineGoal(_DirectionGoal):
     """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world.
 
     Raises:
@@ -548,10 +554,10 @@ class LineGoal(_Place):
 
     @property
     def rows(self) -> Rows:
-        return Rows(place=SOME_AXES, mask=(1.0, 1.0, 0.0))
+        return Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
 
 
-class PlaneGoal(_Place):
+class PlaneGoal(_DirectionGoal):
     """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,), world.
 
     Raises:
@@ -562,10 +568,10 @@ class PlaneGoal(_Place):
 
     @property
     def rows(self) -> Rows:
-        return Rows(place=SOME_AXES, mask=(0.0, 0.0, 1.0))
+        return Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
 
 
-class HalfSpaceGoal(_Place):
+class HalfSpaceGoal(_DirectionGoal):
     """The frame's origin on that side of the plane to which ``direction`` (3,) points: a one-sided wall.
 
     Nothing is asked while it is there; the plane goes through ``point`` (3,), world.
@@ -578,7 +584,7 @@ class HalfSpaceGoal(_Place):
 
     @property
     def rows(self) -> Rows:
-        return Rows(place=ONE_SIDE, mask=(0.0, 0.0, 1.0))
+        return Rows(position=ONE_SIDE, mask=(0.0, 0.0, 1.0))
 
 
 # ------------------------------------------------------------------------------------------
@@ -590,7 +596,7 @@ class CenterOfMassGoal(_PointGoal):
 
     Attributes:
         frame: Name of a body: of it and all that hangs on it; None means everything in the model.
-        axes: Which coordinates count; ``"xy"`` balances over a place and leaves the height free.
+        axes: Which coordinates count; ``"xy"`` balances over a point and leaves the height free.
 
     Raises:
         InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
@@ -600,14 +606,14 @@ class CenterOfMassGoal(_PointGoal):
 
     @property
     def rows(self) -> Rows:
-        return Rows(place=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
+        return Rows(position=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PostureGoal(Goal):
     """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
 
-    Its miss is the largest way of any joint that counts: radians for turns, metres for slides.
+    Its miss is the largest distance of any joint that counts: radians for hinges, metres for slides.
 
     Attributes:
         q: (nq,) where the joints are wanted.
@@ -676,7 +682,7 @@ class PostureGoal(Goal):
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         if not self.weight > 0.0:
             return 0.0, 0.0
-        tree, joint_weights, way = (
+        tree, joint_weights, difference = (
             robot.tree,
             self.joint_weights(robot),
             robot.difference(q, np.asarray(self.q)),
@@ -688,17 +694,17 @@ class PostureGoal(Goal):
             if not joint_weights[v] > 0.0 or k in led:
                 continue
             if kind in (SLIDE, FREE):
-                metres = max(metres, float(np.abs(way[v : v + (3 if kind == FREE else 1)]).max()))
+                metres = max(metres, float(np.abs(difference[v : v + (3 if kind == FREE else 1)]).max()))
             if kind != SLIDE:
                 first = v + 3 if kind == FREE else v
                 last = first + (1 if kind == HINGE else 3)
-                radians = max(radians, float(np.linalg.norm(way[first:last])))
+                radians = max(radians, float(np.linalg.norm(difference[first:last])))
         return metres, radians
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PosePriorGoal(Goal):
-    """A pose as likely as can be under a ``PosePrior``: what looks natural.  Always soft; one a problem.
+    """A pose as likely as can be under a ``PosePrior``: that looks natural.  Always soft; one a problem.
 
     It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
 

@@ -1,4 +1,4 @@
-"""The front door: ``solve``, and the problems that it, ``solve_all`` and ``solve_batch`` keep."""
+"""``solve``, and the problems that it, ``solve_all`` and ``solve_batch`` keep."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _BUDGET = Budget()
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-class _Shelf:
-    """Compiled problems of one kind that wait for their next use, each with its method."""
+class _ProblemPool:
+    """Idle compiled problems of one kind, each with its method."""
 
     __slots__ = ("idle", "used")
 
@@ -36,30 +36,30 @@ class _Shelf:
         self.used = 0
 
 
-class _Shelves:
+class _ProblemPools:
     """The problems that were compiled for one robot, by their kind; of too many the oldest goes.
 
-    A problem is on its shelf or in one call's hands: calls of several threads never meet in one.
+    A problem is idle in its pool or in use by one call: calls of several threads never share one.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._shelves: dict[Hashable, _Shelf] = {}
+        self._pools: dict[Hashable, _ProblemPool] = {}
         self._uses = itertools.count(1)
 
-    def __getitem__(self, kind: Hashable) -> _Shelf:
-        shelf = self._shelves.get(kind)
-        if shelf is None:
+    def __getitem__(self, kind: Hashable) -> _ProblemPool:
+        pool = self._pools.get(kind)
+        if pool is None:
             with self._lock:
-                while len(self._shelves) >= _KINDS_KEPT:
-                    del self._shelves[min(self._shelves, key=lambda k: self._shelves[k].used)]
-                shelf = self._shelves.setdefault(kind, _Shelf())
-        shelf.used = next(self._uses)
-        return shelf
+                while len(self._pools) >= _KINDS_KEPT:
+                    del self._pools[min(self._pools, key=lambda k: self._pools[k].used)]
+                pool = self._pools.setdefault(kind, _ProblemPool())
+        pool.used = next(self._uses)
+        return pool
 
 
 @contextmanager
-def lent(
+def borrowed_problem(
     robot: Robot,
     goal: Goal | Sequence[Goal],
     solver: str | Solver,
@@ -70,30 +70,30 @@ def lent(
 ) -> Iterator[tuple[Solver, Problem]]:
     """A method, and a problem for the goals: one that is at hand, or a new one.
 
-    Targets, weights, budget and seed are set each time, and answers are not remembered.  A problem in whose
+    Targets, weights, budget and seed are set each time, and results are not remembered.  A problem in whose
     use something is raised is not used again.
     """
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)
     method = make_solver(solver, **options) if options else solver
-    shelves: _Shelves | None = robot.memory.get("problems")
-    if shelves is None:
-        shelves = robot.memory.setdefault("problems", _Shelves())
+    pools: _ProblemPools | None = robot.memory.get("problems")
+    if pools is None:
+        pools = robot.memory.setdefault("problems", _ProblemPools())
     try:
-        shelf = shelves[method, tolerance, tuple(map(goal_kind, goals))]
+        pool = pools[method, tolerance, tuple(map(goal_kind, goals))]
     except TypeError:  # a method or goal of somebody's own that cannot be a key
-        shelf = _Shelf()
+        pool = _ProblemPool()
     try:
-        lent = shelf.idle.pop()
+        pair = pool.idle.pop()
     except IndexError:
-        lent = make_solver(method), Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed)
+        pair = make_solver(method), Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed)
     else:
-        problem = lent[1]
+        problem = pair[1]
         problem.exchange(goals)
         problem.budget, problem.seed = budget or _BUDGET, int(seed)
-    yield lent
-    if len(shelf.idle) < _EACH_KEPT:
-        shelf.idle.append(lent)
+    yield pair
+    if len(pool.idle) < _EACH_KEPT:
+        pool.idle.append(pair)
 
 
 def warm_up(
@@ -121,7 +121,7 @@ def warm_up(
         As ``solve``.
     """
     goals = PoseGoal(None, ORIGIN) if goal is None else goal
-    with lent(robot, goals, solver, options, tolerance, None, 0) as (method, problem):
+    with borrowed_problem(robot, goals, solver, options, tolerance, None, 0) as (method, problem):
         method.load(problem)
         _ = problem.mover
 
@@ -147,10 +147,10 @@ def solve(
         robot: From ``load_robot``.
         goal: One goal, or several at once on any frames.
         solver: A name of ``SOLVERS``, ``"auto"``, or a solver instance.
-        start: (nq,) where to begin; default ``robot.home``.  The answer tends to stay near it.
+        start: (nq,) where to begin; default ``robot.home``.  The solution tends to stay near it.
         tolerance: Default 0.1 mm and 1 mrad.
         budget: Iterations, seconds, restarts.
-        seed: Of the random restarts; the same seed gives bit-equal answers.
+        seed: Of the random restarts; the same seed gives bit-equal results.
         trace: Keep a row for every step in ``solution.trace``.
         **options: Of the solver, by field name.
 
@@ -165,5 +165,5 @@ def solve(
     if trace:  # rows for a whole budget are not kept for the next call
         problem = Problem(robot, goal, tolerance=tolerance, budget=budget, seed=seed, trace=True)
         return make_solver(solver, **options).solve(problem, start)
-    with lent(robot, goal, solver, options, tolerance, budget, seed) as (method, problem):
+    with borrowed_problem(robot, goal, solver, options, tolerance, budget, seed) as (method, problem):
         return method.solve(problem, start)

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
-from robot_ik.geometry import Pose, rotation_entries, rotation_exp, turn_z_to
+from robot_ik.geometry import Pose, rotation_entries, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text
 from robot_ik.robot_file import RobotFile
@@ -212,14 +212,14 @@ def _hint_at_radians(model: mujoco.MjModel, spec: mujoco.MjSpec, path: Path) -> 
 
 
 def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
-    """Raises ``ModelError`` for a joint without room; MuJoCo takes most of these for no limit at all."""
+    """Raises ``ModelError`` for a joint without a range; MuJoCo takes most of these for no limit at all."""
     for joint in range(model.njnt):
         low, high = model.jnt_range[joint].tolist()
         asked = bool(model.jnt_limited[joint]) or low != 0.0 or high != 0.0
         if asked and model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE and not low < high:
             name = joint_names(model)[joint]
             raise ModelError(
-                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no room",
+                f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no range",
                 path=path,
                 hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
             )
@@ -371,8 +371,8 @@ def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: fl
         return Pose(q[:3], q[3:])
     if kind == SLIDE:
         return Pose(axis * (q[0] - reference))
-    turn = Pose((0, 0, 0), q if kind == BALL else rotation_exp(axis * (q[0] - reference)))
-    return Pose(anchor).compose(turn).compose(Pose(-anchor))
+    rotation = Pose((0, 0, 0), q if kind == BALL else rotation_exp(axis * (q[0] - reference)))
+    return Pose(anchor).compose(rotation).compose(Pose(-anchor))
 
 
 class _Builder:
@@ -411,12 +411,12 @@ class _Builder:
         after = Pose()
         constant = at.local
         if kind == HINGE:
-            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
+            align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
             back = Pose((0, 0, 0), rotation_exp([0.0, 0.0, -reference]))
             constant = constant.compose(Pose(anchor)).compose(align).compose(back)
             after = align.inverse().compose(Pose(-anchor))
         elif kind == SLIDE:
-            align = Pose.from_rotation(turn_z_to(axis / np.linalg.norm(axis)))
+            align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
             constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
             after = align.inverse()
         elif kind == BALL:
@@ -519,10 +519,10 @@ def inertia_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, .
         at = bodies[body]
         if at.node < 0:
             continue
-        place = at.local.compose(Pose(model.body_ipos[body], model.body_iquat[body]))
-        away = place.position - mass[at.node, 1:]
-        turned = place.rotation @ np.diag(model.body_inertia[body]) @ place.rotation.T
-        whole[at.node] += turned + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+        inertial = at.local.compose(Pose(model.body_ipos[body], model.body_iquat[body]))
+        away = inertial.position - mass[at.node, 1:]
+        inertia = inertial.rotation @ np.diag(model.body_inertia[body]) @ inertial.rotation.T
+        whole[at.node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
     xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
     return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
 

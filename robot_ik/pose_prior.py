@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, InvalidGoalError, ModelError, UnknownJointError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import rotation_log
-from robot_ik.kernels.pose_prior import LEAN_X, LEAN_Y, NUMBER, TURN_X, TURN_Y, TURN_Z
+from robot_ik.kernels.pose_prior import LEAN_X, LEAN_Y, NUMBER, VECTOR_X, VECTOR_Y, VECTOR_Z
 from robot_ik.kernels.tree import BALL, FREE
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
 # Parts of a joint that are features, and the kernel's code of each.
-_PARTS = {"": NUMBER, ":lean_x": LEAN_X, ":lean_y": LEAN_Y, ":x": TURN_X, ":y": TURN_Y, ":z": TURN_Z}
+_PARTS = {"": NUMBER, ":lean_x": LEAN_X, ":lean_y": LEAN_Y, ":x": VECTOR_X, ":y": VECTOR_Y, ":z": VECTOR_Z}
 _PARTS_OF = {FREE: (":lean_x", ":lean_y"), BALL: (":x", ":y", ":z")}
 # Rounds of the fixed-point iteration that climbs from each mean to a mode, and how still it must be.
 _MODE_ROUNDS, _MODE_STILL = 500, 1e-10
@@ -32,9 +32,9 @@ _LEAST_MARGIN = 1e-9
 
 
 def feature_names(robot: Robot) -> tuple[str, ...]:
-    """All that a prior can look at: hinges and slides, the lean of a free base, rotation vectors of balls.
+    """All features of a prior: hinges and slides, the lean of a free base, rotation vectors of balls.
 
-    A base's place and heading are left out: the same pose elsewhere is as likely.
+    A base's position and heading are left out: the same pose elsewhere is as likely.
     """
     names: list[str] = []
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
@@ -98,14 +98,14 @@ class PosePrior:
         """
         rows = np.atleast_2d(np.asarray(q, dtype=float))
         columns = []
-        for what, a, _ in self.places(robot).tolist():
+        for what, a, _ in self.indices(robot).tolist():
             if what == NUMBER:
                 columns.append(rows[:, a])
             elif what in (LEAN_X, LEAN_Y):
                 w, x, y, z = rows[:, a : a + 4].T
                 columns.append(2.0 * (x * z - w * y) if what == LEAN_X else 2.0 * (y * z + w * x))
             else:
-                columns.append(np.array([rotation_log(row[a : a + 4])[what - TURN_X] for row in rows]))
+                columns.append(np.array([rotation_log(row[a : a + 4])[what - VECTOR_X] for row in rows]))
         found = (np.stack(columns, axis=1) - self.middle) / self.spread
         return np.asarray(found[0] if np.ndim(q) == 1 else found)
 
@@ -114,7 +114,7 @@ class PosePrior:
         x = self.features(robot, q)
         return self.energy_of(np.atleast_2d(x))[0 if np.ndim(q) == 1 else slice(None)]
 
-    def places(self, robot: Robot) -> NDArray[np.int64]:
+    def indices(self, robot: Robot) -> NDArray[np.int64]:
         """(n, 3) the kernel's code of each feature, where it begins in q, and its node.
 
         Raises:
@@ -129,7 +129,7 @@ class PosePrior:
             kind = int(robot.tree.kind[k])
             if colon + part not in _PARTS_OF.get(kind, ("",)):
                 raise InvalidGoalError(
-                    f"the prior looks at {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
+                    f"the prior has {name!r}, but joint {joint!r} of {robot.name!r} is of another kind",
                     hint=f"learn one from motions of {robot.name!r}: robot_ik.motion.pose_prior",
                 )
             rows.append((_PARTS[colon + part], int(robot.tree.qadr[k]) + (3 if kind == FREE else 0), k))

@@ -27,7 +27,7 @@ from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUs
 from robot_ik.geometry import Pose
 from robot_ik.goals import Array, Goal, PostureGoal, Tolerance, numbers, rotation_matrix, vector
 from robot_ik.kernels import workspace
-from robot_ik.kernels.residuals import NO_PLACE, OF_FRAME, OF_MASS
+from robot_ik.kernels.residuals import NO_POSITION, OF_FRAME, OF_MASS
 from robot_ik.robot import Robot
 
 if TYPE_CHECKING:
@@ -120,14 +120,14 @@ class Problem:
             robot, self.given, self.tolerance, workspace.TRACE_ROOM if trace else 0
         )
         compiled = self.compiled
-        self.made, self.turn = compiled.made, compiled.turn
+        self.made, self.token = compiled.made, compiled.token
         self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
         self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
         self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
         self._whole = [goal.rows.whole for goal in self.given]
         self._reach: list[tuple[int, float, float, float, float]] = []
         for g, goal in enumerate(self.given):
-            asks = goal.rows.place != NO_PLACE and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+            asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
             asks = asks and not goal.soft
             ball = robot.reach(goal.frame) if asks else None
             if ball is not None:
@@ -196,9 +196,9 @@ class Problem:
             InvalidGoalError: Not finite, another kind of goal, or a key that names no goal or several.
             ProblemInUseError: Another thread's call is under way.
         """
-        turn = self.turn
+        token = self.token
         try:
-            turn.pop()
+            token.pop()
         except IndexError:
             raise ProblemInUseError from None
         try:
@@ -206,9 +206,9 @@ class Problem:
                 self._require_index(index)
             mover = self.mover
             if self._whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
-                place, flip = mover.places.get(target.shape, (None, 0))
-                if place is not None and (flip == 0 or self.given[index].has_position):
-                    place[...] = target
+                array, flip = mover.buffers.get(target.shape, (None, 0))
+                if array is not None and (flip == 0 or self.given[index].has_position):
+                    array[...] = target
                     if mover.take(mover.move, index ^ flip):
                         return
             if isinstance(target, Mapping):
@@ -218,7 +218,7 @@ class Problem:
             else:
                 self._retarget_partial(target, index)
         finally:
-            turn.append(None)
+            token.append(None)
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
@@ -228,13 +228,13 @@ class Problem:
             ProblemInUseError: Another thread's call is under way.
         """
         try:
-            self.turn.pop()
+            self.token.pop()
         except IndexError:
             raise ProblemInUseError from None
         try:
             yield
         finally:
-            self.turn.append(None)
+            self.token.append(None)
 
     def _retarget_several(self, targets: Mapping[str | int, Any]) -> None:
         """All of ``targets`` or, if one of them is refused, none."""
@@ -318,13 +318,13 @@ class Problem:
             moved = mine.moved_to(target)
         else:
             given = numbers(target, "a target")
-            place, turn = (
+            position, rotation = (
                 vector(given.ravel(), 16 if given.shape == (4, 4) else 3, "a target"),
                 mine.target.rotation,
             )
-            if len(place) == 16:
-                place, turn = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
-            moved = mine.moved_to(Pose.from_rotation(turn, place))
+            if len(position) == 16:
+                position, rotation = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
+            moved = mine.moved_to(Pose.from_rotation(rotation, position))
         self._put(moved, index)
 
     def _put(self, goal: Goal, index: int) -> None:
@@ -391,7 +391,7 @@ def goal_kind(goal: Goal) -> Hashable:
     return goal.frame, kind, metres > 0.0, radians > 0.0, *others
 
 
-# Made once: the front door asks in every solve.
+# Made once: ``solve`` asks in every call.
 _TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
 
 

@@ -22,7 +22,7 @@ LARGEST_FILE = 256 * 2**20
 """Bytes; a recording of an hour has a tenth of it."""
 
 LARGEST_NUMBER = 1e15
-"""Of any unit that a file can have: beyond it a double no longer tells a tenth from the next."""
+"""Of any unit that a file can have: beyond it a double no longer resolves a tenth."""
 
 DEEPEST = 32
 """Tables and lists within each other; files of this program have six."""
@@ -103,23 +103,23 @@ def parse_json(text: str, file: Path | str) -> Any:
 
 
 def parse(text: str, file: Path | str, language: str, parser: Callable[[str], Any]) -> Any:
-    """What a parser makes of a text, where every number and every word of it can be used.
+    """What a parser makes of a text, where every number and every string of it can be used.
 
     Args:
         text: What the file says.
         file: For messages.
         language: Likewise: "YAML".
-        parser: From the text to dicts, lists, numbers and words.
+        parser: From the text to dicts, lists, numbers and strings.
 
     Raises:
         ConfigError: The text is not of that language; it is nested deeper than ``DEEPEST``; a number is not
-            finite, larger than ``LARGEST_NUMBER``, or an integer of more than 64 bits; a word is no Unicode.
+            finite, larger than ``LARGEST_NUMBER``, or an integer of more than 64 bits; a string no Unicode.
     """
     try:
         content = parser(text)
     except RecursionError:
-        place = NESTED.search(text)
-        keys = _KEY.findall(text[: place.start()][-10_000:]) if place else []
+        match = NESTED.search(text)
+        keys = _KEY.findall(text[: match.start()][-10_000:]) if match else []
         raise _too_deep(file, keys[-1] if keys else "") from None
     except MemoryError:
         raise ConfigError("too much for the memory of this machine", file=file) from None
@@ -151,7 +151,7 @@ def _require_usable(content: Any, most: int, file: Path | str) -> None:
 
 
 def _problem(value: Any) -> tuple[str, str] | None:
-    """What is wrong with a number or a word, and what would be right."""
+    """What is wrong with a number or a string, and what would be right."""
     if isinstance(value, float):
         if math.isfinite(value) and abs(value) <= LARGEST_NUMBER:
             return None

@@ -242,14 +242,14 @@ class Robot:
         return inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
-        """(nv,) the way from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
+        """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
         whole = np.zeros(self.model.nv)
         mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
-        places: list[int] = []
+        dofs: list[int] = []
         for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
             first = int(self.model.jnt_dofadr[joint])
-            places += range(first, first + V_WIDTH[int(kind)])
-        return np.asarray(whole[places])
+            dofs += range(first, first + V_WIDTH[int(kind)])
+        return np.asarray(whole[dofs])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
         """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
@@ -270,7 +270,7 @@ class Robot:
         return names.index(name)
 
     def qpos(self, q: ArrayLike) -> Array:
-        """(model.nq,): ``q`` at its places, the frozen joints where they stand."""
+        """(model.nq,): ``q`` at its addresses, the frozen joints where they stand."""
         qpos = self.frozen_qpos.copy()
         qpos[self._addresses] = self.check_q(q)
         return qpos
@@ -318,7 +318,7 @@ class Robot:
         """The same robot inside the intersection of its limits and these (nv,); home moves inside.
 
         Raises:
-            ModelError: No room is left for some joint, or not one number for each degree of freedom.
+            ModelError: No range is left for some joint, or not one number for each degree of freedom.
         """
         try:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
@@ -333,7 +333,7 @@ class Robot:
                 other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
                 one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
                 raise ModelError(
-                    f"no room is left for joint {joint!r}: the model allows {one} … {two}, "
+                    f"no range is left for joint {joint!r}: the model allows {one} … {two}, "
                     f"the other side {three} … {four}",
                     hint="check sign, zero and range of the joint in the arm file",
                 )

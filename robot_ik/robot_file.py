@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
-from robot_ik.tables import Pair, Place, Several, Table, read_table
+from robot_ik.tables import Pair, Position, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
@@ -24,7 +24,9 @@ _WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or
 
 
 _Positive = Annotated[float, Field(gt=0.0)]
-_PlaceAndTurn = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
+_PositionAndQuaternion = Annotated[
+    tuple[float, float, float, float, float, float, float], Field(strict=False)
+]
 
 
 class Tool(Table):
@@ -41,7 +43,7 @@ class Marker(Table):
     id: int
     dictionary: str = "DICT_5X5_50"
     size: float
-    position: Place
+    position: Position
     yaw_deg: float = 0.0
 
 
@@ -54,10 +56,10 @@ class TableTop(Table):
 
 
 class SceneCamera(Table):
-    """A camera: where it stands, what it looks at, and its optics (pixels)."""
+    """A camera: where it stands, the point that it is aimed at, and its optics (pixels)."""
 
-    position: Place
-    look_at: Place
+    position: Position
+    look_at: Position
     width: int = 1280
     height: int = 720
     focal: float = 1100.0
@@ -87,11 +89,11 @@ class GalleryScene(Table):
     """What `robot-ik robots --gallery` draws beside the home pose.
 
     A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
-    are at home.  ``view_deg``: from where one looks, azimuth (from x towards y) and elevation.
+    are at home.  ``view_deg``: the viewing direction, azimuth (from x towards y) and elevation.
     """
 
     about: str = "reaching"
-    goals: dict[str, Place | _PlaceAndTurn] = Field(default={})
+    goals: dict[str, Position | _PositionAndQuaternion] = Field(default={})
     keep: Several[str] = ()
     view_deg: Pair = (-55.0, 16.0)
 
@@ -99,7 +101,7 @@ class GalleryScene(Table):
 class FigureParts(Table):
     """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
 
-    ``bend``: the keyframe that a deep bend looks like.
+    ``bend``: the keyframe of a deep bend.
     """
 
     hands: dict[str, str] = Field(default={})

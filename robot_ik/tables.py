@@ -80,7 +80,7 @@ class Table(BaseModel):
     """A table of a file that people write.
 
     Unknown keys are errors, and values of another type: an integer is no boolean, text in quotes no number.
-    Subclasses check what no single key can tell in validators that raise ``WrongKey``.
+    Subclasses check what concerns several keys in validators that raise ``WrongKey``.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
@@ -134,10 +134,10 @@ Item = TypeVar("Item")
 # Tables are frozen, so lists are kept as tuples; what is in them is as strict as everything else.
 Several = Annotated[tuple[Item, ...], Field(strict=False)]
 Pair = Annotated[tuple[float, float], Field(strict=False, description="2 numbers")]
-Place = Annotated[tuple[float, float, float], Field(strict=False, description="3 numbers")]
+Position = Annotated[tuple[float, float, float], Field(strict=False, description="3 numbers")]
 
 
-def _some_turn(wxyz: tuple[float, ...]) -> tuple[float, ...]:
+def _not_zero(wxyz: tuple[float, ...]) -> tuple[float, ...]:
     if not any(wxyz):
         raise WrongKey("a quaternion of zeros is no orientation", allowed="w x y z, not all zero")
     return wxyz
@@ -146,7 +146,7 @@ def _some_turn(wxyz: tuple[float, ...]) -> tuple[float, ...]:
 Wxyz = Annotated[
     tuple[float, float, float, float],
     Field(strict=False, description="4 numbers, w x y z"),
-    AfterValidator(_some_turn),
+    AfterValidator(_not_zero),
 ]
 Made = TypeVar("Made", bound=Table)
 

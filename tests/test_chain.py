@@ -22,8 +22,8 @@ def test_a_chain_has_its_links_and_lengths(n):
     np.testing.assert_allclose(centre, 0, atol=1e-15)
     assert radius == pytest.approx(0.3 * n)
     q = robot.sample(np.random.default_rng(n))
-    places = [robot.measure(q, f"link{i}").position for i in range(1, n + 1)] + [robot.measure(q).position]
-    np.testing.assert_allclose(np.linalg.norm(np.diff(places, axis=0), axis=1), 0.3, atol=1e-12)
+    positions = [robot.measure(q, f"link{i}").position for i in range(1, n + 1)] + [robot.measure(q).position]
+    np.testing.assert_allclose(np.linalg.norm(np.diff(positions, axis=0), axis=1), 0.3, atol=1e-12)
     np.testing.assert_allclose(robot.forward(q).matrix, robot.measure(q).matrix, atol=1e-12)
 
 
@@ -31,8 +31,8 @@ def test_a_joint_turns_all_three_ways_about_its_anchor():
     robot = rik.make_chain(2, 1.0)
     jacobian = robot.jacobian(robot.home)
     assert np.linalg.matrix_rank(jacobian[3:, :3]) == 3
-    turned = robot.integrate(robot.home, [np.pi / 2, 0, 0, 0, 0, 0])
-    np.testing.assert_allclose(robot.measure(turned).position, [0, -2, 0], atol=1e-12)
+    rotated = robot.integrate(robot.home, [np.pi / 2, 0, 0, 0, 0, 0])
+    np.testing.assert_allclose(robot.measure(rotated).position, [0, -2, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -79,15 +79,15 @@ def test_solve_and_batch_in_turn_give_what_each_gives_alone(puma, name):
     solver = make_solver(name)
     problem, _, rows = problem_for(name, puma)
     alone = solver.solve(problem).q
-    starts, answers = np.tile(puma.home, (5, 1)), BatchResult.empty(5, puma.nq)
-    solver.solve_many(problem, rows, starts, answers)
-    first = answers.q.copy()
+    starts, results = np.tile(puma.home, (5, 1)), BatchResult.empty(5, puma.nq)
+    solver.solve_many(problem, rows, starts, results)
+    first = results.q.copy()
     problem.target[0] = rows[0] if problem.given[0].has_angle else [*rows[0, :3], *np.eye(3).ravel()]
     problem.exchange(problem.given)
     gc.collect()
     assert np.array_equal(solver.solve(problem).q, alone)
-    solver.solve_many(problem, rows, starts, answers)
-    assert np.array_equal(answers.q, first)
+    solver.solve_many(problem, rows, starts, results)
+    assert np.array_equal(results.q, first)
 
 
 STRESS = """
@@ -191,10 +191,10 @@ def test_threads_may_use_a_problem_in_turn(puma):
     for pose in poses:
         problem.retarget(pose)
         expected.append(solver.solve(problem).q)
-    found, turn = {}, threading.Lock()
+    found, lock = {}, threading.Lock()
 
     def one(k):
-        with turn:
+        with lock:
             problem.retarget(poses[k])
             found[k] = solver.solve(problem).q
 

@@ -85,8 +85,11 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
         for u, v in enumerate(problem.dofs):
             step = np.zeros(robot.nv)
             step[v] = 1e-6
-            ahead, behind = robot.follow(robot.integrate(q, step)), robot.follow(robot.integrate(q, -step))
-            slope = (at(behind)[0] - at(ahead)[0]) / 2e-6
+            forward, backward = (
+                robot.follow(robot.integrate(q, step)),
+                robot.follow(robot.integrate(q, -step)),
+            )
+            slope = (at(backward)[0] - at(forward)[0]) / 2e-6
             np.testing.assert_allclose(jacobian[:, u], slope, atol=1e-7)
 
 
@@ -166,8 +169,8 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
     assert np.allclose(Problem(stiff, goal).compiled.goal_arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
-    place = soft.forward(start).position
-    near = PositionGoal(None, place + np.array([0.0, 1e-4, 1e-4]))
+    position = soft.forward(start).position
+    near = PositionGoal(None, position + np.array([0.0, 1e-4, 1e-4]))
     for name in ("lm", "dls", "pseudoinverse", "bfgs"):
         method = make_solver(name)
         moved = {
@@ -180,7 +183,7 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
             wanted = (
                 inverse
                 @ jacobian.T
-                @ np.linalg.solve(jacobian @ inverse @ jacobian.T, near.target.position - place)
+                @ np.linalg.solve(jacobian @ inverse @ jacobian.T, near.target.position - position)
             )
             np.testing.assert_allclose(step, wanted, atol=2e-7, err_msg=name)
         assert abs(moved[25.0][0]) < 0.95 * abs(moved[1.0][0])

@@ -187,9 +187,9 @@ def test_other_kinds_frames_methods_options_and_tolerances_have_problems_of_thei
         lambda: rik.solve_all(robot, PoseGoal.at(None, pose)),
         lambda: rik.solve_batch(robot, [pose], solver="dls"),
     ]  # fmt: skip
-    answers = [call() for call in calls]
+    results = [call() for call in calls]
     assert len(compiled) == len(calls)
-    for call, before in zip(calls, answers, strict=True):
+    for call, before in zip(calls, results, strict=True):
         again = call()
         if isinstance(before, tuple):
             assert [b.name for b in again] == [b.name for b in before]

@@ -97,7 +97,7 @@ def test_limits_intersect_and_home_moves_inside(arm_file):
     samples = np.array([narrow.sample(rng) for _ in range(300)])
     assert samples[:, 0].max() <= 0.4 and samples[:, 0].max() > 0.3 and samples[:, 0].min() < -0.9
     lower[1] = 0.3
-    with pytest.raises(ModelError, match=r"no room is left for joint 'rail'.*0\.3"):
+    with pytest.raises(ModelError, match=r"no range is left for joint 'rail'.*0\.3"):
         robot.with_limits(lower, upper)
 
 

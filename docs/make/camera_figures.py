@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.bench.camera import Quantity
-from robot_ik.bench.camera.accuracy import remedy_errors
+from robot_ik.bench.camera.accuracy import latency_errors
 from robot_ik.bench.camera.arm import compare_filters
 from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
@@ -55,7 +55,7 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
     return {
         "rows": {row.name: rows[row.name] for row in ALL_ROWS if row.name in rows},
         "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
-        "remedies": {name: [miss.rms, miss.worst] for name, miss in remedy_errors().items()},
+        "remedies": {name: [miss.rms, miss.worst] for name, miss in latency_errors().items()},
     }
 
 

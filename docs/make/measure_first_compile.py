@@ -49,7 +49,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as cache:
             environment = os.environ | {"XDG_CACHE_HOME": cache}
             times = [
-                [float(word) for word in subprocess.check_output(
+                [float(token) for token in subprocess.check_output(
                     [sys.executable, "-c", code], env=environment, text=True
                 ).split()]
                 for _ in range(2)

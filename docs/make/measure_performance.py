@@ -33,14 +33,14 @@ def measure(environments: Path, out: Path, rounds: int, count: int) -> int:
         "-m", "robot_ik.bench.peers", "run", "--environments", environments, "--out", out / "peers",
         "--libraries", *LIBRARIES, "--rounds", rounds, "--count", count,
     )  # fmt: skip
-    for name, words in BENCHES.items():
-        code |= call("-m", "robot_ik", *words.split(), "--out", out / name)
+    for name, arguments in BENCHES.items():
+        code |= call("-m", "robot_ik", *arguments.split(), "--out", out / name)
     return code
 
 
-def call(*words: object) -> int:
+def call(*arguments: object) -> int:
     """Runs this Python and says with what."""
-    command = [sys.executable, *(str(word) for word in words)]
+    command = [sys.executable, *(str(argument) for argument in arguments)]
     sys.stderr.write("$ " + " ".join(command) + "\n")
     return subprocess.run(command, check=False).returncode
 

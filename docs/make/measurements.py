@@ -164,13 +164,13 @@ def path(robot: rik.Robot, off: float) -> list[rik.Pose]:
     q[_WRIST] = 0.0
     swing = robot.jacobian(q)[3:, _WRIST]
     u = np.cross(robot.forward(q, "flange").rotation[:, 2], swing) * np.sin(off / 2)
-    aside = rik.Pose((0, 0, 0), (np.cos(off / 2), *u))
+    offset = rik.Pose((0, 0, 0), (np.cos(off / 2), *u))
     poses = []
     for angle in np.linspace(_SWING, -_SWING, TICKS):
         q[_WRIST] = angle
         flange = robot.forward(q, "flange")
-        turned = rik.Pose(flange.position, (aside @ rik.Pose((0, 0, 0), flange.wxyz)).wxyz)
-        poses.append(turned @ (flange.inverse() @ robot.forward(q)))
+        rotated = rik.Pose(flange.position, (offset @ rik.Pose((0, 0, 0), flange.wxyz)).wxyz)
+        poses.append(rotated @ (flange.inverse() @ robot.forward(q)))
     return poses
 
 

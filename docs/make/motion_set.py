@@ -69,7 +69,7 @@ SPEEDS = {"slowly": (0.8, 1.2), "as usual": (1.0, 1.0), "fast": (1.1, 0.92)}  # 
 # Balls overhead, and the speed at take-off in m/s.
 JUMPS = [((0.1, -0.2, 2.4), 1.8), ((0.15, -0.15, 2.5), 2.2)]
 HELD_OUT = 5  # every so many motions
-# The picture: by which places the hand is led, and where it ends.
+# The picture: by which positions the hand is led, and where it ends.
 LED = [(0.1, -0.35, 2.0), (-0.15, -0.75, 1.4), (0.3, -0.6, 0.9)]
 SHOWN = [(0.4, -0.15, 1.15), (0.3, 0.05, 1.5), (0.3, -0.3, 0.9)]
 
@@ -139,11 +139,11 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
 def actions(figure: Figure) -> dict[str, Array]:
     """Frames (m, nq), 60 a second, of what the figure does by itself (``robot_ik/figure``)."""
     home, found = figure.home, {}
-    for places, act, kind in ((GRID, reach, REACH), (BENDS, bend, BEND)):
-        for place in places:
-            end = find_pose(figure, np.array(place), "right", kind)
+    for balls, act, kind in ((GRID, reach, REACH), (BENDS, bend, BEND)):
+        for position in balls:
+            end = find_pose(figure, np.array(position), "right", kind)
             if not end.flaw:
-                found[f"{kind} {place}"] = act(figure, home, np.array(place), end=end.q).q
+                found[f"{kind} {position}"] = act(figure, home, np.array(position), end=end.q).q
     for how, (length, duration) in SPEEDS.items():
         gait = replace(WALK, length=length * WALK.length, time=duration * WALK.time)
         for x, y, degrees in GOALS:
@@ -170,7 +170,7 @@ def motions(robot: rik.Robot, book: KeyPoses, files: Sequence[Path]) -> dict[str
 # ------------------------------------------------------------------------------ figures
 
 
-def answers(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
+def solve_poses(robot: rik.Robot, truth: Array, extra: Sequence[rik.Goal]) -> tuple[Array, float, float]:
     """What is solved for a pose of which feet and right hand alone are known; miss in m, seconds."""
     goals: list[rik.Goal] = [rik.PoseGoal.at(f"{s}_foot", robot.forward(truth, f"{s}_foot")) for s in SIDES]
     goals.append(rik.PositionGoal("right_hand", robot.forward(truth, "right_hand").position))
@@ -201,7 +201,7 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     ]
     rows = {}
     for label, extra in ways.items():
-        q, miss, seconds = zip(*(answers(robot, truth, extra) for truth in poses), strict=True)
+        q, miss, seconds = zip(*(solve_poses(robot, truth, extra) for truth in poses), strict=True)
         x, wanted = prior.features(robot, np.array(q)), prior.features(robot, np.array(poses))
         nearest = [float(np.sqrt(np.mean((known - row) ** 2, axis=1)).min()) for row in x]
         off = (x - wanted)[:, unseen] * prior.spread[unseen]
@@ -221,13 +221,13 @@ def evaluate(robot: rik.Robot, found: Mapping[str, Array]) -> dict[str, object]:
     }  # fmt: skip
 
 
-def led(robot: rik.Robot, place: Sequence[float], extra: Sequence[rik.Goal]) -> Array:
-    """Where the figure ends when its right hand is led round about to a place: overhead, far aside, there."""
+def led(robot: rik.Robot, position: Sequence[float], extra: Sequence[rik.Goal]) -> Array:
+    """Where the figure ends when its right hand is led to a position: overhead, to the side, there."""
     goals: list[rik.Goal] = [
         rik.PoseGoal.at(f"{s}_foot", robot.forward(robot.home, f"{s}_foot")) for s in SIDES
     ]
-    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", place), *extra])
-    stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(place)]
+    problem = Problem(robot, [*goals, rik.PositionGoal("right_hand", position), *extra])
+    stations = [robot.forward(robot.home, "right_hand").position, *np.array(LED), np.array(position)]
     solver, q = make_solver("lm"), np.array(robot.home)
     for one, two in pairwise(stations):
         for share in np.linspace(0.0, 1.0, 41)[1:].tolist():
@@ -237,12 +237,12 @@ def led(robot: rik.Robot, place: Sequence[float], extra: Sequence[rik.Goal]) -> 
 
 
 def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
-    """The right hand led to three places: with the goals alone, and with the prior."""
+    """The right hand led to three positions: with the goals alone, and with the prior."""
     size, rows = (300, 420), []
     for extra in ([], [PosePriorGoal(prior=prior)]):
         row = []
-        for place in SHOWN:
-            q = led(robot, place, extra)
+        for position in SHOWN:
+            q = led(robot, position, extra)
             points = np.concatenate([surface(robot.model, robot.qpos(one)) for one in (robot.home, q)])
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)

@@ -173,8 +173,8 @@ def ratios(data: Data) -> str:
         )
     for robot, title in ROBOTS.items():
         mine, theirs = peers["robot_ik_lm"][robot]["cold"], peers["rtb_lm"][robot]["cold"]
-        for key, word in (("mean_us", "mean"), ("p99_us", "p99")):
-            case = f"cold {title}, numeric: {word}"
+        for key, statistic in (("mean_us", "mean"), ("p99_us", "p99")):
+            case = f"cold {title}, numeric: {statistic}"
             rows.append(line(case, "rtb_lm", theirs[key], mine[key], "robot_ik_lm"))
     for robot, title in ROBOTS.items():
         warm = {name: peers[name][robot]["warm"]["median_us"] for name in peers if robot in peers[name]}
@@ -204,7 +204,9 @@ def goals4(data: Data) -> str:
             cells += [f"{100 * m['success']:.1f}", times]
         rows.append((f"`{name}`", *cells))
     shape = ("%", "median / mean / p99 µs")
-    return table(("contestant", *(f"{mode}: {word}" for mode in ("cold", "warm") for word in shape)), rows)
+    return table(
+        ("contestant", *(f"{mode}: {statistic}" for mode in ("cold", "warm") for statistic in shape)), rows
+    )
 
 
 def comparison(data: Data) -> str:

@@ -1,6 +1,6 @@
 """Draws the pictures of these pages: `python docs/make/pictures.py [NAME …]`.
 
-docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the answer of the
+docs/images/whole_body.png and lion.png: on the left the figure at home, on the right the solution of the
 example of that name, with its ball.  calibration.png: what is printed, shown to the camera, still missing.
 No OpenGL, nothing random: the same program draws the same picture.
 """
@@ -75,25 +75,25 @@ def example(name: str) -> ModuleType:
     return module
 
 
-def answer(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
+def solved(scene: Scene) -> tuple[rik.Solution, tuple[float, ...]]:
     """What the example solves, and its ball."""
     program, robot = example(scene.example), rik.load_robot(scene.robot)
     return rik.solve(robot, list(program.goals(robot).values())), program.BALL
 
 
-def with_ball(path: Path, place: tuple[float, ...]) -> mujoco.MjModel:
+def with_ball(path: Path, position: tuple[float, ...]) -> mujoco.MjModel:
     """The model with a ball that touches nothing."""
     spec = mujoco.MjSpec.from_file(str(path))
     spec.worldbody.add_geom(
-        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], pos=list(place),
+        name="ball", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_BALL_RADIUS, 0, 0], pos=list(position),
         rgba=list(_BALL_COLOUR), contype=0, conaffinity=0,
     )  # fmt: skip
     return spec.compile()
 
 
 def draw(scene: Scene) -> Image:
-    """Home and answer beside each other, BGR."""
-    found, ball = answer(scene)
+    """Home and solution beside each other, BGR."""
+    found, ball = solved(scene)
     robot = found.robot
     model, optics = with_ball(robot.path, ball), lens(*SIZE)
     poses = [robot.qpos(robot.home), robot.qpos(found.q)]
@@ -136,14 +136,14 @@ def _tile(image: Image, width: int, height: int) -> Image:
 
 
 def robot_in_the_picture() -> Image:
-    """Robots that are not there, on a board in photographs of a table; one stands behind real things."""
-    things = mujoco.MjSpec()
-    for kind, place, size, colour in (
+    """Robots that are not there, on a board in photographs of a table; one stands behind real objects."""
+    objects = mujoco.MjSpec()
+    for kind, position, size, colour in (
         (mujoco.mjtGeom.mjGEOM_BOX, [0.075, -0.12, 0.055], [0.040, 0.03, 0.055], [0.70, 0.22, 0.16, 1]),
         (mujoco.mjtGeom.mjGEOM_CYLINDER, [-0.15, -0.02, 0.08], [0.04, 0.08, 0], [0.16, 0.42, 0.46, 1]),
     ):
-        things.worldbody.add_geom(type=kind, pos=place, size=size, rgba=colour)
-    real = things.compile()
+        objects.worldbody.add_geom(type=kind, pos=position, size=size, rgba=colour)
+    real = objects.compile()
     tiles = [
         _table_with("puma560", None, 0.37, 25.0),
         _table_with("puma560", real, 0.37, 60.0),
@@ -154,14 +154,14 @@ def robot_in_the_picture() -> Image:
     return np.asarray(cv2.resize(whole, (960, 630), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: float) -> Image:
+def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: float) -> Image:
     """A photograph of the table with a drawn robot of this height in metres, turned by degrees."""
-    still = BoardMotion((0.0, 0.0), np.radians(20.0) if things is None else 0.0, middle=(0.0, 0.0))
+    still = BoardMotion((0.0, 0.0), np.radians(20.0) if objects is None else 0.0, middle=(0.0, 0.0))
     source, clock = synthetic_scene(
         640,
         420,
         motion=still,
-        occluders=things,
+        occluders=objects,
         quality="full",
         noise=0.3,
         eye=(0.12, -0.66, 0.46),
@@ -173,7 +173,7 @@ def _table_with(name: str, things: mujoco.MjModel | None, height: float, yaw: fl
     scale = height / (high - low)
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)
-    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, things), optics)
+    registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, objects), optics)
     return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
 
 

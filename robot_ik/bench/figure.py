@@ -87,30 +87,30 @@ class _Soles:
 
 
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
-    """Lowest points, and (n, nbody, 3) places and (n, nbody, 3, 3) rotations of all bodies."""
+    """Lowest points, and (n, nbody, 3) positions and (n, nbody, 3, 3) rotations of all bodies."""
     model, data = figure.model, figure.data
-    place, matrix = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
+    position, matrix = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
     for i, row in enumerate(q):
         data.qpos[:] = row
         mujoco.mj_kinematics(model, data)
-        place[i], matrix[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
+        position[i], matrix[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
     heights, points, bodies, ends = [], [], [], []
     for name in SIDES:
         h, p, b, e = [], [], [], []
         for body, geoms in figure.feet[name].parts:
             low, local = lowest_points(model, list(geoms), matrix[:, body, 2, :])
-            h.append(low + place[:, body, 2:3])
-            p.append(np.einsum("nij,ngj->ngi", matrix[:, body], local) + place[:, None, body])
+            h.append(low + position[:, body, 2:3])
+            p.append(np.einsum("nij,ngj->ngi", matrix[:, body], local) + position[:, None, body])
             b += [body] * len(geoms)
             shapes = np.concatenate([shape_points(model, g, matrix[:, body, 2, :]) for g in geoms])
-            e.append(np.einsum("nij,knj->nki", matrix[:, body], shapes) + place[:, None, body])
+            e.append(np.einsum("nij,knj->nki", matrix[:, body], shapes) + position[:, None, body])
         ends.append(np.concatenate(e, axis=1))
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
         bodies.append(np.array(b))
     return (
         _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1]), (ends[0], ends[1])),
-        place,
+        position,
         matrix,
     )
 
@@ -119,7 +119,7 @@ def measure_motion(
     figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
-    soles, place, matrix = _soles(figure, q)
+    soles, position, matrix = _soles(figure, q)
     zmp, force = zero_moment_points(figure, q, dt)
     weight = force / (figure.mass * GRAVITY)
     _, _, forward = derivatives(figure, q, dt)
@@ -133,7 +133,7 @@ def measure_motion(
         under = np.concatenate(near) if near else np.zeros((0, 2))
         if len(under) and weight[i] > _LEAST_FORCE:
             margins.append(hull_margin(under, zmp[i]))
-    slip, drift = _slips(soles, place, matrix, contact)
+    slip, drift = _slip_and_drift(soles, position, matrix, contact)
     low = min(float(h.min()) for h in soles.height)
     hinges = q[:, 7:]
     lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
@@ -159,27 +159,29 @@ def measure_motion(
     )  # fmt: skip
 
 
-def _slips(soles: _Soles, place: Array, matrix: Array, contact: NDArray[np.int64]) -> tuple[float, float]:
-    """Largest way of a material point that touches from frame to frame, and of a flat foot."""
+def _slip_and_drift(
+    soles: _Soles, position: Array, matrix: Array, contact: NDArray[np.int64]
+) -> tuple[float, float]:
+    """Largest displacement of a material point that touches from frame to frame, and of a flat foot."""
     slip = drift = 0.0
     for side in (0, 1):
         since = None
-        for i in range(len(place) - 1):
+        for i in range(len(position) - 1):
             if contact[i, side] == AIR or contact[i + 1, side] == AIR:
                 since = None
                 continue
             g = int(soles.height[side][i].argmin())
             body, point = int(soles.body[side][g]), soles.point[side][i, g]
-            local = matrix[i, body].T @ (point - place[i, body])
-            after = place[i + 1, body] + matrix[i + 1, body] @ local
+            local = matrix[i, body].T @ (point - position[i, body])
+            after = position[i + 1, body] + matrix[i + 1, body] @ local
             slip = max(slip, float(np.linalg.norm((after - point)[:2])))
             foot = int(soles.body[side][0])
             if contact[i, side] != FLAT:
                 since = None
             elif since is None:
-                since = place[i, foot, :2]
+                since = position[i, foot, :2]
             else:
-                drift = max(drift, float(np.linalg.norm(place[i, foot, :2] - since)))
+                drift = max(drift, float(np.linalg.norm(position[i, foot, :2] - since)))
     return slip, drift
 
 
@@ -370,19 +372,21 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Figur
         if all(len(rows) >= count for rows in found.values()):
             break
         ball = rng.uniform([0.15, -0.5, 0.1], [0.6, 0.5, 2.5])
-        told = decider.decide(ball)
-        if told.action not in found or told.arm is None or len(found[told.action]) >= count:
+        decision = decider.decide(ball)
+        if decision.action not in found or decision.arm is None or len(found[decision.action]) >= count:
             continue
-        if told.action == "jump":
-            motion = jump(figure, figure.home, ball, told.arm, told.speed or 0.0)
+        if decision.action == "jump":
+            motion = jump(figure, figure.home, ball, decision.arm, decision.speed or 0.0)
         else:
-            end = abilities.pose(told.action, ball, told.arm).q
-            motion = (reach if told.action == "reach" else bend)(figure, figure.home, ball, told.arm, end=end)
-        hand = figure.hands[told.arm]
+            end = abilities.pose(decision.action, ball, decision.arm).q
+            motion = (reach if decision.action == "reach" else bend)(
+                figure, figure.home, ball, decision.arm, end=end
+            )
+        hand = figure.hands[decision.arm]
         miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
-        speeds = "jump" if told.action == "jump" else "daily"
+        speeds = "jump" if decision.action == "jump" else "daily"
         measure = measure_motion(figure, motion.q, motion.contact, speeds=speeds)
-        found[told.action].append((measure, min(miss) if told.action == "jump" else miss[-1]))
+        found[decision.action].append((measure, min(miss) if decision.action == "jump" else miss[-1]))
     for name, rows in found.items():
         ms = [m for m, _ in rows]
         yield FigureRow(name, "balls", len(ms), least=count)

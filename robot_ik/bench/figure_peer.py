@@ -63,7 +63,7 @@ class FrameGoals:
     center: Array
     pelvis: tuple[Array, Array]
     chest: Array
-    look: Array
+    gaze_target: Array
 
 
 def goals_of(figure: Figure, walk: Walk) -> FrameGoals:
@@ -81,15 +81,15 @@ def goals_of(figure: Figure, walk: Walk) -> FrameGoals:
 def by_figure(figure: Figure, goals: FrameGoals) -> Peer:
     """The figure's solver: feet and centre of mass are needed, the rest is weighed."""
     rows = FrameRows(figure, len(goals.q))
-    for frame, (place, matrix) in goals.feet.items():
-        rows.position(frame, place)
+    for frame, (position, matrix) in goals.feet.items():
+        rows.position(frame, position)
         rows.turned(frame, matrix)
     rows.center(goals.center, axes="xy")
     rows.turned(figure.pelvis, goals.pelvis[1], 60.0)
     rows.turned(figure.trunk, goals.chest, 60.0)
     rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
     assert figure.gaze is not None
-    rows.aim(figure.gaze, goals.look, 5.0, figure.neck or None)
+    rows.aim(figure.gaze, goals.gaze_target, 5.0, figure.neck or None)
     stiffness = figure.stiffnesses({"*": 0.02, "*toe*": 1e3})
 
     def solve() -> Frames:
@@ -137,10 +137,10 @@ def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], lis
         sites = {figure.model.site(k).name for k in range(figure.model.nsite)}
         return mink.FrameTask(name, "site" if name in sites else "body", position, matrix)
 
-    def poses(place: Array, matrix: Array) -> list[Any]:
+    def poses(position: Array, matrix: Array) -> list[Any]:
         return [
             mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(r), p)
-            for p, r in zip(place, matrix, strict=True)
+            for p, r in zip(position, matrix, strict=True)
         ]
 
     still = np.broadcast_to(free, goals.center.shape)
@@ -151,7 +151,7 @@ def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], lis
         (mink.ComTask([COSTS["center"], COSTS["center"], 0.0]), goals.center),
         (frame(figure.pelvis, [0.0, 0.0, COSTS["height"]], COSTS["pelvis"]), poses(*goals.pelvis)),
         (frame(figure.trunk, free, COSTS["chest"]), poses(still, goals.chest)),
-        (mink.LookAtTask(figure.gaze, "site", axis=(1.0, 0.0, 0.0), cost=COSTS["gaze"]), goals.look),
+        (mink.LookAtTask(figure.gaze, "site", axis=(1.0, 0.0, 0.0), cost=COSTS["gaze"]), goals.gaze_target),
         (mink.PostureTask(figure.model, cost=COSTS["posture"]), goals.q),
     ]
     return [task for task, _ in pairs], [targets for _, targets in pairs]
@@ -160,8 +160,8 @@ def _tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], lis
 def _worst(figure: Figure, goals: FrameGoals, q: Array) -> float:
     """Largest miss of feet and centre of mass, by MuJoCo."""
     worst = 0.0
-    for frame, (place, matrix) in goals.feet.items():
-        there, turned = figure.poses(q, frame)
-        worst = max(worst, float(np.abs(there - place).max()), float(np.abs(turned - matrix).max()))
+    for frame, (position, matrix) in goals.feet.items():
+        there, rotation = figure.poses(q, frame)
+        worst = max(worst, float(np.abs(there - position).max()), float(np.abs(rotation - matrix).max()))
     center = np.array([figure.center(row) for row in q])
     return max(worst, float(np.abs(center - goals.center)[:, :2].max()))

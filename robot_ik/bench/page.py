@@ -1,6 +1,6 @@
 """What the testbed's page costs and how soon it is there, each figure beside what is wanted of it.
 
-The page runs in this process and what looks at it in others, so that processor time is the page's own.
+The page runs in this process and the browsers in others, so that processor time is the page's own.
 A browser costs more than the page; only the rows of the start have one.
 """
 
@@ -169,7 +169,7 @@ class Watcher:
         self._process = context.Process(target=_watch, args=(url, other), daemon=True)
         self._process.start()
         other.close()
-        self._pipe.recv()  # it looks
+        self._pipe.recv()  # it shows the page
 
     def received(self) -> int:
         """Bytes since this was last asked."""
@@ -240,7 +240,7 @@ class PageClient:
             compression=None, max_size=None, max_queue=None, ping_interval=None,
         )  # fmt: skip
         self._unpack = zstandard.ZstdDecompressor()
-        self._places: dict[str, bytes] = {}
+        self._coordinates: dict[str, bytes] = {}
         self._send({
             "type": "ViewerCameraMessage", "wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 1.0, 1.0],
             "fov": 0.7, "near": 0.01, "far": 100.0, "look_at": [0.0, 0.0, 0.0],
@@ -250,11 +250,11 @@ class PageClient:
     def _send(self, message: dict[str, Any]) -> None:
         self._socket.send(msgspec.msgpack.encode(message))
 
-    def drag_ball(self, place: tuple[float, float, float]) -> None:
-        """Drags the ball of the first arm to a place in the scene, metres."""
+    def drag_ball(self, position: tuple[float, float, float]) -> None:
+        """Drags the ball of the first arm to a position in the scene, metres."""
         self._send({
             "type": "SceneNodeDragMessage", "phase": "update", "name": "/robot/ball", "instance_index": 0,
-            "start_position": list(place), "start_screen_pos": [0.5, 0.5], "end_position": list(place),
+            "start_position": list(position), "start_screen_pos": [0.5, 0.5], "end_position": list(position),
             "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
         })  # fmt: skip
 
@@ -275,9 +275,11 @@ class PageClient:
             if name := re.fullmatch(r"/robot/\d+_\d+", message["name"]):
                 index = message["updates"]["batched_positions"]["__binary_index"]
                 size = packet["binaryBufferLengths"][index]
-                place = data[ends[index] - -(-size // 8) * 8 :][:size]
-                moved |= self._places.get(name[0], place) != place  # the first is where it stands
-                self._places[name[0]] = place
+                coordinates = data[ends[index] - -(-size // 8) * 8 :][:size]
+                moved |= (
+                    self._coordinates.get(name[0], coordinates) != coordinates
+                )  # the first is where it stands
+                self._coordinates[name[0]] = coordinates
         return len(data), moved
 
     def __enter__(self) -> Self:
@@ -334,7 +336,7 @@ def find_chromium() -> str | None:
 def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, float]:
     """Seconds to address, to the robot in the browser (NaN without one), to the first answer."""
     window = None if browser is None else browser.new_page(viewport={"width": 1440, "height": 900})
-    words = [
+    arguments = [
         sys.executable,
         "-m",
         "robot_ik",
@@ -347,7 +349,7 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
     ]
     begin, drawn = time.perf_counter(), float("nan")
     child = subprocess.Popen(
-        words, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        arguments, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     )
     try:
         assert child.stdout is not None
@@ -355,8 +357,8 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
         if found is None:
             raise ChildProcessError("robot-ik view ended without an address")
         address = time.perf_counter() - begin
-        answers: list[float] = []
-        waiting = threading.Thread(target=lambda: answers.append(_first_answer(found[0]) - begin))
+        replies: list[float] = []
+        waiting = threading.Thread(target=lambda: replies.append(_first_reply(found[0]) - begin))
         waiting.start()
         if window is not None:
             window.goto(found[0])
@@ -367,10 +369,10 @@ def _started(browser: Any, environment: dict[str, str]) -> tuple[float, float, f
     finally:
         child.send_signal(signal.SIGINT)
         child.communicate(timeout=60.0)
-    return address, drawn, answers[0] if answers else float("inf")
+    return address, drawn, replies[0] if replies else float("inf")
 
 
-def _first_answer(url: str) -> float:
+def _first_reply(url: str) -> float:
     """When a robot moves for the first time; infinite if it never does."""
     with PageClient(url) as client, contextlib.suppress(ConnectionClosed):
         end = time.perf_counter() + _PATIENCE

@@ -52,19 +52,19 @@ class SelfTest:
             misses = accuracy.overlay_error(distance)
             yield SelfTestRow(f"robot on a 2 x 2 board at {distance:g} m", misses, _OVERLAY)
         progress("delay", 8 / 9)
-        for name, misses in accuracy.remedy_errors().items():
+        for name, misses in accuracy.latency_errors().items():
             yield SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None)
 
     def _spheres(self, progress: Callable[[str, float], None]) -> Iterator[SelfTestRow]:
         for k, name in enumerate(("painter", "ray", "gl")):
             artist, missing = make_artist(name)
             self.notice = missing or self.notice
-            for lens, limits, words in (
+            for lens, limits, text in (
                 (accuracy.STRAIGHT, _IDENTITY, "no distortion"),
                 (accuracy.BENT, _BENT, "distortion"),
             ):
                 progress(name, 2 * k / 9)
                 if not missing:
                     misses = accuracy.projection_identity(artist, lens)
-                    yield SelfTestRow(f"{name}: spheres, {words}", misses, limits)
+                    yield SelfTestRow(f"{name}: spheres, {text}", misses, limits)
             getattr(artist, "close", lambda: None)()

@@ -19,7 +19,7 @@ from robot_ik.camera.image import dictionary_size
 from robot_ik.camera.observations import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.tables import Place, Several, Table, WrongKey, Wxyz, read_table
+from robot_ik.tables import Position, Several, Table, WrongKey, Wxyz, read_table
 
 _CUBE_SIDES = 6
 
@@ -146,7 +146,7 @@ def cube_body(ids: Sequence[int], size: float, edge: float) -> MarkerBody:
 class _MarkerTable(Table):
     id: int
     size: float
-    position: Place = (0.0, 0.0, 0.0)
+    position: Position = (0.0, 0.0, 0.0)
     wxyz: Wxyz = (1.0, 0.0, 0.0, 0.0)
 
 

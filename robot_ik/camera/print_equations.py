@@ -209,7 +209,7 @@ def take_print(gray, lens, box, reach, fit, pixels):
         box: (5,) whole pixels x0, y0, x1, y1; 2 or odd: one pixel in so many is taken, on a lattice.
         reach: Pixels beyond ± this (u and v) are not taken.
         fit: With TO_PRINT.
-        pixels: (8, k) out; what finds no room is left out.
+        pixels: (8, k) out; what finds no range is left out.
     """
     h, count, fx, fy, every = fit[TO_PRINT], 0, 1.0 / lens[FX], 1.0 / lens[FY], box[4]
     lattice = 1 if every == 2 else 2

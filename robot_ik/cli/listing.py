@@ -233,7 +233,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "title": kind.title,
         "source": kind.source,
         "goals": [goal.name for goal in kind.goals],
-        "every_goal": kind.parts and set(kind.goals) >= set(GOALS),
+        "every_goal": kind.partial_goals and set(kind.goals) >= set(GOALS),
         "parts": kind.parts,
         "capabilities": sorted(kind.capabilities),
         "options": options,

@@ -183,9 +183,9 @@ class FrameRows:
         for name, shape in {
             "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
             "row": (3, nv),
-            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "turned": (hard, nv),
+            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "hard_solved": (hard, nv),
             "schur": (hard, hard),
-            "center": (3,), "previous": (robot.nq,), "way": (nv,), "miss": (3,), "wanted": (hard,),
+            "center": (3,), "previous": (robot.nq,), "displacement": (nv,), "miss": (3,), "wanted": (hard,),
             "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
             "multiplier": (hard,),
         }.items():  # fmt: skip

@@ -11,7 +11,7 @@ axes meet.
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, frame_pose, turn_quat
+from robot_ik.kernels.kinematics import clip, forward, frame_pose, rotate_quat
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 
@@ -23,13 +23,13 @@ NOW, TARGET, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
 
 
 @pure
-def turned_goal(goal, g):
+def has_orientation(goal, g):
     """Whether the goal asks for an orientation as well."""
     return goal.kind[g] == POSE and goal.weight[g, 1] > 0.0
 
 
 @pure
-def hang(links, points, c, k):
+def attach(links, points, c, k):
     """Makes point ``c`` the first child of node ``k``."""
     links[c, UP] = k
     links[c, NEXT] = links[k, FIRST]
@@ -63,7 +63,7 @@ def link_points(tree, goal, nodes, links, points):
     for g in range(goal.kind.shape[0] - 1, -1, -1):
         if goal.node[g] >= 0:
             points[n + g, SHARE] = goal.weight[g, 0] * goal.weight[g, 0]
-            hang(links, points, n + g, goal.node[g])
+            attach(links, points, n + g, goal.node[g])
     for index in range(nodes.shape[0] - 1, -1, -1):
         k = nodes[index]
         if tree.kind[k] == HINGE:
@@ -72,7 +72,7 @@ def link_points(tree, goal, nodes, links, points):
             while c >= 0:
                 if c >= n:
                     along += local[c - n, 2]
-                    posed = posed or turned_goal(goal, c - n)
+                    posed = posed or has_orientation(goal, c - n)
                 else:
                     along += constant[c, 2] + points[c, SHIFT] * constant[c, 11]
                 count += 1
@@ -82,11 +82,11 @@ def link_points(tree, goal, nodes, links, points):
             elif count > 0:
                 points[k, SHIFT] = along / count
         if tree.parent[k] >= 0:
-            hang(links, points, k, tree.parent[k])
+            attach(links, points, k, tree.parent[k])
 
 
 @pure
-def apart(points, b, at_b, a, at_a):
+def distance(points, b, at_b, a, at_a):
     """Distance of two points, each as it is (NOW) or its target (TARGET)."""
     x = points[b, at_b] - points[a, at_a]
     y = points[b, at_b + 1] - points[a, at_a + 1]
@@ -108,17 +108,17 @@ def across(x, y, z):
 
 
 @outlined
-def keep_pose(world, k, old, first):
+def store_pose(world, k, old, first):
     """old[first:first + 12] = the pose of node ``k``, before it moves."""
     for i in range(12):
         old[first + i] = world[k, i]
 
 
 @outlined
-def carry(world, k, old, first, frames, g):
+def move_with_node(world, k, old, first, frames, g):
     """Moves frames[g], which hangs on node ``k``, as the node has moved from the pose kept in ``old``.
 
-    What lies between stays as it is: a joint's turn costs the same however many joints come after it.
+    What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
     """
     x = frames[g, 0] - old[first]
     y = frames[g, 1] - old[first + 1]
@@ -160,7 +160,7 @@ def locate_all(tree, goal, work, links, points, one):
     for index in range(nodes.shape[0] + goal.kind.shape[0]):
         c = nodes[index] if index < nodes.shape[0] else n + index - nodes.shape[0]
         locate(tree, goal, work, points, one, c)
-        points[c, LENGTH] = apart(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
+        points[c, LENGTH] = distance(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
 
 
 @outlined
@@ -211,7 +211,7 @@ def third_side_angle(a, c, b):
 
 # ``sums``: M row by row, and how many vectors there are; then how much a hinge weighs the goals themselves
 # beside the next points (0 = not at all), and how much a ball does.
-# In KEPT, the pose of a joint before it turns.
+# In KEPT, the pose of a joint before it rotates.
 AIMS, PULL, BALL_PULL, KEPT, SUM_SIZE = 9, 10, 11, 12, 24
 
 
@@ -231,8 +231,8 @@ def add_aim(sums, weight, dx, dy, dz, px, py, pz):
 
 
 @pure
-def turn_terms(sums, x, y, z):
-    """A, B of the gain A cos φ + B sin φ of a turn by φ about the unit axis (x, y, z)."""
+def rotation_terms(sums, x, y, z):
+    """A, B of the gain A cos φ + B sin φ of a rotation by φ about the unit axis (x, y, z)."""
     across = (
         x * (sums[0] * x + sums[1] * y + sums[2] * z)
         + y * (sums[3] * x + sums[4] * y + sums[5] * z)
@@ -248,23 +248,23 @@ def best_angle(a, b, low, high):
     if a * a + b * b < 1e-24:
         return 0.0
     angle = math.atan2(b, a)
-    for turned in (angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= turned <= high:
-            return turned
+    for candidate in (angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi):
+        if low <= candidate <= high:
+            return candidate
     at_low = a * math.cos(low) + b * math.sin(low)
     at_high = a * math.cos(high) + b * math.sin(high)
     return low if at_low > at_high else high
 
 
 @outlined
-def turn_axis(sums):
+def rotation_axis(sums):
     """The axis about which a free rotation helps most, not normalised: zero when nothing helps."""
     x, y, z = sums[7] - sums[5], sums[2] - sums[6], sums[3] - sums[1]
     size = abs(sums[0]) + abs(sums[4]) + abs(sums[8])
     trace = sums[0] + sums[4] + sums[8]
     if x * x + y * y + z * z > 1e-24 * size * size or size == 0.0:
         return x, y, z
-    # Aligned, or half a turn off: then any axis across will do, the coordinate axis most across first.
+    # Aligned, or off by π: then any axis across will do, the coordinate axis most across first.
     g0, g1, g2 = sums[0] - trace, sums[4] - trace, sums[8] - trace
     gain = max(g0, g1, g2)
     if not gain > 1e-9 * size:
@@ -277,27 +277,27 @@ def turn_axis(sums):
 # ------------------------------------------------------------------------------------------
 # One joint's best rotation: how joints follow the targets that a geometric method gives to points.
 #
-# ``settle`` turns the joints, root to tip, each about its real axis and inside its limits, to the exact
+# ``settle`` rotates the joints, root to tip, each about its real axis and inside its limits, to the exact
 # optimum of its own: q is feasible at all times.
 
 
 # Columns of ``links`` after those of ``bones``, one for each goal: 1 where it hangs on the node.
-HANGS = LINK_COLUMNS
-# A point nearer to the axis than this, metres, is not moved by a turn about it.
+DESCENDANTS = LINK_COLUMNS
+# A point nearer to the axis than this, metres, is not moved by a rotation about it.
 _NO_LEVER = 1e-6
-# Turns of a ball with several points to serve, and where they end, rad.
+# Rotations of a ball with several points to serve, and where they end, rad.
 _BALL_TURNS, _STILL = 12, 1e-10
 
 
 @outlined
-def mark_hanging(goal, links):
-    """Fills links[:, HANGS:]."""
+def mark_descendants(goal, links):
+    """Fills links[:, DESCENDANTS:]."""
     for g in range(goal.kind.shape[0]):
         for c in range(links.shape[0]):
-            links[c, HANGS + g] = 0
+            links[c, DESCENDANTS + g] = 0
         k = goal.node[g]
         while k >= 0:
-            links[k, HANGS + g] = 1
+            links[k, DESCENDANTS + g] = 1
             k = links[k, UP]
 
 
@@ -354,7 +354,7 @@ def gather(tree, goal, work, links, points, one, sums, k):
         down = False
         if points[c, SHARE] > 0.0:
             locate(tree, goal, work, points, one, c)
-            if c >= n and turned_goal(goal, c - n):
+            if c >= n and has_orientation(goal, c - n):
                 add_columns(goal, work, sums, 1.0, c - n)
             elif lever(work.world, points, tree.kind[k], k, c) > _NO_LEVER:
                 add_point(points, sums, k, c)
@@ -378,7 +378,7 @@ def add_goals(tree, goal, work, links, points, sums, k, pull):
     """
     n = tree.parent.shape[0]
     for g in range(goal.kind.shape[0]):
-        if points[n + g, SHARE] <= 0.0 or links[k, HANGS + g] == 0:
+        if points[n + g, SHARE] <= 0.0 or links[k, DESCENDANTS + g] == 0:
             continue
         count = sums[AIMS]
         add_aim(
@@ -388,26 +388,26 @@ def add_goals(tree, goal, work, links, points, sums, k, pull):
             work.frames[g, 0] - points[k, NOW], work.frames[g, 1] - points[k, NOW + 1],
             work.frames[g, 2] - points[k, NOW + 2],
         )  # fmt: skip
-        if turned_goal(goal, g):
+        if has_orientation(goal, g):
             add_columns(goal, work, sums, pull, g)
         sums[AIMS] = count
 
 
 @outlined
 def relocate(tree, goal, work, links, points, one, sums, k):
-    """Where joint ``k`` is after a turn; the frames of all goals that hang on it come along."""
-    keep_pose(work.world, k, sums, KEPT)
+    """Where joint ``k`` is after a rotation; the frames of all goals that hang on it come along."""
+    store_pose(work.world, k, sums, KEPT)
     locate(tree, goal, work, points, one, k)
     for g in range(goal.kind.shape[0]):
-        if links[k, HANGS + g] == 1:
-            carry(work.world, k, sums, KEPT, work.frames, g)
+        if links[k, DESCENDANTS + g] == 1:
+            move_with_node(work.world, k, sums, KEPT, work.frames, g)
 
 
 @outlined
-def turn_ball(tree, work, k, a, x, y, z, angle):
-    """Turns the ball whose quaternion starts at q[a] by ``angle`` about the world axis (x, y, z)."""
+def rotate_ball(tree, work, k, a, x, y, z, angle):
+    """Rotates the ball whose quaternion starts at q[a] by ``angle`` about the world axis (x, y, z)."""
     world = work.world
-    turn_quat(
+    rotate_quat(
         work.q, a,
         angle * (world[k, 3] * x + world[k, 6] * y + world[k, 9] * z),
         angle * (world[k, 4] * x + world[k, 7] * y + world[k, 10] * z),
@@ -417,20 +417,20 @@ def turn_ball(tree, work, k, a, x, y, z, angle):
 
 @outlined
 def aim_ball(tree, goal, work, links, points, one, sums, k, a):
-    """Turns ball ``k`` freely to its optimum; returns the angle turned in all."""
+    """Rotates ball ``k`` freely to its optimum; returns the total angle."""
     total = 0.0
     for _ in range(_BALL_TURNS):
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[BALL_PULL] > 0.0:
             add_goals(tree, goal, work, links, points, sums, k, sums[BALL_PULL])
-        x, y, z = turn_axis(sums)
+        x, y, z = rotation_axis(sums)
         norm = math.sqrt(x * x + y * y + z * z)
         if norm == 0.0:
             break
         x, y, z = x / norm, y / norm, z / norm
-        ta, tb = turn_terms(sums, x, y, z)
+        ta, tb = rotation_terms(sums, x, y, z)
         angle = best_angle(ta, tb, -math.pi, math.pi)
-        turn_ball(tree, work, k, a, x, y, z, angle)
+        rotate_ball(tree, work, k, a, x, y, z, angle)
         relocate(tree, goal, work, links, points, one, sums, k)
         total += abs(angle)
         if abs(angle) < _STILL or (sums[AIMS] < 2.0 and sums[BALL_PULL] == 0.0):
@@ -470,13 +470,13 @@ def twist_ball(tree, goal, work, links, points, one, sums, k, a, cone):
         half = 2.0 * math.acos(min(1.0, math.cos(0.5 * cone) / max(r, 1e-12)))
         middle = -2.0 * math.atan2(sign * s, sign * q[a])
         low, high = min(middle - half, 0.0), max(middle + half, 0.0)
-    ta, tb = turn_terms(sums, x, y, z)
-    turn_ball(tree, work, k, a, x, y, z, best_angle(ta, tb, low, high))
+    ta, tb = rotation_terms(sums, x, y, z)
+    rotate_ball(tree, work, k, a, x, y, z, best_angle(ta, tb, low, high))
 
 
 @outlined
 def fit_ball(tree, goal, work, links, points, one, sums, k):
-    """The best rotation of ball (or floating) joint ``k`` inside its cone; returns the angle turned."""
+    """The best rotation of ball (or floating) joint ``k`` inside its cone; returns its angle."""
     q, free = work.q, tree.kind[k] == FREE
     a = tree.qadr[k] + (3 if free else 0)
     cone = math.pi if free else min(tree.upper[tree.vadr[k]], math.pi)
@@ -499,7 +499,7 @@ def fit_ball(tree, goal, work, links, points, one, sums, k):
 
 @outlined
 def fit_joint(tree, goal, work, links, points, one, sums, k):
-    """Turns or shifts joint ``k`` to its optimum inside its limits; returns how far it went, rad or m."""
+    """Rotates or shifts joint ``k`` to its optimum inside its limits; returns how far it went, rad or m."""
     q, world, a, v, kind = work.q, work.world, tree.qadr[k], tree.vadr[k], tree.kind[k]
     locate(tree, goal, work, points, one, k)
     gone = 0.0
@@ -507,7 +507,7 @@ def fit_joint(tree, goal, work, links, points, one, sums, k):
         gather(tree, goal, work, links, points, one, sums, k)
         if sums[PULL] > 0.0:
             add_goals(tree, goal, work, links, points, sums, k, sums[PULL])
-        ta, tb = turn_terms(sums, world[k, 5], world[k, 8], world[k, 11])
+        ta, tb = rotation_terms(sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     elif kind == SLIDE:

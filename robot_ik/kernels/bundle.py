@@ -59,7 +59,7 @@ class BundleType(types.Type):
 
     def __init__(self, title: str, fields: tuple[tuple[str, str], ...]) -> None:
         self.fields = fields
-        self.place = {name: row for row, (name, _) in enumerate(fields)}
+        self.rows = {name: row for row, (name, _) in enumerate(fields)}
         super().__init__(name=f"Bundle({title}: {' '.join(f'{n}={k}' for n, k in fields)})")
 
 
@@ -74,18 +74,18 @@ class _Fields(AttributeTemplate):
     key = BundleType
 
     def generic_resolve(self, kind: BundleType, name: str) -> Any:  # type: ignore[override]
-        row = kind.place.get(name)
+        row = kind.rows.get(name)
         return None if row is None else _ARRAY_OF[kind.fields[row][1]][0]
 
 
 @lower_getattr_generic(BundleType)  # type: ignore[untyped-decorator]
 def _lower_field(context: Any, builder: Any, kind: BundleType, pointer: Any, name: str) -> Any:
-    row = kind.place[name]
+    row = kind.rows[name]
     array_type = _ARRAY_OF[kind.fields[row][1]][0]
 
     def word(column: int) -> Any:
-        place = builder.gep(pointer, [ir.Constant(_WORD, row * _COLUMNS + column)])
-        value = builder.load(place)
+        address = builder.gep(pointer, [ir.Constant(_WORD, row * _COLUMNS + column)])
+        value = builder.load(address)
         # Tables do not change while a kernel runs: lets LLVM read them once.
         value.set_metadata("invariant.load", builder.module.add_metadata([]))
         return value
@@ -105,7 +105,7 @@ class RowType(types.Type):
     """numba's type of an open row of named numbers; equal names in equal order are equal types."""
 
     def __init__(self, title: str, fields: tuple[tuple[str, type], ...]) -> None:
-        self.place = {name: (k, kind) for k, (name, kind) in enumerate(fields)}
+        self.columns = {name: (k, kind) for k, (name, kind) in enumerate(fields)}
         super().__init__(name=f"Row({title}: {' '.join(f'{n}={k.__name__}' for n, k in fields)})")
 
 
@@ -117,15 +117,15 @@ class _Numbers(AttributeTemplate):
     key = RowType
 
     def generic_resolve(self, kind: RowType, name: str) -> Any:  # type: ignore[override]
-        found = kind.place.get(name)
+        found = kind.columns.get(name)
         return None if found is None else _NUMBER_OF[found[1]]
 
 
 @lower_getattr_generic(RowType)  # type: ignore[untyped-decorator]
 def _lower_number(context: Any, builder: Any, kind: RowType, pointer: Any, name: str) -> Any:
-    place, number = kind.place[name]
+    column, number = kind.columns[name]
     doubles = builder.bitcast(pointer, ir.DoubleType().as_pointer())
-    value = builder.load(builder.gep(doubles, [ir.Constant(_WORD, place)]))
+    value = builder.load(builder.gep(doubles, [ir.Constant(_WORD, column)]))
     value.set_metadata("invariant.load", builder.module.add_metadata([]))
     if number is bool:
         return builder.fcmp_unordered("!=", value, ir.Constant(ir.DoubleType(), 0.0))

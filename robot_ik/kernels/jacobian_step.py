@@ -3,16 +3,16 @@
 A step is made as follows; the middle is what makes a method:
 
     prepare(tree, goal, work, clamp, alternative)
-    pin_downhill(work)
+    fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
         ...                              # fills work.step from work.jacobian and work.wanted
-        if not pin_outward(work):
+        if not fix_pushed_by_step(work):
             break
     keep_inside(work)
     cap(work, gain, max_step)
 
-A *pinned* joint stands at its bound and would be pushed out: its column is zero, so that the others do
-its work and it holds no other joint back.  Joints inside their range are never pinned.
+A *fixed* joint stands at its bound and would be pushed out: its column is zero, so that the others do
+its work and it holds no other joint back.  Joints inside their range are never fixed.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -28,7 +28,7 @@ AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
 _EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
-# motion out of its plane, a joint that is pinned.
+# motion out of its plane, a joint that is fixed.
 NEGLIGIBLE = 1e-9
 
 
@@ -61,7 +61,7 @@ def slope(work):
 
 
 @pure
-def pin(work, u):
+def fix_joint(work, u):
     """Takes joint ``u`` out of this step."""
     work.side[u] = 1
     for r in range(work.wanted.shape[0]):
@@ -69,25 +69,25 @@ def pin(work, u):
 
 
 @outlined
-def pin_downhill(work):
-    """Pins the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
+def fix_pushed_by_gradient(work):
+    """Fixes the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
     slope(work)
     pressed = 0
     for u in range(work.step.shape[0]):
         work.side[u] = 0
         g = work.gradient[u]
         if (g < 0.0 and work.low[u] > -AT_BOUND) or (g > 0.0 and work.high[u] < AT_BOUND):
-            pin(work, u)
+            fix_joint(work, u)
             work.gradient[u] = 0.0
             pressed += 1
     work.state[PRESSED] = pressed
 
 
 @outlined
-def pin_outward(work):
-    """Pins the joint at a bound that work.step pushes out most; False when there is none.
+def fix_pushed_by_step(work):
+    """Fixes the joint at a bound that work.step pushes out most; False when there is none.
 
-    One at a time: the last one pinned was driven out by the others, so these still lead downhill.
+    One at a time: the last one fixed was driven out by the others, so these still lead downhill.
     """
     worst, most = -1, AT_BOUND
     for u in range(work.step.shape[0]):
@@ -100,7 +100,7 @@ def pin_outward(work):
             worst, most = u, out
     if worst < 0:
         return False
-    pin(work, worst)
+    fix_joint(work, worst)
     work.aim[worst] = 0.0
     work.state[PRESSED] += 1
     return True
@@ -148,7 +148,7 @@ def shorten(work):
 
 @pure
 def extra_damping(work):
-    """λ² that a method can take in place of ``shorten``: it shortens the step and turns it downhill as well.
+    """λ² that a method can take in place of ``shorten``: it shortens the step and rotates it downhill.
 
     Near a stretched-out arm the undamped step all but leads along a level line of the cost: any share of it
     creeps.
@@ -211,7 +211,7 @@ def filtered_step(work, cutoff, damping):
 
 
 # ------------------------------------------------------------------------------------------
-# Singular values, where a method looks at them.
+# Singular values, where a method reads them.
 
 
 # Singular vectors: sweeps at most (six or seven are enough), and what counts as rounding.
@@ -220,14 +220,14 @@ _ROUNDING = 1e-15
 
 
 @outlined
-def orthogonalise(vectors, turns, count):
-    """Turns the rows of ``vectors`` in pairs until all are orthogonal, and those of ``turns`` with them.
+def orthogonalise(vectors, rotations, count):
+    """Rotates the rows of ``vectors`` in pairs until all are orthogonal, those of ``rotations`` with them.
 
-    One-sided Jacobi (Hestenes, J. SIAM 6(1), 1958): each turn makes one pair orthogonal; a few sweeps do.
+    One-sided Jacobi (Hestenes, J. SIAM 6(1), 1958): each rotation makes one pair orthogonal; a few sweeps do.
     """
-    width, other = vectors.shape[1], turns.shape[1]
+    width, other = vectors.shape[1], rotations.shape[1]
     for _ in range(_SWEEPS):
-        turned = False
+        rotated = False
         largest = 0.0
         for a in range(count):
             square = 0.0
@@ -244,7 +244,7 @@ def orthogonalise(vectors, turns, count):
                 # Rows that are rounding noise beside the largest need no angle of their own.
                 if abs(ab) <= _ROUNDING * math.sqrt(aa * bb) or min(aa, bb) <= _ROUNDING**2 * largest:
                     continue
-                turned = True
+                rotated = True
                 half = 0.5 * (bb - aa)
                 t = ab / (half + math.copysign(math.sqrt(half * half + ab * ab), half))
                 c = 1.0 / math.sqrt(1.0 + t * t)
@@ -253,16 +253,16 @@ def orthogonalise(vectors, turns, count):
                     x, y = vectors[a, i], vectors[b, i]
                     vectors[a, i], vectors[b, i] = c * x - s * y, s * x + c * y
                 for i in range(other):
-                    x, y = turns[a, i], turns[b, i]
-                    turns[a, i], turns[b, i] = c * x - s * y, s * x + c * y
-        if not turned:
+                    x, y = rotations[a, i], rotations[b, i]
+                    rotations[a, i], rotations[b, i] = c * x - s * y, s * x + c * y
+        if not rotated:
             return
 
 
 @outlined
-def lengths_of(vectors, turns, sigma):
+def lengths_of(vectors, rotations, sigma):
     """Lengths of the rows into ``sigma``, longest first; rows become unit vectors, or zero where noise."""
-    count, width, other = sigma.shape[0], vectors.shape[1], turns.shape[1]
+    count, width, other = sigma.shape[0], vectors.shape[1], rotations.shape[1]
     for a in range(count):
         square = 0.0
         for i in range(width):
@@ -278,7 +278,7 @@ def lengths_of(vectors, turns, sigma):
             for i in range(width):
                 vectors[a, i], vectors[best, i] = vectors[best, i], vectors[a, i]
             for i in range(other):
-                turns[a, i], turns[best, i] = turns[best, i], turns[a, i]
+                rotations[a, i], rotations[best, i] = rotations[best, i], rotations[a, i]
         if not sigma[a] > _ROUNDING * sigma[0]:
             sigma[a] = 0.0
         inverse = 1.0 / sigma[a] if sigma[a] > 0.0 else 0.0

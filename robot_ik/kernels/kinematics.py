@@ -19,9 +19,9 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 # ``__kernel_cos`` (Sun Microsystems, 1993); within 2.3e-16 of the exact values.
 
 
-# Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library's turn.
+# Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library is called.
 _FAR = 1e6
-_PER_TURN = 2.0 / math.pi
+_QUARTERS_PER_RADIAN = 2.0 / math.pi
 # π/2 as 33 bits, so that whole multiples are exact, and the rest.
 _HALF_PI, _HALF_PI_REST = 1.57079632673412561417, 6.07710050650619224932e-11
 _S1, _S2, _S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
@@ -35,13 +35,13 @@ def sine_cosine(angle):
     """(sin, cos) of an angle, rad; NaN of what is not finite."""
     if not abs(angle) < _FAR:
         return math.sin(angle), math.cos(angle)
-    quarter = math.floor(angle * _PER_TURN + 0.5)
+    quarter = math.floor(angle * _QUARTERS_PER_RADIAN + 0.5)
     x = (angle - quarter * _HALF_PI) - quarter * _HALF_PI_REST
     z = x * x
     w = z * z
     s = x + x * z * ((_S1 + z * _S2) + w * ((_S3 + z * _S4) + w * (_S5 + z * _S6)))
     c = 1.0 - (0.5 * z - w * ((_C1 + z * _C2) + w * ((_C3 + z * _C4) + w * (_C5 + z * _C6))))
-    # The quarter turns by sums, not by branches, which a processor cannot foretell: (even, odd) is
+    # The quarters of a revolution by sums, not by branches, which a processor cannot predict: (even, odd) is
     # (1, 0), (0, 1), (-1, 0), (0, -1).
     sign = 1 - (quarter & 2)
     even, odd = float(((quarter & 1) ^ 1) * sign), float((quarter & 1) * sign)
@@ -80,7 +80,7 @@ _ZERO_QUATERNION = 1e-15
 
 @pure
 def quat_rotation(q, a, out, o):
-    """Rotation matrix of the quaternion q[a:a+4] (normalised here; zero turns nothing) into out[o, 3:12]."""
+    """Rotation matrix of the quaternion q[a:a+4] (normalised here; zero: identity) into out[o, 3:12]."""
     w, x, y, z = q[a], q[a + 1], q[a + 2], q[a + 3]
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < _ZERO_QUATERNION:
@@ -118,12 +118,12 @@ def compose(a, i, b, j, out, o):
 
 @pure
 def hinge_pose(world, parent, constant, k, s, c):
-    """world[k] = world[parent] · constant[k] · (turn about z with that sine and cosine)."""
+    """world[k] = world[parent] · constant[k] · (rotation about z with that sine and cosine)."""
     x0, x1, x2 = constant[k, 0], constant[k, 1], constant[k, 2]
     a0, a1, a2 = constant[k, 3], constant[k, 6], constant[k, 9]
     b0, b1, b2 = constant[k, 4], constant[k, 7], constant[k, 10]
     z0, z1, z2 = constant[k, 5], constant[k, 8], constant[k, 11]
-    # The turn first: it does not wait for the parent's pose.
+    # The rotation first: it does not wait for the parent's pose.
     a0, a1, a2, b0, b1, b2 = (
         c * a0 + s * b0, c * a1 + s * b1, c * a2 + s * b2,
         c * b0 - s * a0, c * b1 - s * a1, c * b2 - s * a2,
@@ -147,7 +147,7 @@ def forward(tree, nodes, q, world, scratch):
     """Poses in the world of the listed ``nodes`` (parents before children) into ``world`` (n, 12)."""
     kind, parent, qadr, constant = tree.kind, tree.parent, tree.qadr, tree.constant
     # Typed numbers: a bare 0 or 1 is a type of its own and would compile the callees once more.
-    before, turn = types.int64(0), types.int64(1)
+    before, rotation = types.int64(0), types.int64(1)
     for index in range(nodes.shape[0]):
         k = nodes[index]
         a = qadr[k]
@@ -172,9 +172,9 @@ def forward(tree, nodes, q, world, scratch):
         else:
             for i in range(12):
                 scratch[before, i] = world[k, i]
-            scratch[turn, 0] = scratch[turn, 1] = scratch[turn, 2] = 0.0
-            quat_rotation(q, a, scratch, turn)
-            compose(scratch, before, scratch, turn, world, k)
+            scratch[rotation, 0] = scratch[rotation, 1] = scratch[rotation, 2] = 0.0
+            quat_rotation(q, a, scratch, rotation)
+            compose(scratch, before, scratch, rotation, world, k)
 
 
 @pure
@@ -195,7 +195,7 @@ def width_of(joint):
 
 @pure
 def dof_axis(kind, world, node, index):
-    """World axis x, y, z of the ``index``-th degree of freedom of ``node``, and whether it is a turn."""
+    """World axis x, y, z of the ``index``-th degree of freedom of ``node``, and whether it is rotational."""
     joint = kind[node]
     if joint == FREE and index < 3:
         return (
@@ -209,16 +209,16 @@ def dof_axis(kind, world, node, index):
 
 
 @pure
-def point_velocity(world, node, ax, ay, az, turn, px, py, pz):
+def point_velocity(world, node, ax, ay, az, rotational, px, py, pz):
     """Velocity of a point per unit of a degree of freedom with that axis."""
-    if not turn:
+    if not rotational:
         return ax, ay, az
     dx, dy, dz = px - world[node, 0], py - world[node, 1], pz - world[node, 2]
     return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
 
 
 @outlined
-def turn_quat(q, a, x, y, z):
+def rotate_quat(q, a, x, y, z):
     """q[a:a+4] = q · exp((x, y, z)), normalised: a rotation vector in the body's own axes."""
     angle = math.sqrt(x * x + y * y + z * z)
     s = 0.5 if angle < 1e-8 else math.sin(0.5 * angle) / angle
@@ -246,11 +246,11 @@ def integrate(tree, nodes, q, dq):
         if joint in (HINGE, SLIDE):
             q[a] += dq[v]
         elif joint == BALL:
-            turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+            rotate_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
         else:
             for i in range(3):
                 q[a + i] += dq[v + i]
-            turn_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
+            rotate_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
 
 
 @outlined
@@ -315,12 +315,12 @@ def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
         k = nodes[index]
         first = vadr[k]
         for i in range(width_of(kind[k])):
-            x, y, z, turn = dof_axis(kind, world, k, i)
-            v, turned = first + i, 1.0 if turn else 0.0
+            x, y, z, rotational = dof_axis(kind, world, k, i)
+            v, angular = first + i, 1.0 if rotational else 0.0
             jacobian[0, v], jacobian[1, v], jacobian[2, v] = point_velocity(
-                world, k, x, y, z, turn, px, py, pz
+                world, k, x, y, z, rotational, px, py, pz
             )
-            jacobian[3, v], jacobian[4, v], jacobian[5, v] = turned * x, turned * y, turned * z
+            jacobian[3, v], jacobian[4, v], jacobian[5, v] = angular * x, angular * y, angular * z
 
 
 @kernel

@@ -91,7 +91,7 @@ def levels_met(goal, work, needed):
 
 
 @pure
-def take_away(own, row, basis, first, rank):
+def project_out(own, row, basis, first, rank):
     """Takes out of own[row] what lies along basis[first:rank]; returns its square before and after."""
     n = own.shape[1]
     before, after = 0.0, 0.0
@@ -132,7 +132,7 @@ def serve_level(goal, work, level, damping, rank):
             for u in range(n):
                 left -= jacobian[r, u] * step[u]
                 own[count, u] = jacobian[r, u] if side[u] == 0 else 0.0
-            take_away(own, count, basis, 0, rank)
+            project_out(own, count, basis, 0, rank)
             rhs[count] = left
             count += 1
     for i in range(count):
@@ -146,18 +146,18 @@ def serve_level(goal, work, level, damping, rank):
         for i in range(count):
             for u in range(n):
                 step[u] += own[i, u] * rhs[i]
-    return widen(work, count, rank)
+    return extend_basis(work, count, rank)
 
 
 @pure
-def widen(work, count, rank):
+def extend_basis(work, count, rank):
     """Makes the first ``count`` rows of work.own part of the orthonormal work.basis; returns its size."""
     own, basis = work.own, work.basis
     n, first = own.shape[1], rank
     for i in range(count):
         if rank >= basis.shape[0] or rank >= n:
             break
-        before, after = take_away(own, i, basis, first, rank)
+        before, after = project_out(own, i, basis, first, rank)
         if not before > 1e-24 or after <= _DEPENDENT * _DEPENDENT * before:
             continue
         inverse = 1.0 / math.sqrt(after)
@@ -232,14 +232,14 @@ def serve_soft(goal, work, level, damping, rank):
     is what the levels before them leave that is solved for.
     """
     basis, own, gram, rhs = work.basis, work.own, work.gram, work.rhs
-    matrix, slope, way, first = work.damped, work.gradient, work.way, work.free
+    matrix, slope, search_direction, first = work.damped, work.gradient, work.search_direction, work.free
     n = work.step.shape[0]
     soft_system(goal, work, level, damping)
-    for i in range(n):  # way = L⁻¹ g, own = B L⁻ᵀ
+    for i in range(n):  # search_direction = L⁻¹ g, own = B L⁻ᵀ
         s = slope[i]
         for k in range(first[i], i):
-            s -= matrix[i, k] * way[k]
-        way[i] = s
+            s -= matrix[i, k] * search_direction[k]
+        search_direction[i] = s
     for b in range(rank):
         for i in range(n):
             s = basis[b, i]
@@ -254,20 +254,20 @@ def serve_soft(goal, work, level, damping, rank):
             gram[b, c] = s
         s = 0.0
         for i in range(n):
-            s += own[b, i] * matrix[i, i] * way[i]
+            s += own[b, i] * matrix[i, i] * search_direction[i]
         rhs[b] = s
     if not eliminate(gram, rhs, rank):
         return
     for b in range(rank):
         for i in range(n):
-            way[i] -= rhs[b] * own[b, i]
+            search_direction[i] -= rhs[b] * own[b, i]
     for i in range(n):
-        way[i] *= matrix[i, i]
+        search_direction[i] *= matrix[i, i]
     for i in range(n - 1, -1, -1):
         for k in range(first[i], i):
-            way[k] -= matrix[i, k] * way[i]
+            search_direction[k] -= matrix[i, k] * search_direction[i]
     for i in range(n):
-        work.step[i] += way[i]
+        work.step[i] += search_direction[i]
 
 
 @pure
@@ -315,7 +315,7 @@ def stacked_step(tree, goal, work, top, damping):
 
 
 @pure
-def unharmed(goal, work, top, share):
+def levels_kept(goal, work, top, share):
     """Whether the levels before ``top`` are as well off as when they were left; met: within that share."""
     for level in range(top):
         bar = work.level_bar[level]
@@ -335,7 +335,7 @@ def restore(tree, goal, work, top):
     step would lose again.
     """
     for _ in range(_RESTORE):
-        if unharmed(goal, work, top, _WELL_INSIDE):
+        if levels_kept(goal, work, top, _WELL_INSIDE):
             return True
         stacked_step(
             tree,
@@ -346,7 +346,7 @@ def restore(tree, goal, work, top):
         )
         apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
         measure_levels(tree, goal, work)
-    return unharmed(goal, work, top, 1.0)
+    return levels_kept(goal, work, top, 1.0)
 
 
 @pure

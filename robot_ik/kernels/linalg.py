@@ -72,7 +72,7 @@ def normal_equations(jacobian, residual, normal, gradient):
 
 
 @pure
-def pin(matrix, gradient, low, high, side, factor, step):
+def reduced_system(matrix, gradient, low, high, side, factor, step):
     """The system of the free joints, in ``factor`` and ``step``: one at its bound has a row of its own."""
     n = gradient.shape[0]
     for i in range(n):
@@ -145,7 +145,7 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
     steepest = guess_sides(gradient, low, high, side)
     fewest, patience = n + 1, 3
     for _ in range(10 + 4 * n):
-        pin(matrix, gradient, low, high, side, factor, step)
+        reduced_system(matrix, gradient, low, high, side, factor, step)
         if not solve_definite(factor, step, n):
             return -1
         wrong, last = 0, -1
@@ -211,7 +211,7 @@ def row_products(jacobian, residual, hits, counts, gram, gradient):
 
 
 @pure
-def take_out(jacobian, hits, counts, u, bound, factor, push):
+def remove_joint(jacobian, hits, counts, u, bound, factor, push):
     """Takes joint ``u``, which stops at ``bound``, out of the system."""
     for a in range(counts[u]):
         i = hits[u, a]
@@ -258,7 +258,7 @@ def row_step(
             push[i] = residual[i]
         for u in range(n):
             if side[u] != 0:
-                take_out(jacobian, hits, counts, u, low[u] if side[u] < 0 else high[u], factor, push)
+                remove_joint(jacobian, hits, counts, u, low[u] if side[u] < 0 else high[u], factor, push)
         if not solve_definite(factor, push, m):
             return -1
         wrong, last = 0, -1

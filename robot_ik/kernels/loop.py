@@ -18,8 +18,8 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, follow, forward, turn_quat
-from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, PLACE, evaluate
+from robot_ik.kernels.kinematics import clip, follow, forward, rotate_quat
+from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, POSITION_PART, evaluate
 from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.kernels.workspace import (
     ACCEPTED,
@@ -110,7 +110,7 @@ def draw(tree, nodes, start, state, q):
         around = 2.0 * math.pi * uniform(state)
         angle = min(high[v], math.pi) * uniform(state)
         r = angle * math.sqrt(max(0.0, 1.0 - z * z))
-        turn_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
+        rotate_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
 
 
 # ------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ def apply_step(tree, goal, nodes, step, dq, q):
             for i in range(3):
                 q[a + i] += dq[v + i]
             a, v = a + 3, v + 3
-        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+        rotate_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
     clip(tree, nodes, q)
 
 
@@ -167,7 +167,7 @@ def step_bounds(tree, goal, work):
             low[u] = min(lower[v] - q[a], 0.0) / joint_scale[u]
             high[u] = max(upper[v] - q[a], 0.0) / joint_scale[u]
         else:
-            # A ball's cone is kept by projection after the step; here a step stays below half a turn.
+            # A ball's cone is kept by projection after the step; here a step stays below π.
             low[u] = -3.0
             high[u] = 3.0
 
@@ -209,21 +209,21 @@ def record(tolerance, work):
 # ------------------------------------------------------------------------------------------
 # Goals that are proven out of reach beside others that are not.
 #
-# A goal for a place farther away than all links laid end to end cannot be met from any start.  The goals
+# A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
 # beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
 # vanishing weight costs the others nothing.
 
 
 @pure
-def squared_way(goal, reach, g):
-    """Squared metres from the centre of the ball that goal ``g`` cannot leave to the place it asks for."""
+def squared_distance(goal, reach, g):
+    """Squared metres from the centre of the ball that goal ``g`` cannot leave to the position it asks for."""
     target, square = goal.target, 0.0
     x, y, z = target[g, 0] - reach[g, 0], target[g, 1] - reach[g, 1], target[g, 2] - reach[g, 2]
     if goal.kind[g] != PARTIAL:
         return x * x + y * y + z * z
     for i in range(3):
         off = goal.mask[g, i] * (target[g, 3 + i] * x + target[g, 6 + i] * y + target[g, 9 + i] * z)
-        if goal.how[g, PLACE] == ONE_SIDE:
+        if goal.how[g, POSITION_PART] == ONE_SIDE:
             off = max(off, 0.0)
         square += off * off
     return square
@@ -236,7 +236,7 @@ def mark_beyond(goal, work):
     ask_for_all(goal)
     for g in range(goal.kind.shape[0]):
         far = work.reach[g, 3] < math.inf
-        far = far and squared_way(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
+        far = far and squared_distance(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
         work.beyond[g] = 1 if far else 0
         any_beyond = any_beyond or far
     return any_beyond
@@ -277,7 +277,7 @@ def may_restart(state):
 
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
-# an unreachable goal keeps its answer from tick to tick instead of hopping between equal ones.
+# an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
 # The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
 # it, and the share of the cost that counts as progress.  Far finer than in a try: an answer that still
@@ -316,7 +316,7 @@ def take_row(goal, work, targets, starts, row):
 
 @pure
 def give_row(work, q, miss, iterations, row):
-    """The answer to that row: q (n, nq), miss (n, 2), iterations (n,)."""
+    """The result of that row: q (n, nq), miss (n, 2), iterations (n,)."""
     for i in range(work.best.shape[0]):
         q[row, i] = work.best[i]
     miss[row, 0], miss[row, 1] = work.miss[0, 0], work.miss[0, 1]
@@ -359,13 +359,13 @@ def begin(tree, goal, work):
 
 @pure
 def kept_for_polish(state):
-    """Steps of the budget that no random try may use, so that the answer is a local minimum."""
+    """Steps of the budget that no random try may use, so that the result is a local minimum."""
     return min(_KEPT, state[MAX_ITERATIONS] // 4)
 
 
 @pure
 def rival_wins(work):
-    """Whether the best of the random tries clearly beats the answer near the start; it is then polished."""
+    """Whether the best of the random tries clearly beats the solution near the start; it is then polished."""
     value = work.value
     if not value[RIVAL] < value[BEST_COST] * (1.0 - _CLEARLY_BETTER):
         return False
@@ -420,7 +420,7 @@ def next_try(tree, goal, work):
 def begin_search(goal, work):
     """Where some goals are proven out of reach: is there a place that meets the others?  False if not asked.
 
-    The answer near the start is kept: what is found must clearly beat it.
+    The solution near the start is kept: what is found must clearly beat it.
     """
     state, value = work.state, work.value
     if state[BEYOND] == 0 or state[SEARCH] != ALL_GOALS or state[MAX_RESTARTS] == 0:
@@ -495,7 +495,7 @@ def judge(tree, goal, work, within):
     if within and state[SEARCH] == SEARCHING:
         polish_found(goal, work)
         return
-    if within and state[SEARCH] == ASKED:  # the answer near the start meets them already
+    if within and state[SEARCH] == ASKED:  # the solution near the start meets them already
         end_search(goal, work)
         return
     if within:

@@ -47,21 +47,21 @@ def take_matrix(move, index):
 class Mover:
     """Takes matrices and positions as targets: fill the array of their shape, then take them.
 
-        array, flip = mover.places[shape]
+        array, flip = mover.buffers[shape]
         array[...] = target
         mover.take(mover.move, index ^ flip)      # False when it is not finite; nothing is done then
 
     Attributes:
-        places: For (4, 4) and (3,): where to put one, and what turns the index into that of ``take_matrix``.
+        buffers: For (4, 4) and (3,): the array to fill, and the mask that gives the index of ``take_matrix``.
         dtype: What a target must be of to need no conversion that may fail.
         take, move: The compiled code, and what it takes before the goal's index.
     """
 
-    __slots__ = ("_table", "dtype", "move", "places", "take")
+    __slots__ = ("_table", "buffers", "dtype", "move", "take")
 
     def __init__(self, target: NDArray[np.float64]) -> None:
         matrix = np.zeros((4, 4))
-        self.places: dict[Any, tuple[Any, int]] = {(4, 4): (matrix, 0), (3,): (matrix[:3, 3], -1)}
+        self.buffers: dict[Any, tuple[Any, int]] = {(4, 4): (matrix, 0), (3,): (matrix[:3, 3], -1)}
         self.dtype = matrix.dtype
         self._table = MOVE.pack({"matrix": matrix, "target": target})
         self.move: int = self._table.ctypes.data

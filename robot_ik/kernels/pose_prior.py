@@ -20,7 +20,7 @@ from robot_ik.kernels.residuals import inverse_right_jacobian, rotation_back
 from robot_ik.kernels.tree import FREE
 
 # Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.
-NUMBER, LEAN_X, LEAN_Y, TURN_X, TURN_Y, TURN_Z = range(6)
+NUMBER, LEAN_X, LEAN_Y, VECTOR_X, VECTOR_Y, VECTOR_Z = range(6)
 # Columns of goal.feature.
 WHAT, AT, NODE = range(3)
 # Rows of goal.prior: middle, spread, x and g; numbers for all (E₀ first); H, then L, in its lower triangle;
@@ -45,7 +45,7 @@ def features(goal, q):
             value = 2.0 * (q[a + 2] * q[a + 3] + q[a] * q[a + 1])
         else:
             x, y, z = rotation_back(q, a, 1.0, 0.0, 0.0, 0.0)
-            value = -x if what == TURN_X else (-y if what == TURN_Y else -z)
+            value = -x if what == VECTOR_X else (-y if what == VECTOR_Y else -z)
         prior[X, i] = (value - prior[MIDDLE, i]) / prior[SPREAD, i]
 
 
@@ -64,7 +64,7 @@ def feature_rate(what, q, a, axis):
     rx, ry, rz = inverse_right_jacobian(
         -x, -y, -z, 1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0
     )
-    return rx if what == TURN_X else (ry if what == TURN_Y else rz)
+    return rx if what == VECTOR_X else (ry if what == VECTOR_Y else rz)
 
 
 @outlined

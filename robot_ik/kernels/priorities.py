@@ -1,6 +1,6 @@
 """``lm`` for goals of several priorities: level after level, each kept while the next is served.
 
-Near the answer all levels are served by one and the same step (``level_step.py``).  Where that leads
+Near the solution all levels are served by one and the same step (``level_step.py``).  Where that leads
 nowhere, level after level is; random restarts are for the first level only, and not towards what is proven
 out of reach.  Levels of soft goals come last: they are never met, and never searched.
 """
@@ -46,6 +46,7 @@ from robot_ik.kernels.workspace import (
     FOUND,
     ITERATION_LIMIT,
     ITERATIONS,
+    LEVEL,
     MAX_ITERATIONS,
     MAX_RESTARTS,
     PATIENCE,
@@ -57,7 +58,6 @@ from robot_ik.kernels.workspace import (
     SEARCH,
     SEARCHING,
     SLICE_END,
-    STAGE,
     STALLED,
     STALLS,
     STATUS,
@@ -88,14 +88,14 @@ _TOGETHER = -1
 
 
 @pure
-def arrive(tree, goal, work):
+def take_step(tree, goal, work):
     """Measures where work.step leads, in the costs of the levels."""
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
     measure_levels(tree, goal, work)
 
 
 @pure
-def go_back(tree, goal, work):
+def revert_step(tree, goal, work):
     """To where work.accepted is."""
     copy(work.accepted, work.q)
     measure_levels(tree, goal, work)
@@ -110,9 +110,9 @@ def count_step(goal, work):
 
 
 @pure
-def hurried(state):
+def in_random_try(state):
     """Whether a level is served for a random try only, which is short."""
-    return state[STAGE] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
+    return state[LEVEL] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
 
 
 @pure
@@ -130,27 +130,27 @@ def level_step(tree, goal, work, options):
     state, value = work.state, work.value
     floor, least = options.floor, options.least
     increase, decrease = options.increase, options.decrease
-    stage = state[STAGE]
-    before = work.level_cost[stage]
-    soft = stage >= needed_levels(goal)
+    level = state[LEVEL]
+    before = work.level_cost[level]
+    soft = level >= needed_levels(goal)
     if state[TRY_STEPS] == 0 and not soft:
         value[DAMPING] = options.damping
     copy(work.q, work.accepted)
     damping = value[DAMPING] if soft else value[DAMPING] * before + floor
-    pressed, largest = stacked_step(tree, goal, work, stage, damping)
+    pressed, largest = stacked_step(tree, goal, work, level, damping)
     if soft and largest <= _REST:
         state[STALLS] = _LEVEL_PATIENCE
         return
-    arrive(tree, goal, work)
-    helped = restore(tree, goal, work, stage) and work.level_cost[stage] < before
+    take_step(tree, goal, work)
+    helped = restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
-        progress = value[PROGRESS] if hurried(state) else _LEVEL_PROGRESS
+        progress = value[PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
         state[PRESSED] = pressed
         value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
-        state[STALLS] = 0 if work.level_cost[stage] < before * (1.0 - progress) else state[STALLS] + 1
+        state[STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[STALLS] + 1
         keep_first(work)
     else:
-        go_back(tree, goal, work)
+        revert_step(tree, goal, work)
         value[DAMPING] *= increase
         state[STALLS] += 1
     state[TRY_STEPS] += 1
@@ -159,7 +159,7 @@ def level_step(tree, goal, work, options):
 
 @pure
 def converge(work, cost):
-    """The answer is work.q: all that is needed is met."""
+    """The solution is work.q: all that is needed is met."""
     copy(work.q, work.best)
     work.value[BEST_COST], work.state[STATUS] = cost, CONVERGED
     return True
@@ -178,7 +178,7 @@ def step_together(tree, goal, work):
         return False
     copy(work.q, work.accepted)
     copy(work.level_cost, work.level_bar)
-    arrive(tree, goal, work)
+    take_step(tree, goal, work)
     helped = not met or work.level_cost[last] < work.level_bar[last]
     for level in range(needed):
         shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
@@ -186,7 +186,7 @@ def step_together(tree, goal, work):
     state[STALLS] += 1
     count_step(goal, work)
     if not helped:
-        go_back(tree, goal, work)
+        revert_step(tree, goal, work)
         return False
     state[PRESSED] = pressed
     keep_first(work)
@@ -196,12 +196,12 @@ def step_together(tree, goal, work):
 
 
 @outlined
-def serve_from(tree, goal, work, q):
+def begin_at(tree, goal, work, q):
     """Begins with the first level at ``q``."""
     state = work.state
     copy(q, work.q)
     measure_levels(tree, goal, work)
-    state[STAGE], state[STALLS], state[TRY_STEPS] = 0, 0, 0
+    state[LEVEL], state[STALLS], state[TRY_STEPS] = 0, 0, 0
 
 
 @outlined
@@ -216,7 +216,7 @@ def start_anew(tree, goal, work):
         if work.level_cost[0] < lowest:
             lowest = work.level_cost[0]
             copy(work.q, work.candidate)
-    serve_from(tree, goal, work, work.candidate)
+    begin_at(tree, goal, work, work.candidate)
 
 
 @pure
@@ -229,7 +229,7 @@ def beyond_first(goal, work):
 
 
 @outlined
-def go_on(tree, goal, work):
+def try_again(tree, goal, work):
     """Another try for the first level; False where none can help.
 
     Where it has goals that are proven out of reach, the others are searched for without them, first from the
@@ -245,7 +245,7 @@ def go_on(tree, goal, work):
         return False
     drop_beyond(goal, work)
     state[SEARCH] = SEARCHING
-    serve_from(tree, goal, work, work.best)
+    begin_at(tree, goal, work, work.best)
     return not level_met(goal, work, 0)
 
 
@@ -256,7 +256,7 @@ def end_try(tree, goal, work):
     Later levels are served from where the first one was met: nothing starts anew for them.
     """
     state, levels = work.state, work.level_cost.shape[0]
-    for level in range(max(state[STAGE], 0), levels):
+    for level in range(max(state[LEVEL], 0), levels):
         leave_level(goal, work, level)
     if state[SEARCH] != SEARCHING and better(work, levels):
         keep_levels(work)
@@ -269,11 +269,11 @@ def end_try(tree, goal, work):
         state[STATUS] = CONVERGED
     elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
         state[STATUS] = ITERATION_LIMIT
-    elif more and state[RESTARTS] < state[MAX_RESTARTS] and go_on(tree, goal, work):
+    elif more and state[RESTARTS] < state[MAX_RESTARTS] and try_again(tree, goal, work):
         return
     elif more and state[RESTARTS] > 0 and state[SEARCH] == ALL_GOALS:
         state[POLISHING] = 1
-        serve_from(tree, goal, work, work.best)
+        begin_at(tree, goal, work, work.best)
         return
     else:
         state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
@@ -283,32 +283,32 @@ def end_try(tree, goal, work):
 @outlined
 def next_level(tree, goal, work, first_damping):
     """Leaves a level that is met, or that no step helps any more."""
-    state, stage = work.state, work.state[STAGE]
-    met = level_met(goal, work, stage)
+    state, level = work.state, work.state[LEVEL]
+    met = level_met(goal, work, level)
     if state[SEARCH] == SEARCHING:
         if met:  # from here all goals count again
             ask_for_all(goal)
             state[SEARCH] = FOUND
             copy(work.q, work.candidate)
-            serve_from(tree, goal, work, work.candidate)
+            begin_at(tree, goal, work, work.candidate)
         else:
             end_try(tree, goal, work)
         return
-    if hurried(state) and not met:
+    if in_random_try(state) and not met:
         end_try(tree, goal, work)
         return
-    leave_level(goal, work, stage)
+    leave_level(goal, work, level)
     copy(work.q, work.accepted)
-    if not restore(tree, goal, work, stage + 1):
-        go_back(tree, goal, work)
-    state[STAGE], state[STALLS] = stage + 1, 0
-    work.value[DAMPING] = first_damping if stage + 1 < needed_levels(goal) else _SOFT_DAMPING
+    if not restore(tree, goal, work, level + 1):
+        revert_step(tree, goal, work)
+    state[LEVEL], state[STALLS] = level + 1, 0
+    work.value[DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
 
 
 @pure
 def exhausted(state):
     """Whether a level has had its steps."""
-    if hurried(state):
+    if in_random_try(state):
         return state[STALLS] >= state[PATIENCE] or state[TRY_STEPS] >= state[TRY_LIMIT]
     return state[STALLS] >= _LEVEL_PATIENCE
 
@@ -323,7 +323,7 @@ def begin_levels(tree, goal, work, first_damping):
     for level in range(work.level_cost.shape[0]):
         work.level_best[level] = math.inf
     work.value[DAMPING] = first_damping
-    state[STAGE] = _TOGETHER
+    state[LEVEL] = _TOGETHER
     if state[STATUS] == CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
         state[STATUS] = RUNNING  # what is only wanted is still to be served
 
@@ -335,13 +335,13 @@ def run_levels(tree, goal, work, options):
     if state[STATUS] != RUNNING:
         begin_levels(tree, goal, work, options.damping)
     while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
-        stage = state[STAGE]
-        if stage >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
+        level = state[LEVEL]
+        if level >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
             end_try(tree, goal, work)
-        elif stage == _TOGETHER:
+        elif level == _TOGETHER:
             if not step_together(tree, goal, work):
-                state[STAGE], state[STALLS] = 0, 0
-        elif level_met(goal, work, stage) or exhausted(state):
+                state[LEVEL], state[STALLS] = 0, 0
+        elif level_met(goal, work, level) or exhausted(state):
             next_level(tree, goal, work, options.damping)
         else:
             level_step(tree, goal, work, options)

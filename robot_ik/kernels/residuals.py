@@ -23,7 +23,7 @@ from robot_ik.kernels.kinematics import dof_axis, frame_pose, point_velocity, sl
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
 
 # ------------------------------------------------------------------------------------------
-# Residuals of turning, and how they shrink while a frame turns: whole orientations, and single axes.
+# Residuals of orientation, and how they shrink while a frame rotates: whole orientations, and single axes.
 
 
 # Nearer than this (sine of the angle) two axes are one, or opposite.
@@ -32,7 +32,7 @@ _PARALLEL = 1e-9
 
 @outlined
 def rotation_error(target, current, g, out, at):
-    """Rotation vector, world axes, that turns current[g] into target[g] (pose rows), into out[at:at+3].
+    """Rotation vector, world axes, that rotates current[g] into target[g] (pose rows), into out[at:at+3].
 
     Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
     """
@@ -73,7 +73,7 @@ def rotation_error(target, current, g, out, at):
 
 @pure
 def curvature(x, y, z):
-    """The k of ``bent``, which depends on φ = (x, y, z) alone."""
+    """The k of ``rate_of_rotation_vector``, which depends on φ = (x, y, z) alone."""
     square = x * x + y * y + z * z
     if square < 1e-6:
         return 1.0 / 12.0 + square / 720.0
@@ -82,10 +82,10 @@ def curvature(x, y, z):
 
 
 @pure
-def bent(x, y, z, k, a, b, c):
+def rate_of_rotation_vector(x, y, z, k, a, b, c):
     """J_r⁻¹(φ) ω for φ = (x, y, z), ω = (a, b, c): ω + ½ φ×ω + k φ×(φ×ω).
 
-    How φ = log(R_target R_currentᵀ) shrinks while the current frame turns with ω; J_r is the right
+    How φ = log(R_target R_currentᵀ) shrinks while the current frame rotates with ω; J_r is the right
     Jacobian of SO(3) (Solà et al., A micro Lie theory for state estimation, 2018, eq. 144).
     """
     p, q, r = y * c - z * b, z * a - x * c, x * b - y * a
@@ -98,13 +98,13 @@ def bent(x, y, z, k, a, b, c):
 
 @pure
 def inverse_right_jacobian(x, y, z, a, b, c):
-    """``bent`` for a single ω."""
-    return bent(x, y, z, curvature(x, y, z), a, b, c)
+    """``rate_of_rotation_vector`` for a single ω."""
+    return rate_of_rotation_vector(x, y, z, curvature(x, y, z), a, b, c)
 
 
 @pure
 def rotation_back(q, a, rw, rx, ry, rz):
-    """Rotation vector, body axes, that turns the quaternion q[a:a+4] into (rw, rx, ry, rz), the short way."""
+    """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
     w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
     x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
     y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
@@ -131,9 +131,9 @@ def across(x, y, z):
 
 @pure
 def axis_error(ax, ay, az, dx, dy, dz):
-    """Rotation vector, world axes, that turns the unit vector a the short way onto the unit vector d.
+    """Rotation vector, world axes, that rotates the unit vector a the short way onto the unit vector d.
 
-    Returns it with its angle in [0, pi]; at half a turn any axis across a will do.
+    Returns it with its angle in [0, pi]; at π any axis across a will do.
     """
     nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
     sine = math.sqrt(nx * nx + ny * ny + nz * nz)
@@ -163,13 +163,13 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
         ratio, slope = 1.0 + angle * angle / 6.0, 1.0 / 3.0 + 2.0 * angle * angle / 15.0
     elif sine > _PARALLEL:
         ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
-    else:  # half a turn: only the way about the axis that ``axis_error`` takes counts
+    else:  # by π: only the way about the axis that ``axis_error`` takes counts
         ux, uy, uz = across(ax, ay, az)
         wx = (ay * pz - az * py) - (dy * qz - dz * qy)
         wy = (az * px - ax * pz) - (dz * qx - dx * qz)
         wz = (ax * py - ay * px) - (dx * qy - dy * qx)
-        turned = ux * wx + uy * wy + uz * wz
-        return turned * ux, turned * uy, turned * uz
+        rate = ux * wx + uy * wy + uz * wz
+        return rate * ux, rate * uy, rate * uz
     along = (px * dx + py * dy + pz * dz) + (ax * qx + ay * qy + az * qz)
     rx = (py * dz - pz * dy) + (ay * qz - az * qy)
     ry = (pz * dx - px * dz) + (az * qx - ax * qz)
@@ -185,18 +185,18 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
 # ``goal.how`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
-#     place   all three coordinates, some of them in the axes of the target, or one side of a plane only
-#     turn    the whole orientation, one axis along the target's, or one axis aimed at the target's origin
-#     of      what is placed and turned: the frame, the centre of mass, or the joints themselves
+#     position     all three coordinates, some of them in the axes of the target, or one side of a plane
+#     orientation  the whole orientation, one axis along the target's, or one aimed at the target's origin
+#     of           whose position and orientation: the frame, the centre of mass, or the joints themselves
 #
-# The axis that counts is always z: ``Problem`` turns frame and target so that it is.
+# The axis that counts is always z: ``Problem`` rotates frame and target so that it is.
 
 
-NO_PLACE, WHOLE, SOME_AXES, ONE_SIDE = range(4)
-NO_TURN, ALL_AXES, ONE_AXIS, AIMED = range(4)
+NO_POSITION, WHOLE, SOME_AXES, ONE_SIDE = range(4)
+NO_ORIENTATION, ALL_AXES, ONE_AXIS, AIMED = range(4)
 OF_FRAME, OF_MASS, OF_JOINTS, OF_PRIOR = range(4)
 # Columns of goal.how; BLOCK is the first row of the goal's masses.
-PLACE, TURN, OF, BLOCK, HOW_SIZE = range(5)
+POSITION_PART, ORIENTATION_PART, OF, BLOCK, HOW_SIZE = range(5)
 
 # Nearer to the point that it aims at than this, in metres, a frame has no direction to aim in.
 _AT_POINT = 1e-9
@@ -237,7 +237,7 @@ def mass_center(tree, goal, work, g):
 
 
 @pure
-def mass_velocity(goal, work, g, k, ax, ay, az, turn):
+def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
     """Velocity of the centre of mass per unit of a degree of freedom of node ``k``."""
     moments, first = goal.moments, goal.how[g, BLOCK]
     mass = moments[first + k, 0]
@@ -246,7 +246,7 @@ def mass_velocity(goal, work, g, k, ax, ay, az, turn):
     share = mass / moments[first + work.world.shape[0], 0]
     s = 1.0 / mass
     x, y, z = point_velocity(
-        work.world, k, ax, ay, az, turn,
+        work.world, k, ax, ay, az, rotational,
         s * moments[first + k, 1], s * moments[first + k, 2], s * moments[first + k, 3],
     )  # fmt: skip
     return share * x, share * y, share * z
@@ -254,7 +254,7 @@ def mass_velocity(goal, work, g, k, ax, ay, az, turn):
 
 @outlined
 def joint_rows(tree, goal, work, g):
-    """Rows of a posture: the way of each joint to where it is wanted; returns (|r|², within)."""
+    """Rows of a posture: the distance of each joint to where it is wanted; returns (|r|², within)."""
     kind, qadr, vadr, dof_node = tree.kind, tree.qadr, tree.vadr, tree.dof_node
     q, wanted, residual, miss = work.q, goal.posture, work.residual, work.miss
     metres, radians, cost = 0.0, 0.0, 0.0
@@ -300,7 +300,7 @@ def joint_column(tree, goal, work, g, u, v):
     a = qadr[k] + 3 if kind[k] == FREE else qadr[k]
     x, y, z = rotation_back(q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
     i %= 3
-    # The vector belongs to the body's own axes, which the turn carries along: the left Jacobian.
+    # The vector belongs to the body's own axes, which the rotation carries along: the left Jacobian.
     rx, ry, rz = inverse_right_jacobian(
         -x, -y, -z, 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
     )
@@ -311,8 +311,8 @@ def joint_column(tree, goal, work, g, u, v):
 
 
 @pure
-def place_rows(goal, work, g, row):
-    """Rows of a place in the axes of the target; returns the distance that counts."""
+def position_rows(goal, work, g, row):
+    """Rows of a position in the axes of the target; returns the distance that counts."""
     target, frames, mask, w = goal.target, work.frames, goal.mask, goal.weight[g, 0]
     square = 0.0
     for i in range(3):
@@ -320,7 +320,7 @@ def place_rows(goal, work, g, row):
         for k in range(3):
             off += target[g, 3 + 3 * k + i] * (target[g, k] - frames[g, k])
         off *= mask[g, i]
-        if goal.how[g, PLACE] == ONE_SIDE:
+        if goal.how[g, POSITION_PART] == ONE_SIDE:
             off = max(off, 0.0)  # beyond the plane by its normal: nothing is asked
         work.residual[row + i] = w * off
         square += off * off
@@ -331,7 +331,7 @@ def place_rows(goal, work, g, row):
 def aim_of(goal, work, g):
     """Direction in which the frame's z shall point, and the distance of what it is aimed at (0: none)."""
     target, frames = goal.target, work.frames
-    if goal.how[g, TURN] == ONE_AXIS:
+    if goal.how[g, ORIENTATION_PART] == ONE_AXIS:
         return target[g, 5], target[g, 8], target[g, 11], 0.0
     x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
     away = math.sqrt(x * x + y * y + z * z)
@@ -351,12 +351,12 @@ def partial_rows(tree, goal, work, g):
     else:
         frame_pose(work.world, goal.node[g], goal.local, g, frames)
     row, cost, distance, angle = goal.row[g], 0.0, 0.0, 0.0
-    if how[g, PLACE] != NO_PLACE:
-        distance = place_rows(goal, work, g, row)
+    if how[g, POSITION_PART] != NO_POSITION:
+        distance = position_rows(goal, work, g, row)
         cost += (goal.weight[g, 0] * distance) ** 2
         row += 3
-    if how[g, TURN] != NO_TURN:
-        if how[g, TURN] == ALL_AXES:
+    if how[g, ORIENTATION_PART] != NO_ORIENTATION:
+        if how[g, ORIENTATION_PART] == ALL_AXES:
             angle = rotation_error(goal.target, frames, g, residual, row)
         else:
             dx, dy, dz, _ = aim_of(goal, work, g)
@@ -380,26 +380,28 @@ def partial_column(tree, goal, work, g, u, v, moves):
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
         return
-    ax, ay, az, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+    ax, ay, az, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
     if how[g, OF] == OF_MASS:
-        vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, turn)
+        vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, rotational)
     else:
-        vx, vy, vz = point_velocity(world, k, ax, ay, az, turn, frames[g, 0], frames[g, 1], frames[g, 2])
+        vx, vy, vz = point_velocity(
+            world, k, ax, ay, az, rotational, frames[g, 0], frames[g, 1], frames[g, 2]
+        )
     vx, vy, vz = moves * vx, moves * vy, moves * vz
-    if how[g, PLACE] != NO_PLACE:
+    if how[g, POSITION_PART] != NO_POSITION:
         target, w = goal.target, goal.weight[g, 0]
         for i in range(3):
             along = target[g, 3 + i] * vx + target[g, 6 + i] * vy + target[g, 9 + i] * vz
             # Of a wall, only the side that pushes has a slope.
-            active = how[g, PLACE] != ONE_SIDE or work.residual[row + i] > 0.0
+            active = how[g, POSITION_PART] != ONE_SIDE or work.residual[row + i] > 0.0
             jacobian[row + i, u] = w * goal.mask[g, i] * along if active else 0.0
         row += 3
-    if how[g, TURN] == NO_TURN:
+    if how[g, ORIENTATION_PART] == NO_ORIENTATION:
         return
     w = goal.weight[g, 1]
-    turned = moves if turn else 0.0
-    ax, ay, az = turned * ax, turned * ay, turned * az
-    if how[g, TURN] == ALL_AXES:
+    angular = moves if rotational else 0.0
+    ax, ay, az = angular * ax, angular * ay, angular * az
+    if how[g, ORIENTATION_PART] == ALL_AXES:
         s = 1.0 / w if w > 0.0 else 0.0
         r = work.residual
         x, y, z = inverse_right_jacobian(s * r[row], s * r[row + 1], s * r[row + 2], ax, ay, az)
@@ -410,7 +412,7 @@ def partial_column(tree, goal, work, g, u, v, moves):
 
 @pure
 def axis_column(goal, work, g, ax, ay, az, vx, vy, vz):
-    """How the error of one axis shrinks while the frame turns with a and its origin moves with v."""
+    """How the error of one axis shrinks while the frame rotates with a and its origin moves with v."""
     frames = work.frames
     zx, zy, zz = frames[g, 5], frames[g, 8], frames[g, 11]
     dx, dy, dz, away = aim_of(goal, work, g)
@@ -512,28 +514,32 @@ def whole_columns(tree, goal, work, points, g, first, end):
     kind, vadr, dof_node, moved = tree.kind, tree.vadr, tree.dof_node, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
-    turned = row if what == ORIENTATION else row + 3
+    angular_row = row if what == ORIENTATION else row + 3
     px, py, pz = points[g, 0], points[g, 1], points[g, 2]
     metre, radian = goal.weight[g, 0], goal.weight[g, 1]
-    rx, ry, rz, bend = 0.0, 0.0, 0.0, 0.0
+    rx, ry, rz, factor = 0.0, 0.0, 0.0, 0.0
     if what != POSITION:
         s = 1.0 / radian if radian != 0.0 else 0.0
-        rx, ry, rz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
-        bend = curvature(rx, ry, rz)
+        rx, ry, rz = s * residual[angular_row], s * residual[angular_row + 1], s * residual[angular_row + 2]
+        factor = curvature(rx, ry, rz)
     for at in range(first, end):
         mover = goal.movers[g, at]
         u, v = goal.column[mover], goal.moved[mover]
         k = dof_node[v]
-        ax, ay, az, turn = dof_axis(kind, world, k, v - vadr[k])
+        ax, ay, az, rotational = dof_axis(kind, world, k, v - vadr[k])
         moves = float(moved[g, mover])
         if what != ORIENTATION:
             w = metre * moves
-            x, y, z = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
+            x, y, z = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
             jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
         if what != POSITION:
-            w = radian * moves if turn else 0.0
-            x, y, z = bent(rx, ry, rz, bend, ax, ay, az)
-            jacobian[turned, u], jacobian[turned + 1, u], jacobian[turned + 2, u] = w * x, w * y, w * z
+            w = radian * moves if rotational else 0.0
+            x, y, z = rate_of_rotation_vector(rx, ry, rz, factor, ax, ay, az)
+            jacobian[angular_row, u], jacobian[angular_row + 1, u], jacobian[angular_row + 2, u] = (
+                w * x,
+                w * y,
+                w * z,
+            )
 
 
 @outlined

@@ -4,7 +4,7 @@ Every active joint is a *node*.  With ``X_k`` the pose of node k in the world,
 
     X_k = X_parent(k) · C_k · J_k(q),      frame = X_node · L
 
-where ``C_k`` is constant and ``J_k`` is a turn about z (hinge), a shift along z (slide), a rotation
+where ``C_k`` is constant and ``J_k`` is a rotation about z (hinge), a shift along z (slide), a rotation
 (ball) or the whole pose (free).  Bodies without active joints vanish into the constants; the
 reference angle of a joint and its axis do as well.  Poses are rows of twelve numbers: position, then
 the rotation matrix row by row.

@@ -64,7 +64,7 @@ WHOLE_BODY = Layout(
     carried="table",  # (n + 1, 10) mass, first moment, inertia of what hangs on a node
     center="floats",  # (3,)
     previous="floats",  # (nq,)
-    way="floats",  # (nv,) from the frame before to here
+    displacement="floats",  # (nv,) from the frame before to here
     row="table",  # (3, nv)
     miss="floats",  # (3,)
     hard="table",  # (h, nv)
@@ -77,7 +77,7 @@ WHOLE_BODY = Layout(
     high="floats",  # (nv,)
     held="ints",  # (nv,)
     bound="floats",  # (nv,)
-    turned="table",  # (h, nv)
+    hard_solved="table",  # (h, nv) ``hard`` times L⁻ᵀ of the factor
     schur="table",  # (h, h)
     multiplier="floats",  # (h,)
 )
@@ -165,11 +165,11 @@ def carry(tree, body):
 
 
 @pure
-def mass_column(carried, center, world, k, ax, ay, az, turn):
+def mass_column(carried, center, world, k, ax, ay, az, rotational):
     """Velocity of the centre of mass and angular momentum about it, per unit of a freedom of node k."""
     m, sx, sy, sz = carried[k, 0], carried[k, 1], carried[k, 2], carried[k, 3]
     inverse = 1.0 / carried[carried.shape[0] - 1, 0]
-    if not turn:
+    if not rotational:
         return (
             m * inverse * ax, m * inverse * ay, m * inverse * az,
             sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax,
@@ -203,8 +203,10 @@ def mass_rows(tree, body, momentum, target, t, g):
     for k in range(tree.kind.shape[0]):
         for i in range(width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, turn = dof_axis(tree.kind, body.world, k, i)
-            cx, cy, cz, lx, ly, lz = mass_column(body.carried, body.center, body.world, k, ax, ay, az, turn)
+            ax, ay, az, rotational = dof_axis(tree.kind, body.world, k, i)
+            cx, cy, cz, lx, ly, lz = mass_column(
+                body.carried, body.center, body.world, k, ax, ay, az, rotational
+            )
             if momentum:
                 cx, cy, cz = _MOMENTUM_SCALE * lx, _MOMENTUM_SCALE * ly, _MOMENTUM_SCALE * lz
             row[0, v], row[1, v], row[2, v] = cx * share[g, v], cy * share[g, v], cz * share[g, v]
@@ -212,7 +214,7 @@ def mass_rows(tree, body, momentum, target, t, g):
         if momentum:
             miss[i] = _MOMENTUM_SCALE * target[t, i]
             for v in range(row.shape[1]):
-                miss[i] -= row[i, v] * body.way[v]
+                miss[i] -= row[i, v] * body.displacement[v]
         else:
             miss[i] = target[t, i] - body.center[i]
 
@@ -227,10 +229,10 @@ def frame_rows(tree, body, what, target, t, g):
     while k >= 0:
         for i in range(width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, turn = dof_axis(tree.kind, world, k, i)
+            ax, ay, az, rotational = dof_axis(tree.kind, world, k, i)
             if what == POSITION:
-                ax, ay, az = point_velocity(world, k, ax, ay, az, turn, px, py, pz)
-            elif not turn:
+                ax, ay, az = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+            elif not rotational:
                 ax, ay, az = 0.0, 0.0, 0.0
             row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
         k = tree.parent[k]
@@ -251,14 +253,14 @@ def frame_rows(tree, body, what, target, t, g):
 
 
 @outlined
-def measure_way(tree, body, q):
+def measure_displacement(tree, body, q):
     """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
-    previous, way = body.previous, body.way
+    previous, displacement = body.previous, body.displacement
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]
         if tree.kind[k] == FREE:
             for i in range(3):
-                way[v + i] = q[a + i] - previous[a + i]
+                displacement[v + i] = q[a + i] - previous[a + i]
             w, x, y, z = previous[a + 3], -previous[a + 4], -previous[a + 5], -previous[a + 6]
             bw, bx, by, bz = q[a + 3], q[a + 4], q[a + 5], q[a + 6]
             cw, cx = w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by
@@ -267,11 +269,15 @@ def measure_way(tree, body, q):
                 cw, cx, cy, cz = -cw, -cx, -cy, -cz
             n = math.sqrt(cx * cx + cy * cy + cz * cz)
             factor = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, cw) / n
-            way[v + 3], way[v + 4], way[v + 5] = factor * cx, factor * cy, factor * cz
+            displacement[v + 3], displacement[v + 4], displacement[v + 5] = (
+                factor * cx,
+                factor * cy,
+                factor * cz,
+            )
             for i in range(6):
                 body.low[v + i], body.high[v + i] = -math.inf, math.inf
         else:
-            way[v] = q[a] - previous[a]
+            displacement[v] = q[a] - previous[a]
             body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
             body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
 
@@ -286,7 +292,7 @@ def gather(tree, body, q, target, weight, t, posture):
     nv = gradient.shape[0]
     forward(tree, tree.every, q, body.world, body.scratch)
     carry(tree, body)
-    measure_way(tree, body, q)
+    measure_displacement(tree, body, q)
     for i in range(nv):
         for j in range(i):
             matrix[i, j] = 0.0
@@ -364,7 +370,7 @@ def substitute_back(matrix, x, n):
 @outlined
 def solve_held(body, count, slack):
     """The step with the held joints at their bounds: body.step."""
-    factor, matrix, turned, schur = body.factor, body.matrix, body.turned, body.schur
+    factor, matrix, hard_solved, schur = body.factor, body.matrix, body.hard_solved, body.schur
     held, bound, step, row = body.held, body.bound, body.step, body.row
     multiplier, n = body.multiplier, body.gradient.shape[0]
     first = types.int64(0)
@@ -375,7 +381,7 @@ def solve_held(body, count, slack):
     for r in range(count):
         multiplier[r] = body.wanted[r]
         for v in range(n):
-            turned[r, v] = body.hard[r, v]
+            hard_solved[r, v] = body.hard[r, v]
     for p in range(n):
         if held[p] == 0:
             continue
@@ -387,24 +393,24 @@ def solve_held(body, count, slack):
             factor[i, p] = 0.0
         factor[p, p] = 1.0
         for r in range(count):
-            multiplier[r] -= turned[r, p] * bound[p]
-            turned[r, p] = 0.0
+            multiplier[r] -= hard_solved[r, p] * bound[p]
+            hard_solved[r, p] = 0.0
     for p in range(n):
         if held[p] != 0:
             row[first, p] = 0.0
     cholesky(factor, n)
     substitute(factor, row, first, n)
     for r in range(count):
-        substitute(factor, turned, r, n)
+        substitute(factor, hard_solved, r, n)
     for r in range(count):
         s = multiplier[r]
         for v in range(n):
-            s -= turned[r, v] * row[first, v]
+            s -= hard_solved[r, v] * row[first, v]
         multiplier[r] = s
         for c in range(r + 1):
             s = 0.0
             for v in range(n):
-                s += turned[r, v] * turned[c, v]
+                s += hard_solved[r, v] * hard_solved[c, v]
             schur[r, c] = s
     for r in range(count):
         schur[r, r] += slack
@@ -419,7 +425,7 @@ def solve_held(body, count, slack):
         step[v] = row[first, v]
     for r in range(count):
         for v in range(n):
-            step[v] += turned[r, v] * multiplier[r]
+            step[v] += hard_solved[r, v] * multiplier[r]
     substitute_back(factor, step, n)
     for p in range(n):
         if held[p] != 0:
@@ -493,7 +499,7 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
     here = q[0]
     for i in range(nq):
         body.previous[i] = second[i]
-    measure_way(tree, body, start)
+    measure_displacement(tree, body, start)
     for i in range(nq):
         body.previous[i] = start[i]
     for t in range(q.shape[0]):
@@ -503,9 +509,9 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
         for k in range(tree.kind.shape[0]):  # what moved goes on moving
             if tree.kind[k] in (HINGE, SLIDE):
                 a, v = tree.qadr[k], tree.vadr[k]
-                to = min(max(here[a] + body.way[v], body.lower[v]), body.upper[v])
-                body.way[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
-        integrate(tree, tree.every, here, body.way)
+                to = min(max(here[a] + body.displacement[v], body.lower[v]), body.upper[v])
+                body.displacement[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
+        integrate(tree, tree.every, here, body.displacement)
         longest = math.inf
         for step in range(steps + 1):
             count, miss[t] = gather(tree, body, here, target, weight, t, posture)

@@ -11,7 +11,7 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 (
     STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
     MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
-    STAGE, UPDATES, SEARCH, STATE_SIZE,
+    LEVEL, UPDATES, SEARCH, STATE_SIZE,
 ) = range(23)  # fmt: skip
 # What Python asks for after a solve: the first five.
 OUTCOME = slice(STATUS, BEYOND + 1)
@@ -25,7 +25,7 @@ OUTCOME = slice(STATUS, BEYOND + 1)
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
 NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
-# Where some goals are proven out of reach, ``work.state[SEARCH]``: not begun, asked whether the answer meets
+# Where some goals are proven out of reach, ``work.state[SEARCH]``: not begun, asked whether the best meets
 # the others, searching for what meets them, and on the way down from there with all goals again.
 ALL_GOALS, ASKED, SEARCHING, FOUND = range(4)
 
@@ -81,8 +81,8 @@ WORK = Layout(
     basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
     own="table",  # (m, nu) rows of a level less their part in the basis
     gram="table",  # (m, m)
-    metric="table",  # (nu, nu) what steps along the slope are multiplied by, where they learn it
-    way="floats",  # (nu,) the direction that is searched
+    metric="table",  # (nu, nu) the inverse Hessian that steps along the slope are multiplied by (bfgs)
+    search_direction="floats",  # (nu,) the direction that is searched
     before="floats",  # (nu,) gradient before the step
     moved="floats",  # (nu,) how far the joints have really gone
     outward="floats",  # (nu,) axis along which a ball would leave its cone

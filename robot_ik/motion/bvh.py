@@ -2,7 +2,7 @@
 
 Facts of the format (Meredith & Maddock, Motion Capture File Formats Explained, Sheffield 2001): offsets are
 bone vectors in the parent's axes; each joint lists its own channels in its own order, and its rotation is
-their product in that order; angles are degrees, lengths whatever the studio had; y points up by custom; an
+their product in that order; angles are degrees, lengths in any unit; y points up by custom; an
 End Site has no channels; the frame time is rounded.  Numbers are kept as they stand in the file, so that
 what is written again is the same.
 """
@@ -26,7 +26,7 @@ CHANNELS = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zr
 POSITION = CHANNELS[:3]
 # A frame time stands for the whole rate from which it differs by less than this part: 0.00833 means 120 Hz.
 _RATE_ROUNDING = 2e-3
-# Where the numbers begin; without it so much of a file is looked at for what is wrong.
+# Where the numbers begin; without it so much of a file is searched for what is wrong.
 _FRAME_TIME, _LONGEST_HEAD = re.compile(r"Frame\s+Time:\s*\S+", re.IGNORECASE), 1 << 20
 _MOST_FRAMES = 10_000_000
 
@@ -37,9 +37,9 @@ class BvhJoint:
 
     Attributes:
         name: As in the file.
-        parent: Its place in the file's order; -1: the root.
+        parent: Its index in the file's order; -1: the root.
         offset: Bone vector from the parent, the file's units.
-        channels: Words of ``CHANNELS``, in the file's order.
+        channels: Names of ``CHANNELS``, in the file's order.
         end: Offset of its End Site; None: it has none.
     """
 
@@ -81,7 +81,7 @@ class Bvh:
         return float(round(rate)) if abs(rate - round(rate)) < _RATE_ROUNDING * rate else rate
 
     def named(self, name: str) -> int:
-        """The place of the joint of that name, in any case; -1: there is none."""
+        """The index of the joint of that name, in any case; -1: there is none."""
         lower = name.lower()
         for j, joint in enumerate(self.joints):
             if joint.name.lower() in (lower, f"{self.prefix}{lower}"):
@@ -113,21 +113,24 @@ class Bvh:
     def poses(self) -> tuple[Array, Array]:
         """Positions (n, joints, 3), and rotations (n, joints, 3, 3), in the file's units and world."""
         count = len(self.values)
-        places, rotations = np.zeros((count, len(self.joints), 3)), np.zeros((count, len(self.joints), 3, 3))
+        positions, rotations = (
+            np.zeros((count, len(self.joints), 3)),
+            np.zeros((count, len(self.joints), 3, 3)),
+        )
         for j, joint in enumerate(self.joints):
             offset = np.tile(np.array(joint.offset), (count, 1))
             for axis, name in enumerate(POSITION):
                 moved = self.channel(j, name)
-                if moved is not None:  # a position channel takes the place of the offset
+                if moved is not None:  # a position channel replaces the offset
                     offset[:, axis] = moved
             rotation = self.rotation(j)
             if joint.parent < 0:
-                places[:, j], rotations[:, j] = offset, rotation
+                positions[:, j], rotations[:, j] = offset, rotation
                 continue
             above = rotations[:, joint.parent]
-            places[:, j] = places[:, joint.parent] + np.einsum("nij,nj->ni", above, offset)
+            positions[:, j] = positions[:, joint.parent] + np.einsum("nij,nj->ni", above, offset)
             rotations[:, j] = above @ rotation
-        return places, rotations
+        return positions, rotations
 
     def rest(self) -> Bvh:
         """One frame of the skeleton as its offsets draw it, all angles zero, the root at its offset."""
@@ -174,7 +177,7 @@ class Bvh:
 
 
 class _Reader:
-    """Reads a BVH text word by word; no recursion, so that no file is nested too deep."""
+    """Reads a BVH text token by token; no recursion, so that no file is nested too deep."""
 
     def __init__(self, file: Path, text: str) -> None:
         self.file = file
@@ -182,31 +185,31 @@ class _Reader:
         end = time.end() if time else _LONGEST_HEAD
         self.rest = text[end:]
         head = text[:end].splitlines()
-        self.words = [(word, k) for k, line in enumerate(head, 1) for word in line.split()]
+        self.tokens = [(token, k) for k, line in enumerate(head, 1) for token in line.split()]
         self.next = 0
 
     def error(self, problem: str, allowed: str = "") -> ConfigError:
-        line = self.words[min(max(self.next - 1, 0), len(self.words) - 1)][1] if self.words else 1
+        line = self.tokens[min(max(self.next - 1, 0), len(self.tokens) - 1)][1] if self.tokens else 1
         return ConfigError(problem, file=self.file, key=f"line {line}", allowed=allowed)
 
-    def word(self, *allowed: str) -> str:
-        """The next word, one of ``allowed`` in any case if there are some."""
+    def token(self, *allowed: str) -> str:
+        """The next token, one of ``allowed`` in any case if there are some."""
         self.next += 1
-        if self.next > len(self.words):
+        if self.next > len(self.tokens):
             raise self.error("the file ends too early", " or ".join(allowed))
-        word = self.words[self.next - 1][0]
-        if allowed and word.upper() not in [other.upper() for other in allowed]:
-            raise self.error(f"got {shown(word)}", " or ".join(allowed))
-        return word
+        token = self.tokens[self.next - 1][0]
+        if allowed and token.upper() not in [other.upper() for other in allowed]:
+            raise self.error(f"got {shown(token)}", " or ".join(allowed))
+        return token
 
     def number(self) -> float:
-        word = self.word()
+        token = self.token()
         try:
-            value = float(word)
+            value = float(token)
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise self.error(f"got {shown(word)}", "a finite number")
+            raise self.error(f"got {shown(token)}", "a finite number")
         return value
 
     def count(self, most: int) -> int:
@@ -219,13 +222,13 @@ class _Reader:
         return self.number(), self.number(), self.number()
 
     def read(self) -> Bvh:
-        self.word("HIERARCHY")
+        self.token("HIERARCHY")
         joints = self.hierarchy()
-        self.word("MOTION")
-        self.word("Frames:")
+        self.token("MOTION")
+        self.token("Frames:")
         frames = self.count(_MOST_FRAMES)
-        self.word("Frame")
-        self.word("Time:")
+        self.token("Frame")
+        self.token("Time:")
         frame_time = self.number()
         if not frame_time > 0.0:
             raise self.error(f"a frame time of {frame_time:g} s", "above zero")
@@ -244,48 +247,48 @@ class _Reader:
             values = np.array([np.nan])
         if np.isfinite(values).all():
             return values
-        first = self.words[-1][1]
+        first = self.tokens[-1][1]
         for k, line in enumerate(self.rest.splitlines(), first):
-            self.words, self.next = [(word, k) for word in line.split()], 0
-            while self.next < len(self.words):
+            self.tokens, self.next = [(token, k) for token in line.split()], 0
+            while self.next < len(self.tokens):
                 self.number()
         raise self.error("a number that is not finite")
 
     def hierarchy(self) -> list[BvhJoint]:
         joints: list[BvhJoint] = []
         above: list[int] = []
-        self.word("ROOT")
+        self.token("ROOT")
         while True:
             joints.append(self.joint(above[-1] if above else -1))
             above.append(len(joints) - 1)
-            while (word := self.word("JOINT", "End", "}").upper()) != "JOINT":
-                if word == "END":
-                    self.word("Site")
-                    self.word("{")
-                    self.word("OFFSET")
+            while (token := self.token("JOINT", "End", "}").upper()) != "JOINT":
+                if token == "END":
+                    self.token("Site")
+                    self.token("{")
+                    self.token("OFFSET")
                     last = joints[above[-1]]
                     joints[above[-1]] = BvhJoint(
                         last.name, last.parent, last.offset, last.channels, self.vector()
                     )
-                    self.word("}")
+                    self.token("}")
                     continue
                 above.pop()
                 if not above:
                     return joints
 
     def joint(self, parent: int) -> BvhJoint:
-        name = self.word()
-        while self.next < len(self.words) and self.words[self.next][0] != "{":  # names may have blanks
-            name += " " + self.word()
-        self.word("{")
-        self.word("OFFSET")
+        name = self.token()
+        while self.next < len(self.tokens) and self.tokens[self.next][0] != "{":  # names may have blanks
+            name += " " + self.token()
+        self.token("{")
+        self.token("OFFSET")
         offset = self.vector()
         channels: list[str] = []
-        if self.next < len(self.words) and self.words[self.next][0].upper() == "CHANNELS":
-            self.word("CHANNELS")
+        if self.next < len(self.tokens) and self.tokens[self.next][0].upper() == "CHANNELS":
+            self.token("CHANNELS")
             for _ in range(self.count(len(CHANNELS))):
-                word = self.word(*CHANNELS)
-                channels.append(word[0].upper() + word[1:].lower())
+                token = self.token(*CHANNELS)
+                channels.append(token[0].upper() + token[1:].lower())
         if len(set(channels)) < len(channels):
             raise self.error(f"joint {shown(name)} has a channel twice")
         return BvhJoint(name, parent, offset, tuple(channels))

@@ -1,6 +1,6 @@
 """Motions of our robots as BVH, and back from such a file.
 
-``export_bvh`` writes a robot's motion: one BVH joint for each place at which hinges or a ball turn a body.
+``export_bvh`` writes a robot's motion: a BVH joint for each point about which hinges or a ball rotate a body.
 Where hinges stand along the axes, their angles are the channels themselves, in the order of the hinges, and
 come back to rounding; a tilted hinge goes through a rotation matrix.  Motions of other skeletons are taken
 over by ``robot_ik.motion.retarget``.
@@ -33,12 +33,12 @@ _END = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """Where a robot turns: joints of one body about one place.
+    """Where a robot rotates: joints of one body about one point.
 
     Attributes:
         name: Of the BVH joint.
         parent: Node above; -1: none.
-        place: (3,) at qpos0, BVH axes, metres.
+        position: (3,) at qpos0, BVH axes, metres.
         joints: Ids of MuJoCo's joints, in order.
         axes: (k, 3) of hinges at qpos0, BVH axes.
         kind: Of its joints (MuJoCo's); -1: the still root of a robot that stands fast.
@@ -47,7 +47,7 @@ class _Node:
 
     name: str
     parent: int
-    place: Array
+    position: Array
     joints: tuple[int, ...]
     axes: Array
     kind: int
@@ -65,15 +65,15 @@ class _Node:
     @property
     def channels(self) -> tuple[str, ...]:
         """All three rotations, for readers that expect them: behind those of the hinges come zeros."""
-        places, rotations = POSITION if self.parent < 0 else (), self.along or ()
-        return (*places, *rotations, *(name for name in _EULER if name not in rotations))
+        position_channels, rotations = POSITION if self.parent < 0 else (), self.along or ()
+        return (*position_channels, *rotations, *(name for name in _EULER if name not in rotations))
 
 
 def _nodes(robot: Robot) -> list[_Node]:
-    """Where the robot turns, parents first.
+    """Where the robot rotates, parents first.
 
     Raises:
-        UnsupportedJointError: A slide, or joints of several kinds about one place.
+        UnsupportedJointError: A slide, or joints of several kinds about one point.
     """
     model = robot.model
     data = mujoco.MjData(model)
@@ -92,7 +92,7 @@ def _nodes(robot: Robot) -> list[_Node]:
         for j in range(first, first + count):
             if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE:
                 raise UnsupportedJointError(
-                    f"joint {model.joint(j).name!r} slides, and BVH has turning joints only",
+                    f"joint {model.joint(j).name!r} slides, and BVH has rotational joints only",
                     hint="write CSV: Keyframes.save_csv",
                 )
             same = groups and np.abs(data.xanchor[j] - data.xanchor[groups[-1][0]]).max() < 1e-9
@@ -130,8 +130,8 @@ def export_bvh(motion: Keyframes, rate: float = 60.0, *, scale: float = CENTIMET
     qpos = np.array([robot.qpos(q) for q in frames.q])
     joints, columns = [], []
     for n, node in enumerate(nodes):
-        above = nodes[node.parent].place if node.parent >= 0 else np.zeros(3)
-        x, y, z = (scale * (node.place - above)).tolist() if node.parent >= 0 else (0.0, 0.0, 0.0)
+        above = nodes[node.parent].position if node.parent >= 0 else np.zeros(3)
+        x, y, z = (scale * (node.position - above)).tolist() if node.parent >= 0 else (0.0, 0.0, 0.0)
         ends = None if any(other.parent == n for other in nodes) else _end_of(robot, node, scale)
         joints.append(BvhJoint(node.name, node.parent, (x, y, z), node.channels, ends))
         columns.append(_channels_of(robot, node, qpos, scale))
@@ -151,18 +151,18 @@ def _channels_of(robot: Robot, node: _Node, qpos: Array, scale: float) -> Array:
     """(n, channels) of one node."""
     model, count = robot.model, len(qpos)
     free = node.kind == mujoco.mjtJoint.mjJNT_FREE
-    places = np.zeros((count, 3 if node.parent < 0 else 0))
+    positions = np.zeros((count, 3 if node.parent < 0 else 0))
     if not node.joints:
         return np.zeros((count, len(node.channels)))
     address = [int(model.jnt_qposadr[j]) for j in node.joints]
     if free:
-        places = scale * qpos[:, address[0] : address[0] + 3] @ BVH_AXES.T
+        positions = scale * qpos[:, address[0] : address[0] + 3] @ BVH_AXES.T
     if node.along:
         signs = np.sign(node.axes[np.arange(len(address)), np.abs(node.axes).argmax(axis=1)])
         start = np.array([model.qpos0[a] for a in address])
         spare = np.zeros((count, 3 - len(address)))
-        return np.hstack([places, np.degrees((qpos[:, address] - start) * signs), spare])
-    return np.hstack([places, _euler(_rotation_of(model, node, qpos))])
+        return np.hstack([positions, np.degrees((qpos[:, address] - start) * signs), spare])
+    return np.hstack([positions, _euler(_rotation_of(model, node, qpos))])
 
 
 def _rotation_of(model: mujoco.MjModel, node: _Node, qpos: Array) -> Array:
@@ -176,7 +176,7 @@ def _rotation_of(model: mujoco.MjModel, node: _Node, qpos: Array) -> Array:
         a += 3 if node.kind == mujoco.mjtJoint.mjJNT_FREE else 0
         rest = BVH_AXES @ _rest_rotation(model, node.body)
         matrices = _matrices(qpos[:, a : a + 4]) @ _matrices(model.qpos0[None, a : a + 4])[0].T
-        # In the body's axes at rest, seen in BVH's: a ball turns about axes that the body carries.
+        # In the body's axes at rest, seen in BVH's: a ball rotates about axes that the body carries.
         total = total @ (rest @ matrices @ rest.T if node.kind == mujoco.mjtJoint.mjJNT_BALL else
                          BVH_AXES @ matrices @ BVH_AXES.T)  # fmt: skip
     return np.asarray(total)
@@ -260,7 +260,7 @@ def own_motion(bvh: Bvh, robot: Robot, *, scale: float = CENTIMETRES) -> Keyfram
 
 
 def _only_rotations(bvh: Bvh, joint: int, along: tuple[str, ...]) -> bool:
-    """Whether a joint turns about its hinges in their order, and about nothing else."""
+    """Whether a joint rotates about its hinges in their order, and about nothing else."""
     rotations = [name for name in bvh.joints[joint].channels if name.endswith("rotation")]
     spare = [bvh.channel(joint, name) for name in rotations[len(along) :]]
     return tuple(rotations[: len(along)]) == along and not any(np.any(values) for values in spare)
@@ -307,7 +307,7 @@ def _hinge_angles(robot: Robot, node: _Node, rotations: Array) -> Array:
     if np.abs(error).max(initial=0.0) > _HINGE_LEFT:
         k = int(np.abs(error).max(axis=1).argmax())
         raise TrajectoryError(
-            f"frame {k}: {node.name!r} is turned as its hinges cannot turn it "
+            f"frame {k}: {node.name!r} is rotated as its hinges cannot rotate it "
             f"({np.degrees(np.abs(error[k]).max()):.2g} degrees are left)",
             hint="motions of other skeletons: robot_ik.motion.retarget",
         )

@@ -24,11 +24,11 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
 
-# A solve of one tick begins a tick away from its answer: no search.
+# A solve of one tick begins a tick away from its solution: no search.
 _BUDGET = Budget(iterations=20, restarts=0)
 # m: so far before its frame the dragged point runs at most: a hand beyond reach pulls no harder.
 _LEASH = 0.06
-# Joints that leave the place of their own anchor as it is.
+# Joints that leave the position of their own anchor as it is.
 _TURNING = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_BALL))
 # So often a step that is too fast is halved before the figure rests for a tick.
 _HALVINGS = 8
@@ -72,7 +72,7 @@ class Drag:
             start: (nq,); None: home.
             rate: Steps a second.
             speed: Part of the joints' speed limits, or a multiple of them: they may be those of servos.
-            balance: Keep the centre of mass over the place where it is now.
+            balance: Keep the centre of mass over the point where it is now.
 
         Raises:
             UnknownFrameError: With the close names.
@@ -88,7 +88,9 @@ class Drag:
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
-        self._grip: tuple[str, Array] | None = None  # a frame of the grabbed body, and the way to its point
+        self._grip: tuple[str, Array] | None = (
+            None  # a frame of the grabbed body, and the offset of its point
+        )
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -127,7 +129,7 @@ class Drag:
         self._moved()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
-        """Takes hold of a point of a body: ``pull`` brings it to a place.
+        """Takes hold of a point of a body: ``pull`` brings it to a position.
 
         Args:
             body: Name of a body.
@@ -145,16 +147,16 @@ class Drag:
         self._grip = own, local.rotation.T @ (point - origin)
 
     def pull(self, to: ArrayLike) -> Array:
-        """One tick: the grabbed point towards ``to`` (3,), world, metres, with the body turned as it is now.
+        """One tick: the grabbed point towards ``to`` (3,), world, metres, the body oriented as now.
 
         Returns:
             As ``step``.
         """
-        place = vector(to, 3, "to")
+        position = vector(to, 3, "to")
         if self._grip is not None:
             frame, lever = self._grip
-            place = place - self.robot.forward(self.q, frame).rotation @ lever
-        return self.step(place)
+            position = position - self.robot.forward(self.q, frame).rotation @ lever
+        return self.step(position)
 
     def pin(self, frame: str) -> None:
         """Keeps a frame where it is now.
@@ -181,7 +183,7 @@ class Drag:
         self._moved()
 
     def balance(self, on: bool) -> None:
-        """Keeps the centre of mass over the place where it is now, or no longer."""
+        """Keeps the centre of mass over the point where it is now, or no longer."""
         self._mass = self.robot.center_of_mass(self.q) if on else None
         self._moved()
 
@@ -194,8 +196,10 @@ class Drag:
         wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
         if target is not None and self.dragged is not None:
             self._point = self.robot.forward(self.q, self.dragged).position
-            way = wanted - self._point
-            wanted = self._point + way * min(1.0, _LEASH / max(float(np.linalg.norm(way)), 1e-12))
+            displacement = wanted - self._point
+            wanted = self._point + displacement * min(
+                1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12)
+            )
         return np.array(self._towards(wanted, self._mass))
 
     def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
@@ -217,9 +221,9 @@ class Drag:
         require_positive("time", seconds, "s")
         return self._shift([np.asarray(self._pins[frame].position) for frame in frames], seconds)
 
-    def _shift(self, places: Sequence[Array], seconds: float) -> Iterator[Array]:
+    def _shift(self, positions: Sequence[Array], seconds: float) -> Iterator[Array]:
         begin = self.robot.center_of_mass(self.q)
-        way = np.append((np.mean(places, axis=0) - begin)[:2], 0.0)
+        displacement = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
         self._mass = begin
         self._moved()
         share, pace = 0.0, 1.0 / max(1, round(seconds * self.rate))
@@ -228,8 +232,12 @@ class Drag:
             x = min(1.0, x + pace)
             wanted = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
             before = np.array(self._mass)
-            q = self._towards(self._point, begin + wanted * way)
-            share = float((self._mass - begin) @ way / max(float(way @ way), 1e-12)) if way.any() else 1.0
+            q = self._towards(self._point, begin + wanted * displacement)
+            share = (
+                float((self._mass - begin) @ displacement / max(float(displacement @ displacement), 1e-12))
+                if displacement.any()
+                else 1.0
+            )
             share = 1.0 if share > 1.0 - 1e-9 else share
             yield np.array(q)
             if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:
@@ -298,7 +306,7 @@ def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     """The frame with its origin fixed to a body, nearest to a point of it; where that origin is in the body.
 
     The origin of a link often lies on the axis that moves it, where it cannot be dragged anywhere.  Where its
-    joints turn about its origin, a child's origin is as fixed to the body, and usually at its other end.
+    joints rotate about its origin, a child's origin is as fixed to the body, and usually at its other end.
 
     Raises:
         UnknownFrameError: The body has no name and no frame on it.
@@ -309,7 +317,7 @@ def frame_near(robot: Robot, body: int, grip: Array) -> tuple[str, Array]:
     found = [(frames[body][0], frames[body][1].position)]
     for child in map(int, np.flatnonzero(model.body_parentid == body)):
         joints = [j for j in range(model.njnt) if model.jnt_bodyid[j] == child]
-        turns = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
-        if turns and child in frames and not frames[child][1].position.any():
+        rotates = all(int(model.jnt_type[j]) in _TURNING and not model.jnt_pos[j].any() for j in joints)
+        if rotates and child in frames and not frames[child][1].position.any():
             found.append((frames[child][0], model.body_pos[child]))
     return min(found, key=lambda one: float(np.linalg.norm(one[1] - grip)))

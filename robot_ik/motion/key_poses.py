@@ -31,7 +31,7 @@ class KeySequence:
 
     Attributes:
         poses: Names, in order.
-        durations: Seconds of each way, one less than poses (of a loop: as many); empty: as fast as allowed.
+        durations: Seconds of each segment, one less than poses (in a loop: as many); empty: the fastest.
         loop: Whether it runs round.
     """
 

@@ -1,6 +1,6 @@
 """Keyframes: a smooth motion through joint vectors, and its replay without inverse kinematics.
 
-A00 records start and end poses of a walk and replays them by interpolating joint angles.  Here the way
+A00 records start and end poses of a walk and replays them by interpolating joint angles.  Here the path
 between two keys is a cubic in the tangent of the first, q(t) = q_i ⊕ h(s): for hinges and slides the monotone
 spline of Fritsch & Butland (SIAM J. Sci. Stat. Comput. 5(2), 1984), which never leaves the span of its
 keys; for balls and the free base it runs along the geodesic (slerp) where the motion comes to rest at both
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _SLACK = 1e-6
 # Part by which a joint may exceed its speed limit: rounding.
 _OVER_SPEED = 1e-9
-# s: the shortest way between two keys.
+# s: the shortest segment between two keys.
 _SHORTEST = 1e-3
 # Rounds that lengthen the segments that are too fast; what is left is taken from all alike.
 _TIMING_ROUNDS = 60
@@ -100,10 +100,10 @@ _LEAST_STEP, _LARGEST = 1e-6, 1e9
 
 @dataclass(frozen=True, eq=False)
 class Displacement:
-    """A turn about the vertical and a shift in the plane: what a loop adds to the free base each time.
+    """A rotation about the vertical and a shift in the plane: what a loop adds to the free base each time.
 
     Attributes:
-        x, y: Metres, after the turn about the world's origin.
+        x, y: Metres, after the rotation about the world's origin.
         heading: Radians about z.
     """
 
@@ -113,7 +113,7 @@ class Displacement:
 
     @classmethod
     def between(cls, first: Array, last: Array) -> Displacement:
-        """What takes a free joint's numbers (7,) ``first`` to the place and heading of ``last``."""
+        """What takes a free joint's numbers (7,) ``first`` to the position and heading of ``last``."""
         heading = _heading(last[3:]) - _heading(first[3:])
         c, s = math.cos(heading), math.sin(heading)
         x, y = float(first[0]), float(first[1])
@@ -140,7 +140,7 @@ class Displacement:
 
 
 def _heading(wxyz: Array) -> float:
-    """The turn about z that is in a quaternion (its twist)."""
+    """The rotation about z that is in a quaternion (its twist)."""
     return 2.0 * math.atan2(float(wxyz[3]), float(wxyz[0]))
 
 
@@ -148,7 +148,7 @@ class Keyframes:
     """A smooth motion through joint vectors at given times; between them nothing is solved.
 
     It starts and ends at rest, or runs round as a loop.  Hinges and slides never leave the span of the two
-    keys beside them, balls never their cone.  A loop whose last key differs from the first in the place and
+    keys beside them, balls never their cone.  A loop whose last key differs from the first in position and
     heading of the free base goes on from there each time: a walk.
 
     Attributes:
@@ -173,7 +173,7 @@ class Keyframes:
             robot: Its joint limits count.
             times: (n,) seconds, strictly increasing, n >= 1.
             q: (n, nq) rad, m for slides.
-            loop: The last key is the first again (but for the place and heading of the free base).
+            loop: The last key is the first again (but for the position and heading of the free base).
             velocity: (nv,) speed limits to hold, rad/s or m/s; None: as recorded, nothing is asked.
 
         Raises:
@@ -203,7 +203,7 @@ class Keyframes:
         Args:
             robot: Its limits count.
             poses: (nq,) each.
-            durations: Seconds that each way shall take at least: one number, or one for each.
+            durations: Seconds that each segment shall take at least: one number, or one for each.
             speed: Part of the speed limits to use, above 0 and up to 1.
             velocity: (nv,) speed limits in place of the robot's, rad/s or m/s.
             loop: Come back to the first pose, which is added behind the last unless it stands there.
@@ -295,7 +295,7 @@ class Keyframes:
         yield np.array(self.q[-1])
 
     def peak_velocity_of_segments(self) -> Array:
-        """(n - 1, nv) largest speed of each degree of freedom on the way from key to key, rad/s or m/s.
+        """(n - 1, nv) largest speed of each degree of freedom on the segment from key to key, rad/s or m/s.
 
         Of a rotation it is the bound |J_r(h) h'| <= |h'| for all three numbers together.
         """
@@ -318,7 +318,7 @@ class Keyframes:
             other: A motion of the same robot.
             seconds: How long both count; at most the shorter of the two.
             rate: Keys a second of the result.
-            follow: Move the free base of ``other`` to the place and heading that this motion has by then.
+            follow: Move the free base of ``other`` to the position and heading that this motion has by then.
 
         Raises:
             TrajectoryError: Another robot, or more seconds than a motion has.
@@ -389,8 +389,8 @@ class Keyframes:
                 f"no column {missing[0]!r}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else ""),
                 file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
             )  # fmt: skip
-        places = [0, *(head.index(name) for name in wanted)]
-        table = np.array([_row(row, places, len(head), file, line) for line, row in rows[1:]])
+        columns = [0, *(head.index(name) for name in wanted)]
+        table = np.array([_row(row, columns, len(head), file, line) for line, row in rows[1:]])
         return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
 
     # --------------------------------------------------------------------------- fitting
@@ -424,7 +424,7 @@ class Keyframes:
             loose = self._out_of_cone()
             if not loose:
                 return
-            for i, v in loose:  # at rest at both keys the way is the geodesic, which stays inside
+            for i, v in loose:  # at rest at both keys the segment is the geodesic, which stays inside
                 slopes[i : i + 2, v : v + 3] = 0.0
             self._cubic = self._coefficients(ways, gaps, slopes)
 
@@ -453,7 +453,7 @@ class Keyframes:
         return np.stack([begin + end - 2.0 * ways, 3.0 * ways - 2.0 * begin - end, begin], axis=1)
 
     def _out_of_cone(self) -> list[tuple[int, int]]:
-        """Segments and balls (their place in dq) that leave their cone between keys that are inside."""
+        """Segments and balls (their index in dq) that leave their cone between keys that are inside."""
         found = []
         for v, angle in self._ball_angles():
             a = int(self.robot.tree.qadr[self.robot.tree.dof_node[v]])
@@ -468,7 +468,7 @@ class Keyframes:
         return found
 
     def _ball_angles(self) -> Iterator[tuple[int, Array]]:
-        """Of every ball with a cone its place in dq and (n,) how far from the middle it stands, radians."""
+        """Of every ball with a cone its index in dq and (n,) how far from the middle it stands, radians."""
         tree = self.robot.tree
         for kind, a, v in zip(tree.kind, tree.qadr, tree.vadr, strict=True):
             if kind == BALL and np.isfinite(self.robot.upper[v]):
@@ -476,7 +476,7 @@ class Keyframes:
                 yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
 
     def _require_speed(self, velocity: Array) -> None:
-        """Raises where a speed limit is broken, with the time that the way would need."""
+        """Raises where a speed limit is broken, with the time that the segment would need."""
         over = self.peak_velocity_of_segments() / velocity
         if not over.size or not over.max() > 1.0 + _OVER_SPEED:
             return
@@ -492,9 +492,9 @@ class Keyframes:
 
 def free_base(robot: Robot) -> int | None:
     """Where the free joint that carries the robot begins in q; None: it has none."""
-    for kind, parent, place in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
+    for kind, parent, qadr in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
         if kind == FREE and parent < 0:
-            return int(place)
+            return int(qadr)
     return None
 
 
@@ -522,7 +522,7 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
             )
     if loop and not _closed(robot, rows[0], rows[-1]):
         raise TrajectoryError(
-            "the last key of a loop must be the first again (but for the place and heading of a free base)",
+            "the last key of a loop must be the first again (but for position and heading of a free base)",
             hint="repeat the first key at the end, or take Keyframes.through(…, loop=True), which does",
         )
     t = t - t[0]
@@ -531,7 +531,7 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
 
 
 def _closed(robot: Robot, first: Array, last: Array) -> bool:
-    """Whether two keys are one pose, wherever the free base stands and looks."""
+    """Whether two keys are one pose, wherever the free base stands and faces."""
     moved = np.array(first)
     where = free_base(robot)
     if where is not None:
@@ -562,11 +562,11 @@ def _inverse_right_jacobian(rotation_vector: Array, rate: Array) -> Array:
     return np.asarray(rate + 0.5 * once + k * np.cross(rotation_vector, once))
 
 
-def _row(row: list[str], places: Sequence[int], width: int, file: Path, line: int) -> list[float]:
+def _row(row: list[str], columns: Sequence[int], width: int, file: Path, line: int) -> list[float]:
     try:
         if len(row) != width:
             raise ValueError
-        numbers = [float(row[k]) for k in places]
+        numbers = [float(row[k]) for k in columns]
         if not all(abs(number) <= _LARGEST for number in numbers):  # NaN neither
             raise ValueError
         return numbers

@@ -32,7 +32,7 @@ _STEP_ANGLE = 0.03  # rad
 _FEWEST = 8  # steps: the timing needs derivatives on the shortest line too
 # The trace halves a step at most this often; what still moves a joint too far in 1/1024 of it is a jump.
 _HALVINGS = 10
-# A joint this near to a limit is named as the reason when no further place is found: rad or m.
+# A joint this near to a limit is named as the reason when no further point is found: rad or m.
 _AT_LIMIT = 0.02
 # Each round of slowing aims this much below the bound, so that few rounds are needed.
 _MARGIN = 1.002
@@ -91,9 +91,9 @@ def line_move(
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
 ) -> Trajectory:
-    """Moves ``frame`` on a straight line to ``goal_pose``, turning evenly about one axis (slerp).
+    """Moves ``frame`` on a straight line to ``goal_pose``, rotating evenly about one axis (slerp).
 
-    As fast as the joint limits and the two tool speeds allow at each place; slow where the arm
+    As fast as the joint limits and the two tool speeds allow at each point; slow where the arm
     is near a singularity.  Between samples, too, the tool stays within ``deviation`` of the line.
 
     Args:
@@ -107,13 +107,13 @@ def line_move(
         angular_speed: Most of the tool, rad/s.
         rate: Samples a second, Hz; the duration is rounded up to whole periods.
         deviation: Largest distance of the tool from the line, m.
-        max_jump: Largest change of one joint, rad or m, from one traced place to the next; where it
+        max_jump: Largest change of one joint, rad or m, from one traced point to the next; where it
             is more even over a few micrometres, the joint jumps.
         velocity: (nq,) further cap in rad/s, such as that of the arm file; the lower one counts.
         acceleration: (nq,) likewise, rad/s^2.
 
     Raises:
-        TrajectoryError: A place on the line cannot be reached, or only by a jump of a joint; states
+        TrajectoryError: A point on the line cannot be reached, or only by a jump of a joint; states
             how far the line is possible and which joint is in the way.
         UnsupportedJointError: The robot has ball or free joints.
     """
@@ -158,14 +158,14 @@ def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, 
 
 
 class _Tracer:
-    """Solves places on one line, each from its neighbour.
+    """Solves points on one line, each from its neighbour.
 
     Args:
         robot: Its joint names and limits appear in errors.
         frame: The frame that runs straight.
         line: Where it runs.
         near: The joint vector (nq,) of a pose nearest to a start, None where there is none.
-        max_jump: Largest change of one joint from place to place.
+        max_jump: Largest change of one joint from point to point.
     """
 
     def __init__(
@@ -179,7 +179,7 @@ class _Tracer:
         self.robot, self.frame, self.line, self.near, self.max_jump = robot, frame, line, near, max_jump
 
     def solve(self, s: float, start: Array) -> Array | None:
-        """Joint vector (nq,) of the place ``s`` nearest to ``start``, None where there is none."""
+        """Joint vector (nq,) of the point ``s`` nearest to ``start``, None where there is none."""
         return self.near(self.line.pose(s), start)
 
     def trace(self, first: Array) -> tuple[Array, Array]:
@@ -208,10 +208,10 @@ class _Tracer:
         reached = f"{100.0 * s:.1f} % of the line ({1e3 * s * line.length:.1f} of {1e3 * line.length:.1f} mm"
         reached += f", {np.degrees(s * line.angle):.1f} of {np.degrees(line.angle):.1f} deg)"
         if beyond is None:
-            room = np.minimum(q - self.robot.lower, self.robot.upper - q)
-            k = int(np.argmin(room))
-            why = "no joint is at a limit, so the arm is too short or the place is singular"
-            if room[k] < _AT_LIMIT:
+            margin = np.minimum(q - self.robot.lower, self.robot.upper - q)
+            k = int(np.argmin(margin))
+            why = "no joint is at a limit, so the arm is too short or the point is singular"
+            if margin[k] < _AT_LIMIT:
                 why = f"joint {self.robot.joints[k]!r} is at its limit there"
             return TrajectoryError(
                 f"{self.frame!r} can follow only {reached}: beyond, the solver found no joint angles; {why}",
@@ -253,7 +253,7 @@ def _sampled(
 
 
 def _solved(tracer: _Tracer, knots: Array, path: Array, s: Array) -> Array:
-    """(n, nq) joint vectors at the places ``s`` (n,), each on the traced branch."""
+    """(n, nq) joint vectors at the points ``s`` (n,), each on the traced branch."""
     near = np.column_stack([np.interp(s, knots, path[:, j]) for j in range(path.shape[1])])
     q = near.copy()
     for k in range(1, len(s) - 1):

@@ -15,7 +15,7 @@ from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Array
 
 APPROACH = 0.25
-"""Share of the caps on the way to where a recording begins."""
+"""Share of the caps on the approach to where a recording begins."""
 
 SMOOTHING = 0.1
 """s over which a recording is averaged before it is played."""
@@ -64,10 +64,10 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
 
 def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
     """From rest to rest by a quintic, at ``APPROACH`` of the caps; its peaks: 1.875 d/T and 5.774 d/T^2."""
-    way = np.abs(there - here)
+    distance = np.abs(there - here)
     times = (
-        1.875 * way / (APPROACH * caps.velocity),
-        np.sqrt(5.774 * way / (APPROACH * caps.acceleration)),
+        1.875 * distance / (APPROACH * caps.velocity),
+        np.sqrt(5.774 * distance / (APPROACH * caps.acceleration)),
     )
     seconds = max(float(np.max(times)), 2.0 / caps.rate_hz)
     t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)

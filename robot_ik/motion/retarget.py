@@ -2,9 +2,9 @@
 
 Lengths are taken from the two skeletons: the root's path and steps scale with the legs, the trunk with the
 trunk, arms with the arms.  So the figure's units and size do not matter, and neither does the height of
-the studio's floor: the lowest ankle of the take stands on ours.  Feet are needed goals; a foot that rests
+the recording's floor: the lowest ankle of the take stands on ours.  Feet are needed goals; a foot that rests
 in the take is pinned where it rests.  Hands, elbows, pelvis and head are soft goals: the nearest that the
-feet allow.  How the rest pose of the file is drawn counts for the turns of feet, pelvis and head only: they
+feet allow.  How the rest pose of the file is drawn counts for rotations of feet, pelvis and head only: they
 are those against the rest pose, in which the figure is taken to stand upright, toes forward.
 """
 
@@ -40,7 +40,7 @@ ROLES = (
 )  # fmt: skip
 # A foot rests while its ankle is no higher than in the stand and this (m), and slower than this (m/s) …
 _REST_HEIGHT, _REST_SPEED = 0.03, 0.20
-# … for at least so long; the way to and from where it is pinned takes so long (s).
+# … for at least so long; the transition to and from where it is pinned takes so long (s).
 _REST_TIME, _PIN_BLEND = 0.10, 0.12
 # Part of all frames whose lowest ankle may lie under the floor: noise.
 _FLOOR_SHARE = 0.02
@@ -122,14 +122,14 @@ class SkeletonMap:
         """
         found = {}
         for role in ROLES:
-            places = [place for place in map(bvh.named, self.names[role]) if place >= 0]
-            if not places:
+            indices = [index for index in map(bvh.named, self.names[role]) if index >= 0]
+            if not indices:
                 known = ", ".join(joint.name for joint in bvh.joints[:30])
                 raise ConfigError(
                     f"no name of {role} is in the BVH file", file=self.file, key=f"roles.{role}.names",
                     allowed=f"one of {known}",
                 )  # fmt: skip
-            found[role] = places[0]
+            found[role] = indices[0]
         return found
 
 
@@ -174,14 +174,14 @@ class _Measures:
             if body not in names:
                 raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
         self.frames = bodies
-        self.places = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
+        self.positions = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
         rest = robot.model.qpos0[qpos_addresses(robot)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
-            role: robot.measure(rest, body).position - self.places[role] for role, body in bodies.items()
+            role: robot.measure(rest, body).position - self.positions[role] for role, body in bodies.items()
         }
         self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
-        self.ankle = float(_middle(self.places, "ankle")[2] - min(self.foot_height(robot, rest)))
+        self.ankle = float(_middle(self.positions, "ankle")[2] - min(self.foot_height(robot, rest)))
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
         """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
@@ -190,35 +190,35 @@ class _Measures:
         for body in range(foot + 1, model.nbody):
             if int(model.body_parentid[body]) in below:
                 below.add(body)
-        origin = self.places[role] + self.offsets[role]
-        places = [
+        origin = self.positions[role] + self.offsets[role]
+        positions = [
             data.site_xpos[s] - origin for s in range(model.nsite) if int(model.site_bodyid[s]) in below
         ]
-        return np.array([np.zeros(3), *places])
+        return np.array([np.zeros(3), *positions])
 
     def foot_height(self, robot: Robot, q: Array) -> list[float]:
         """Height of both foot frames."""
         return [float(robot.measure(q, self.frames[f"{side}_ankle"]).position[2]) for side in SIDES]
 
 
-def _length(places: Mapping[str, Array], *roles: str) -> float:
-    """Mean over both sides of the way along these parts of a limb."""
+def _length(positions: Mapping[str, Array], *roles: str) -> float:
+    """Mean over both sides of the length along these parts of a limb."""
     total = 0.0
     for side in SIDES:
-        for one, two in pairwise(places[f"{side}_{role}"] for role in roles):
+        for one, two in pairwise(positions[f"{side}_{role}"] for role in roles):
             total += float(np.linalg.norm(two - one))
     return total / len(SIDES)
 
 
-def _middle(places: Mapping[str, Array], role: str) -> Array:
-    return np.asarray(0.5 * (places[f"left_{role}"] + places[f"right_{role}"]))
+def _middle(positions: Mapping[str, Array], role: str) -> Array:
+    return np.asarray(0.5 * (positions[f"left_{role}"] + positions[f"right_{role}"]))
 
 
-def _lengths(places: Mapping[str, Array]) -> Array:
+def _lengths(positions: Mapping[str, Array]) -> Array:
     """(4,) of a leg, an arm, the trunk, and from shoulder to shoulder."""
-    trunk = np.linalg.norm(_middle(places, "shoulder") - _middle(places, "hip"))
-    girdle = np.linalg.norm(places["left_shoulder"] - places["right_shoulder"])
-    legs, arms = _length(places, "hip", "knee", "ankle"), _length(places, "shoulder", "elbow", "wrist")
+    trunk = np.linalg.norm(_middle(positions, "shoulder") - _middle(positions, "hip"))
+    girdle = np.linalg.norm(positions["left_shoulder"] - positions["right_shoulder"])
+    legs, arms = _length(positions, "hip", "knee", "ankle"), _length(positions, "shoulder", "elbow", "wrist")
     return np.array([legs, arms, trunk, girdle])
 
 
@@ -255,27 +255,27 @@ def _targets(
     bvh: Bvh, joints: Mapping[str, int], ours: _Measures, rest: Bvh, up: str
 ) -> tuple[_Targets, float]:
     """What the figure shall do, and our metres for a unit of the file."""
-    still, turned = rest.poses()
+    still, rest_rotations = rest.poses()
     upright = {role: still[0, j] for role, j in joints.items()}
     axes = _alignment(upright, up)
     moved, rotations = bvh.poses()
-    places = {role: moved[:, j] @ axes.T for role, j in joints.items()}
-    deltas = {r: axes @ rotations[:, j] @ turned[0, j].T @ axes.T for r, j in joints.items()}
-    legs, arms, trunk, girdle = _ratios(ours.places, upright)
-    lowest = np.minimum(places["left_ankle"][:, 2], places["right_ankle"][:, 2])
+    positions = {role: moved[:, j] @ axes.T for role, j in joints.items()}
+    deltas = {r: axes @ rotations[:, j] @ rest_rotations[0, j].T @ axes.T for r, j in joints.items()}
+    legs, arms, trunk, girdle = _ratios(ours.positions, upright)
+    lowest = np.minimum(positions["left_ankle"][:, 2], positions["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
-    ankles = [legs * (places[f"{side}_ankle"] - floor) for side in SIDES]
-    pelvis = legs * (_middle(places, "hip") - floor)
-    chest = _middle(places, "shoulder")
-    ours_chest = pelvis + trunk * (chest - _middle(places, "hip"))
+    ankles = [legs * (positions[f"{side}_ankle"] - floor) for side in SIDES]
+    pelvis = legs * (_middle(positions, "hip") - floor)
+    chest = _middle(positions, "shoulder")
+    ours_chest = pelvis + trunk * (chest - _middle(positions, "hip"))
     hands, elbows = [], []
     for side in SIDES:
-        shoulder = places[f"{side}_shoulder"]
+        shoulder = positions[f"{side}_shoulder"]
         from_shoulder = ours_chest + girdle * (shoulder - chest) - arms * shoulder
-        elbows.append(from_shoulder + arms * places[f"{side}_elbow"])
+        elbows.append(from_shoulder + arms * positions[f"{side}_elbow"])
         palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
         along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
-        hands.append(from_shoulder + arms * places[f"{side}_wrist"] + palm * along)
+        hands.append(from_shoulder + arms * positions[f"{side}_wrist"] + palm * along)
     rests = np.stack([_rests(ankle, ours.ankle, bvh.rate) for ankle in ankles], axis=1)
     feet = [
         _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
@@ -283,19 +283,24 @@ def _targets(
     ]
     head = [Pose.from_rotation(rotation) for rotation in deltas["head"]]
     hips = [
-        Pose.from_rotation(rotation, place) for rotation, place in zip(deltas["pelvis"], pelvis, strict=True)
+        Pose.from_rotation(rotation, position)
+        for rotation, position in zip(deltas["pelvis"], pelvis, strict=True)
     ]
     return _Targets(hips, head, (feet[0], feet[1]), (hands[0], hands[1]), (elbows[0], elbows[1]), rests), legs
 
 
-def _hand_direction(bvh: Bvh, joints: Mapping[str, int], side: str, places: Array, rotations: Array) -> Array:
+def _hand_direction(
+    bvh: Bvh, joints: Mapping[str, int], side: str, positions: Array, rotations: Array
+) -> Array:
     """(n, 3) unit vectors along the hand, the file's axes: to its first child or End Site."""
     j = joints[f"{side}_wrist"]
     bone = next((np.array(other.offset) for other in bvh.joints if other.parent == j), None)
     bone = np.array(bvh.joints[j].end) if bone is None and bvh.joints[j].end is not None else bone
-    along = places[:, j] - places[:, joints[f"{side}_elbow"]] if bone is None else rotations[:, j] @ bone
+    along = (
+        positions[:, j] - positions[:, joints[f"{side}_elbow"]] if bone is None else rotations[:, j] @ bone
+    )
     if not np.linalg.norm(along, axis=1).min() > 1e-9:
-        along = places[:, j] - places[:, joints[f"{side}_elbow"]]
+        along = positions[:, j] - positions[:, joints[f"{side}_elbow"]]
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
 
 
@@ -325,19 +330,22 @@ def _foot_path(
 
     No end of it goes under the floor.
     """
-    places = ankle + rotations @ ours.offsets[f"{side}_ankle"]
-    lowest = (places[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(axis=1)
-    places[:, 2] -= np.minimum(lowest, 0.0)
-    free = [Pose.from_rotation(rotation, place) for rotation, place in zip(rotations, places, strict=True)]
+    positions = ankle + rotations @ ours.offsets[f"{side}_ankle"]
+    lowest = (positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(axis=1)
+    positions[:, 2] -= np.minimum(lowest, 0.0)
+    free = [
+        Pose.from_rotation(rotation, position)
+        for rotation, position in zip(rotations, positions, strict=True)
+    ]
     path = list(free)
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):
         heading = math.atan2(
             float(rotations[first:end, 1, 0].mean()), float(rotations[first:end, 0, 0].mean())
         )
-        place = np.array([pose.position for pose in free[first:end]]).mean(axis=0)
+        position = np.array([pose.position for pose in free[first:end]]).mean(axis=0)
         half = 0.5 * heading
-        pin = Pose((place[0], place[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
+        pin = Pose((position[0], position[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
         path[first:end] = [pin] * (end - first)
         for step in range(1, fade):
             share = 1.0 - step / fade
@@ -378,10 +386,10 @@ def retarget(
         TrajectoryError: No frame at all, or a rest frame that is not there.
     """
     joints = SkeletonMap.of(robot) if joints is None else joints
-    places = joints.find(bvh)
+    indices = joints.find(bvh)
     bvh, rest = _thinned(bvh, rate), _rest_of(bvh, rest_frame)
     ours = _Measures(robot, joints.bodies)
-    wanted, scale = _targets(bvh, places, ours, rest, up)
+    wanted, scale = _targets(bvh, indices, ours, rest, up)
     rows, miss = _solve_frames(robot, joints.bodies, wanted)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
     return Retargeted(motion, miss, wanted.rests, scale)

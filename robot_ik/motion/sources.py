@@ -1,4 +1,4 @@
-"""Where goals come from when no camera looks: `GoalSource` implementations for `follow`.
+"""Where goals come from when there is no camera: `GoalSource` implementations for `follow`.
 
 A source counts time from its first `poll`, so that it can be made long before the loop starts.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
 Goals = Goal | Sequence[Goal]
-"""One goal or several at once, as ``solve`` takes them; a source does not look inside."""
+"""One goal or several at once, as ``solve`` takes them; a source does not inspect them."""
 
 
 class FixedGoal:
@@ -223,8 +223,8 @@ def _oriented(
 ) -> Callable[[float], Pose | ArrayLike]:
     if wxyz is None:
         return position
-    turned = Pose((0.0, 0.0, 0.0), wxyz)
-    return lambda t: Pose(position(t), turned.wxyz)
+    rotation = Pose((0.0, 0.0, 0.0), wxyz)
+    return lambda t: Pose(position(t), rotation.wxyz)
 
 
 def _plane(center: ArrayLike, radius: float, period: float, normal: ArrayLike) -> tuple[Array, Array, Array]:

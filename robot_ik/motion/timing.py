@@ -144,12 +144,12 @@ def _bounds(
     reserve = np.where(moves, acceleration / np.abs(divisor), np.inf)
     with np.errstate(divide="ignore"):
         by_velocity = np.min(np.where(moves, velocity / np.abs(divisor), np.inf), axis=1) ** 2
-        by_bend = np.min(np.where(moves, np.inf, acceleration / np.abs(second)), axis=1)
+        by_curvature = np.min(np.where(moves, np.inf, acceleration / np.abs(second)), axis=1)
     # Two joints whose intervals of u stop overlapping: x (ratio_k - ratio_j) <= reserve_j + reserve_k.
     apart = ratio[:, None, :] - ratio[:, :, None]
     together = reserve[:, None, :] + reserve[:, :, None]
     by_pair = np.min(np.where(apart > 0.0, together / np.where(apart > 0.0, apart, 1.0), np.inf), axis=(1, 2))
-    return ratio, reserve, np.minimum(np.minimum(by_velocity, by_bend), np.minimum(by_pair, speed**2))
+    return ratio, reserve, np.minimum(np.minimum(by_velocity, by_curvature), np.minimum(by_pair, speed**2))
 
 
 def _backward(ceiling: Array, ratio: Array, reserve: Array, gaps: Array) -> Array:
@@ -158,8 +158,8 @@ def _backward(ceiling: Array, ratio: Array, reserve: Array, gaps: Array) -> Arra
     best[-1] = 0.0
     for i in range(len(gaps) - 1, -1, -1):
         slope = 1.0 - 2.0 * gaps[i] * ratio[i]
-        room = best[i + 1] + 2.0 * gaps[i] * reserve[i]
-        best[i] = min(best[i], float(np.min(np.where(slope > 0.0, room / np.abs(slope), np.inf))))
+        limit = best[i + 1] + 2.0 * gaps[i] * reserve[i]
+        best[i] = min(best[i], float(np.min(np.where(slope > 0.0, limit / np.abs(slope), np.inf))))
         # A slope below zero: even the hardest push leaves x negative at the next knot.
         push = 2.0 * gaps[i] * reserve[i]
         best[i] = min(best[i], float(np.min(np.where(slope < 0.0, push / np.abs(slope), np.inf))))

@@ -1,4 +1,4 @@
-"""`Trajectory`: joint angles over time, and `joint_move`, the straight way between two of them."""
+"""`Trajectory`: joint angles over time, and `joint_move`, the straight line between two of them."""
 
 from __future__ import annotations
 
@@ -303,12 +303,12 @@ def joint_move(
     require_positive("rate", rate, "Hz")
     if profile not in PROFILES:
         raise TrajectoryError(f"unknown profile {profile!r}", hint=f"known: {', '.join(PROFILES)}")
-    way = np.abs(last - first)
-    if not way.any():
+    distance = np.abs(last - first)
+    if not distance.any():
         return Trajectory([0.0], [first], robot.joints)
-    moving = way > 0.0
-    with np.errstate(over="ignore"):  # a way of 1e-300 rad: the bounds are infinite, which is right
-        bounds = np.min(top[moving] / way[moving]), np.min(push[moving] / way[moving])
+    moving = distance > 0.0
+    with np.errstate(over="ignore"):  # a distance of 1e-300 rad: the bounds are infinite, which is right
+        bounds = np.min(top[moving] / distance[moving]), np.min(push[moving] / distance[moving])
     if np.isfinite(bounds[1]):
         plan = PROFILES[profile](float(bounds[0]), float(bounds[1]))
         count = max(1, int(np.ceil(plan.duration * rate * (1.0 - 1e-12))))

@@ -52,7 +52,7 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """Where a batch puts its answers, row by row.
+    """The results of a batch, row by row.
 
     Attributes:
         q: (n, nq) the best found.
@@ -69,7 +69,7 @@ class BatchResult:
 
     @classmethod
     def empty(cls, count: int, nq: int) -> BatchResult:
-        """Room for ``count`` answers."""
+        """Empty rows for ``count`` results."""
         status, iterations, restarts = np.zeros((3, count), dtype=np.int64)
         return cls(np.zeros((count, nq)), status, np.zeros((count, 2)), iterations, restarts)
 
@@ -86,7 +86,7 @@ class Solver(ABC):
         name: Its key in ``SOLVERS``.
         title, source: One line for people; where the method is published.
         goals: Kinds of goals it serves.
-        parts: Whether it also serves goals that ask for single coordinates or axes only.
+        partial_goals: Whether it also serves goals that ask for single coordinates or axes only.
         capabilities: What else of a problem it supports: ``couplings``, ``stiffness``, ``priorities``,
             ``soft`` goals.
     """
@@ -95,7 +95,7 @@ class Solver(ABC):
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
     goals: ClassVar[tuple[type[Goal], ...]] = GOALS
-    parts: ClassVar[bool] = False
+    partial_goals: ClassVar[bool] = False
     capabilities: ClassVar[frozenset[str]] = frozenset()
 
     def __post_init__(self) -> None:
@@ -114,18 +114,18 @@ class Solver(ABC):
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
-        return isinstance(goal, self.goals) and (self.parts or goal.rows.whole)
+        return isinstance(goal, self.goals) and (self.partial_goals or goal.rows.whole)
 
     def applies(self, problem: Problem) -> bool:
         """Whether it can try this problem at all."""
-        return not self.beyond(problem)
+        return not self.unsupported(problem)
 
     def family(self, problem: Problem) -> str:
         """What it has recognised the arm as, for this goal; empty when it recognises none."""
         return ""
 
-    def beyond(self, problem: Problem) -> str:
-        """What of the problem it cannot serve, in words; empty when nothing is."""
+    def unsupported(self, problem: Problem) -> str:
+        """What of the problem it cannot serve, as text; empty when nothing is."""
         for goal in problem.given:
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
@@ -136,10 +136,10 @@ class Solver(ABC):
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
-        if beyond := self.beyond(problem):
+        if unsupported := self.unsupported(problem):
             from robot_ik.solvers import able_solvers  # here: a new row shall not compile every method anew
 
-            raise UnsupportedGoalError(self.name, beyond, able_solvers(problem))
+            raise UnsupportedGoalError(self.name, unsupported, able_solvers(problem))
 
     def solve(self, problem: Problem, start: ArrayLike | None = None) -> Solution:
         """Solves from ``start`` (nq,), default home.  No solution is a result, never an exception.
@@ -149,17 +149,17 @@ class Solver(ABC):
             ModelError: ``start`` has the wrong length, or is not finite.
             ProblemInUseError: Another thread's call on the problem is under way.
         """
-        turn = problem.turn
+        token = problem.token
         try:
-            turn.pop()
+            token.pop()
         except IndexError:
             raise ProblemInUseError from None
         try:
             return self.attempt(problem, start, problem.budget)
         finally:
-            turn.append(None)
+            token.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, answers: BatchResult) -> None:
+    def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
         The problem's budget is that of each row.
@@ -168,23 +168,23 @@ class Solver(ABC):
             As ``solve``.
         """
         with problem.in_use():
-            self.attempt_many(problem, targets, starts, answers, problem.budget)
+            self.attempt_many(problem, targets, starts, results, problem.budget)
 
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        """``solve`` within what others left of the budget; the caller has the problem's turn."""
+        """``solve`` within what others left of the budget; the caller holds the problem's token."""
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
         for row in range(len(targets)):
             problem.target[0] = targets[row]
             solution = self.attempt(problem, starts[row], budget)
-            answers.q[row] = solution.q
-            answers.status[row] = solution.status
-            answers.miss[row] = solution.miss.position, solution.miss.angle
-            answers.iterations[row], answers.restarts[row] = solution.iterations, solution.restarts
+            results.q[row] = solution.q
+            results.status[row] = solution.status
+            results.miss[row] = solution.miss.position, solution.miss.angle
+            results.iterations[row], results.restarts[row] = solution.iterations, solution.restarts
 
     @abstractmethod
     def load(self, problem: Problem) -> None:

@@ -1,15 +1,15 @@
 """Cyclic coordinate descent: one joint at a time, each to its exact optimum inside its limits.
 
-A turn about an axis changes both parts of the cost to const − A cos φ − B sin φ, so the best angle is
+A rotation about an axis changes both parts of the cost to const − A cos φ − B sin φ, so the best angle is
 atan2(B, A) in closed form, for positions, orientations and any mixture on any frames the joint moves;
 a shift has a parabola.  Wang & Chen (A combined optimization method for solving the inverse kinematics
 problem of mechanical manipulators, IEEE T-RA 7(4), 1991) give the position and orientation terms.
-Unlike the textbook form it turns joints about their real axes, keeps limits exactly and cannot divide
+Unlike the textbook form it rotates joints about their real axes, keeps limits exactly and cannot divide
 by a vanishing cross product: where no angle matters, the joint stays.
 
-``axis="free"`` is the textbook form: each bone turns about (s − p) × (t − p) by the angle between the two
+``axis="free"`` is the textbook form: each bone rotates about (s − p) × (t − p) by the angle between the two
 (Pađen 2011; Šimunić 2012, section 3.5), and is put back inside its limits.  A hinge takes the part of that
-turn that is about its own axis, so that three hinges through one point are a bone, too.
+rotation that is about its own axis, so that three hinges through one point are a bone, too.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -23,9 +23,9 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.kernels.bones import carry, keep_pose
+from robot_ik.kernels.bones import move_with_node, store_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import clip, dof_axis, forward, turn_quat
+from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
@@ -65,8 +65,8 @@ open_options = options_of(CyclicCoordinateDescent)
 
 
 @outlined
-def turn_terms(world, k, x, y, z, goal, frames, u):
-    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a turn about (x, y, z) moves."""
+def rotation_terms(world, k, x, y, z, goal, frames, u):
+    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a rotation about (x, y, z) moves."""
     a, b = 0.0, 0.0
     target = goal.target
     for g in range(goal.kind.shape[0]):
@@ -80,7 +80,7 @@ def turn_terms(world, k, x, y, z, goal, frames, u):
             a += w * (px * tx + py * ty + pz * tz - along)
             b += w * (x * (py * tz - pz * ty) + y * (pz * tx - px * tz) + z * (px * ty - py * tx))
         if goal.kind[g] != POSITION:
-            # ‖R_t − R‖²/2 = 3 − Σ columns c·t, and each column turns like a point.
+            # ‖R_t − R‖²/2 = 3 − Σ columns c·t, and each column rotates like a point.
             w = goal.weight[g, 1] * goal.weight[g, 1]
             for c in range(3, 6):
                 px, py, pz = frames[g, c], frames[g, c + 3], frames[g, c + 6]
@@ -92,17 +92,17 @@ def turn_terms(world, k, x, y, z, goal, frames, u):
 
 
 @pure
-def best_turn(a, b, low, high):
+def best_angle(a, b, low, high):
     """The φ in [low, high] that maximises A cos φ + B sin φ; 0 where nothing depends on it."""
     if a * a + b * b < 1e-24:
         return 0.0
     angle = math.atan2(b, a)
     if low <= angle <= high:
         return angle
-    # The optimum may also be met a whole turn away; else the better end of the range is it.
-    for turned in (angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= turned <= high:
-            return turned
+    # The optimum may also be met 2π away; else the better end of the range is it.
+    for candidate in (angle - 2.0 * math.pi, angle + 2.0 * math.pi):
+        if low <= candidate <= high:
+            return candidate
     at_low = a * math.cos(low) + b * math.sin(low)
     at_high = a * math.cos(high) + b * math.sin(high)
     return low if at_low > at_high else high
@@ -128,31 +128,31 @@ def best_shift(x, y, z, goal, frames, u, low, high):
 
 
 @outlined
-def free_turn(world, k, goal, frames, u):
-    """Unit axis x, y, z and angle of the turn about node ``k`` that is best where any axis may be chosen.
+def free_rotation(world, k, goal, frames, u):
+    """Unit axis x, y, z and angle of the rotation about node ``k`` that is best where any axis may be chosen.
 
     For one position the axis is (s − p) × (t − p) and the angle that between the two.
     """
-    _, x = turn_terms(world, k, 1.0, 0.0, 0.0, goal, frames, u)
-    _, y = turn_terms(world, k, 0.0, 1.0, 0.0, goal, frames, u)
-    _, z = turn_terms(world, k, 0.0, 0.0, 1.0, goal, frames, u)
+    _, x = rotation_terms(world, k, 1.0, 0.0, 0.0, goal, frames, u)
+    _, y = rotation_terms(world, k, 0.0, 1.0, 0.0, goal, frames, u)
+    _, z = rotation_terms(world, k, 0.0, 0.0, 1.0, goal, frames, u)
     length = math.sqrt(x * x + y * y + z * z)
     if length < _COLLINEAR:
         return 0.0, 0.0, 0.0, 0.0
     x, y, z = x / length, y / length, z / length
-    a, b = turn_terms(world, k, x, y, z, goal, frames, u)
+    a, b = rotation_terms(world, k, x, y, z, goal, frames, u)
     return x, y, z, math.atan2(b, a)
 
 
 @outlined
-def turn_freely(tree, goal, work, u):
-    """work.step of a hinge, or of all three coordinates of a ball, for ``free_turn``."""
+def rotate_freely(tree, goal, work, u):
+    """work.step of a hinge, or of all three coordinates of a ball, for ``free_rotation``."""
     v = goal.dofs[u]
     k = tree.dof_node[v]
-    x, y, z, angle = free_turn(work.world, k, goal, work.frames, u)
+    x, y, z, angle = free_rotation(work.world, k, goal, work.frames, u)
     ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
     if tree.kind[k] < BALL:
-        # The twist of the turn about the hinge (swing-twist decomposition), as far as there is room.
+        # The twist of the rotation about the hinge (swing-twist decomposition), as far as the limits allow.
         along = x * ax + y * ay + z * az
         twist = 2.0 * math.atan2(math.sin(0.5 * angle) * along, math.cos(0.5 * angle))
         work.step[u] = min(max(twist, work.low[u]), work.high[u])
@@ -163,14 +163,14 @@ def turn_freely(tree, goal, work, u):
 
 
 @outlined
-def take_turn(tree, goal, work, u, one, old):
+def move_joint(tree, goal, work, u, one, old):
     """Moves the node of column ``u`` by its part of work.step, and the frames that hang on it with it.
 
     ``one`` (1,) holds the node, ``old`` (12,) is work space.
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
-    keep_pose(work.world, k, old, 0)
+    store_pose(work.world, k, old, 0)
     if tree.kind[k] < BALL:
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
@@ -181,19 +181,19 @@ def take_turn(tree, goal, work, u, one, old):
             for i in range(3):
                 q[a + i] += dq[v + i]
             a, v = a + 3, v + 3
-        turn_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
+        rotate_quat(q, a, dq[v], dq[v + 1], dq[v + 2])
         clip(tree, one, q)
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 1:
-            carry(work.world, k, old, 0, work.frames, g)
+            move_with_node(work.world, k, old, 0, work.frames, g)
 
 
 @outlined
 def sweep(tree, goal, work, from_root, freely, one, old):
     """Every degree of freedom once; leaves q moved and work.step zero.
 
-    A turn moves all that hangs on the joint as one body, so only the goals' frames come along: poses of
+    A rotation moves all that hangs on the joint as one body, so only the goals' frames come along: poses of
     joints nearer to the root do not change, and those of the others are found when it is their turn.
     """
     dofs, step, low, high, world, frames = goal.dofs, work.step, work.low, work.high, work.world, work.frames
@@ -201,24 +201,24 @@ def sweep(tree, goal, work, from_root, freely, one, old):
     step_bounds(tree, goal, work)
     for u in range(n):
         step[u] = 0.0
-    for turn_number in range(n):
-        u = turn_number if from_root else n - 1 - turn_number
+    for index in range(n):
+        u = index if from_root else n - 1 - index
         v = dofs[u]
         k = tree.dof_node[v]
         one[0] = k
         if from_root:
             forward(tree, one, work.q, world, work.scratch)
-        x, y, z, turn = dof_axis(tree.kind, world, k, v - tree.vadr[k])
-        if turn and freely:
+        x, y, z, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+        if rotational and freely:
             if tree.kind[k] >= BALL and (v - tree.vadr[k]) % 3 != 0:
-                continue  # turned with the first of its three coordinates
-            turn_freely(tree, goal, work, u)
-        elif turn:
-            a, b = turn_terms(world, k, x, y, z, goal, frames, u)
-            step[u] = best_turn(a, b, low[u], high[u])
+                continue  # rotated with the first of its three coordinates
+            rotate_freely(tree, goal, work, u)
+        elif rotational:
+            a, b = rotation_terms(world, k, x, y, z, goal, frames, u)
+            step[u] = best_angle(a, b, low[u], high[u])
         else:
             step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
-        take_turn(tree, goal, work, u, one, old)
+        move_joint(tree, goal, work, u, one, old)
         for i in range(u, min(u + 3, n)):
             step[i] = 0.0
 

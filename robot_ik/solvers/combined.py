@@ -1,4 +1,4 @@
-"""Several methods in turn: the first that reaches the goal wins, else the best of all is kept.
+"""Several methods, one after the other: the first that reaches the goal wins, else the best of all is kept.
 
 A00's fallback (a recursive solver where the Jacobian failed), generalised.  ``auto`` is the closed form
 where there is one, then Levenberg-Marquardt.
@@ -44,7 +44,7 @@ class Combined(Solver):
     title: ClassVar[str] = "methods in turn, until one reaches the goal"
     source: ClassVar[str] = "Aho 2000, generalised"
 
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     # Those of its methods that can.
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "priorities", "soft", "stiffness"})
 
@@ -62,10 +62,10 @@ class Combined(Solver):
         return any(member.applies(problem) for member in self._members)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        turns: _Turns = problem.made.get(id(self)) or self._turns(problem)
-        return self._in_turn(turns.members, problem, start, budget)
+        sequence: _SolverSequence = problem.made.get(id(self)) or self._sequence(problem)
+        return self._run_sequence(sequence.members, problem, start, budget)
 
-    def _in_turn(
+    def _run_sequence(
         self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
     ) -> Solution:
         solution = members[0].attempt(problem, start, budget)
@@ -88,31 +88,31 @@ class Combined(Solver):
         return self._go_on(members[1:], problem, start, budget, solution)
 
     def load(self, problem: Problem) -> None:
-        self._turns(problem)
+        self._sequence(problem)
 
-    def _turns(self, problem: Problem) -> _Turns:
+    def _sequence(self, problem: Problem) -> _SolverSequence:
         """The methods that can try a problem: asked, and loaded, once.
 
         All are loaded before the first is tried: the first goal that it misses would else stall a loop.
         """
-        kept: _Turns | None = problem.compiled.made.get(id(self))
+        kept: _SolverSequence | None = problem.compiled.made.get(id(self))
         if kept is None:
-            kept = problem.compiled.made_for(self, lambda: self._make_turns(problem))
+            kept = problem.compiled.made_for(self, lambda: self._make_sequence(problem))
             for member in (*kept.members, *kept.nearby):
                 member.load(problem)
         return kept
 
-    def _make_turns(self, problem: Problem) -> _Turns:
-        return _Turns(self, self._choose(problem))
+    def _make_sequence(self, problem: Problem) -> _SolverSequence:
+        return _SolverSequence(self, self._choose(problem))
 
     def _choose(self, problem: Problem) -> tuple[Solver, ...]:
-        turns = tuple(member for member in self._members if member.applies(problem))
-        if not turns:
+        members = tuple(member for member in self._members if member.applies(problem))
+        if not members:
             goal = problem.given[0]
-            beyond = [member.beyond(problem) for member in self._members]
-            what = next(filter(None, beyond), f"a {goal.name}")
+            unsupported = [member.unsupported(problem) for member in self._members]
+            what = next(filter(None, unsupported), f"a {goal.name}")
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
-        return turns
+        return members
 
     def _go_on(
         self,
@@ -148,51 +148,51 @@ class Combined(Solver):
         return best
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         """Each method takes all poses that the ones before it missed, with what they left of the budget."""
         if budget.seconds is not None:  # which is for each pose: only Python can read a clock
-            super().attempt_many(problem, targets, starts, answers, budget)
+            super().attempt_many(problem, targets, starts, results, budget)
             return
-        self._many_in_turn(self._turns(problem).members, problem, targets, starts, answers, budget)
+        self._run_sequence_many(self._sequence(problem).members, problem, targets, starts, results, budget)
 
-    def _many_in_turn(
+    def _run_sequence_many(
         self,
         members: tuple[Solver, ...],
         problem: Problem,
         targets: Array,
         starts: Array,
-        answers: BatchResult,
+        results: BatchResult,
         budget: Budget,
     ) -> None:
-        members[0].attempt_many(problem, targets, starts, answers, budget)
-        if np.count_nonzero(answers.status == CONVERGED) == len(targets):
+        members[0].attempt_many(problem, targets, starts, results, budget)
+        if np.count_nonzero(results.status == CONVERGED) == len(targets):
             return
-        left = np.flatnonzero(answers.status != CONVERGED)
+        left = np.flatnonzero(results.status != CONVERGED)
         if members[0].name == members[-1].name:
-            left = left[answers.status[left] != Status.UNREACHABLE]
+            left = left[results.status[left] != Status.UNREACHABLE]
         if not len(left) or len(members) == 1:
             return
-        best = _cost(problem, answers.miss)
-        last, proven = answers.status.copy(), answers.status == Status.UNREACHABLE
+        best = _cost(problem, results.miss)
+        last, proven = results.status.copy(), results.status == Status.UNREACHABLE
         for member in members[1:]:
-            for rows, rest in _shares(budget, left, answers, proven):
-                part = BatchResult.empty(len(rows), answers.q.shape[1])
+            for rows, rest in _shares(budget, left, results, proven):
+                part = BatchResult.empty(len(rows), results.q.shape[1])
                 member.attempt_many(problem, targets[rows], starts[rows], part, rest)
                 cost = _cost(problem, part.miss)
                 cost[part.status == Status.CONVERGED] = -1.0
                 better = cost < best[rows]
                 best[rows[better]] = cost[better]
                 for name in ("q", "miss", "status"):
-                    getattr(answers, name)[rows[better]] = getattr(part, name)[better]
-                answers.iterations[rows] += part.iterations
-                answers.restarts[rows] += part.restarts
+                    getattr(results, name)[rows[better]] = getattr(part, name)[better]
+                results.iterations[rows] += part.iterations
+                results.restarts[rows] += part.restarts
                 proven[rows] |= part.status == Status.UNREACHABLE
                 last[rows] = part.status
-            left = left[answers.status[left] != Status.CONVERGED]
+            left = left[results.status[left] != Status.CONVERGED]
         for status in _OVER:
-            answers.status[left[last[left] == status]] = status
-        answers.status[left[proven[left]]] = Status.UNREACHABLE
+            results.status[left[last[left] == status]] = status
+        results.status[left[proven[left]]] = Status.UNREACHABLE
 
 
 # Asked in each solve: an enumeration takes a tenth of a microsecond to give it.
@@ -202,8 +202,8 @@ _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 
 @dataclass(frozen=True, eq=False)
-class _Turns:
-    """The methods that try a problem, in their order, and who asked.
+class _SolverSequence:
+    """The methods that try a problem, one after the other, and who asked.
 
     Attributes:
         nearby: Those that try it where its start is near its goal; empty: the same.
@@ -231,12 +231,12 @@ def _rest(budget: Budget, iterations: int, restarts: int, seconds: float, proven
 
 
 def _shares(
-    budget: Budget, left: Rows, answers: BatchResult, proven: NDArray[np.bool_]
+    budget: Budget, left: Rows, results: BatchResult, proven: NDArray[np.bool_]
 ) -> Iterator[tuple[Rows, Budget]]:
     """Those of the rows ``left`` (n,) that have the same rest of the budget, and that rest."""
     if not len(left):
         return
-    spent = np.column_stack([answers.iterations[left], answers.restarts[left], proven[left]])
+    spent = np.column_stack([results.iterations[left], results.restarts[left], proven[left]])
     if (spent == spent[0]).all():
         yield left, _rest(budget, int(spent[0, 0]), int(spent[0, 1]), 0.0, bool(spent[0, 2]))
         return
@@ -317,17 +317,17 @@ class Auto(Combined):
         """``lm`` from a start near the goal."""
         return make_solver("lm", restarts=0)
 
-    def _make_turns(self, problem: Problem) -> _Turns:
+    def _make_sequence(self, problem: Problem) -> _SolverSequence:
         members = self._choose(problem)
         if [member.name for member in members] != ["analytic", "lm"]:
-            return _Turns(self, members)
+            return _SolverSequence(self, members)
         cold, warm = (
             FIRST_CHOICE.get((members[0].family(problem), start), "analytic") for start in ("cold", "warm")
         )
         if cold == "lm":
-            return _Turns(self, (self._quick, *members))
+            return _SolverSequence(self, (self._quick, *members))
         if warm != "lm":
-            return _Turns(self, members)
+            return _SolverSequence(self, members)
         compiled = problem.compiled
         table = RUN.pack(
             {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
@@ -335,20 +335,20 @@ class Auto(Combined):
         address = address_of(table)
         near = jit.entry(starts_near, address)
         begin = problem.arrays["start"]
-        return _Turns(self, members, (self._local, *members), near, begin, address, table)
+        return _SolverSequence(self, members, (self._local, *members), near, begin, address, table)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop, as in ``IterativeSolver.attempt``: each line counts.
-        turns: _Turns = problem.made.get(id(self)) or self._turns(problem)
-        members, near = turns.members, turns.near
+        sequence: _SolverSequence = problem.made.get(id(self)) or self._sequence(problem)
+        members, near = sequence.members, sequence.near
         if near is not None and budget.iterations:
-            begin = turns.start
+            begin = sequence.start
             if type(start) is np.ndarray and start.shape == begin.shape:
                 begin[...] = start  # whether it is finite, the method asks: nothing is near that is not
             else:
                 take_start(problem, start)
-            if near(turns.address):
-                members = turns.nearby
+            if near(sequence.address):
+                members = sequence.nearby
             start = begin
         solution = members[0].attempt(problem, start, budget)
         if solution.status is _CONVERGED:
@@ -356,21 +356,21 @@ class Auto(Combined):
         return self._after_first(solution, members, problem, start, budget)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        turns = self._turns(problem)
-        if turns.near is None or budget.seconds is not None or not budget.iterations:
-            super().attempt_many(problem, targets, starts, answers, budget)
+        sequence = self._sequence(problem)
+        if sequence.near is None or budget.seconds is not None or not budget.iterations:
+            super().attempt_many(problem, targets, starts, results, budget)
             return
         near = np.zeros(len(targets), dtype=np.int64)
-        _WHICH_NEAR(turns.address, targets, starts, near)
+        _WHICH_NEAR(sequence.address, targets, starts, near)
         count = np.count_nonzero(near)
         if count in (0, len(near)):
-            members = turns.nearby if count else turns.members
-            self._many_in_turn(members, problem, targets, starts, answers, budget)
+            members = sequence.nearby if count else sequence.members
+            self._run_sequence_many(members, problem, targets, starts, results, budget)
             return
-        for members, here in ((turns.members, near == 0), (turns.nearby, near == 1)):
-            part = BatchResult.empty(int(here.sum()), answers.q.shape[1])
-            self._many_in_turn(members, problem, targets[here], starts[here], part, budget)
+        for members, here in ((sequence.members, near == 0), (sequence.nearby, near == 1)):
+            part = BatchResult.empty(int(here.sum()), results.q.shape[1])
+            self._run_sequence_many(members, problem, targets[here], starts[here], part, budget)
             for item in fields(BatchResult):
-                getattr(answers, item.name)[here] = getattr(part, item.name)
+                getattr(results, item.name)[here] = getattr(part, item.name)

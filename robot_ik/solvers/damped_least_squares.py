@@ -20,9 +20,9 @@ from robot_ik.kernels.jacobian_step import (
     cap,
     extra_damping,
     filtered_step,
+    fix_pushed_by_gradient,
+    fix_pushed_by_step,
     keep_inside,
-    pin_downhill,
-    pin_outward,
     prepare,
     svd,
     volume,
@@ -91,14 +91,14 @@ def box_damped(goal, work, damping):
 @outlined
 def svd_damped(work, damping, adaptive, threshold):
     """work.step = Σ σ / (σ² + λ²) v uᵀ e; joints that stand at a bound and would leave it are taken out."""
-    pin_downhill(work)
+    fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
         svd(work.jacobian, work.left, work.sigma, work.right)
         strength = damping
         if adaptive:
             strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
         filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + extra_damping(work)))
-        if not pin_outward(work):
+        if not fix_pushed_by_step(work):
             break
     keep_inside(work)
 

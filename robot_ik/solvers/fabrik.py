@@ -4,7 +4,7 @@ Reaching back, each goal pulls its bones from the tip towards the root: a joint'
 bone's length from the next joint's target, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
 fast, iterative solver for the inverse kinematics problem, Graphical Models 73(5), 2011, algorithm 1); at a
 sub-base the targets of its branches are averaged (section 4.2).  Reaching forward puts the root back and
-lets the joints follow, root to tip, each turning about its real axis inside its limits to where its bone
+lets the joints follow, root to tip, each rotating about its real axis inside its limits to where its bone
 comes nearest to its target; on a chain of unlimited balls that is the paper's second half to the letter.
 
 A pose goal fixes the last node: its anchor's target is where the goal's pose puts it, and the joints whose
@@ -28,8 +28,8 @@ import numpy as np
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels.bones import (
     BALL_PULL,
+    DESCENDANTS,
     FIRST,
-    HANGS,
     LENGTH,
     NEXT,
     NOW,
@@ -41,12 +41,12 @@ from robot_ik.kernels.bones import (
     TARGET,
     UP,
     across,
-    apart,
+    distance,
+    has_orientation,
     link_points,
     locate_all,
-    mark_hanging,
+    mark_descendants,
     settle,
-    turned_goal,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
@@ -105,33 +105,33 @@ open_options = options_of(Fabrik)
 
 
 @pure
-def pulled(tree, goal, points, k, c, i):
+def pulled_position(tree, goal, points, k, c, i):
     """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
-    if tree.kind[k] == SLIDE:  # cannot turn: comes along as it is
+    if tree.kind[k] == SLIDE:  # cannot rotate: comes along as it is
         return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
-    gap = apart(points, k, NOW, c, TARGET)
+    gap = distance(points, k, NOW, c, TARGET)
     if gap > 1e-12:
         return points[c, TARGET + i] + points[c, LENGTH] / gap * (points[k, NOW + i] - points[c, TARGET + i])
     return points[c, TARGET + i] + points[k, NOW + i] - points[c, NOW + i]
 
 
 @pure
-def posed(goal, points, k, g, i):
+def posed_position(goal, points, k, g, i):
     """Coordinate ``i`` of where node ``k`` stands when the frame of goal ``g`` has the wanted pose."""
     target, local = goal.target, goal.local
     result = target[g, i]
     for j in range(3):
         # Entry (i, j) of the node's wanted rotation, R_target · R_localᵀ.
-        turn = 0.0
+        rotation_entry = 0.0
         for m in range(3):
-            turn += target[g, 3 + 3 * i + m] * local[g, 3 + 3 * j + m]
-        result += turn * ((points[k, SHIFT] if j == 2 else 0.0) - local[g, j])
+            rotation_entry += target[g, 3 + 3 * i + m] * local[g, 3 + 3 * j + m]
+        result += rotation_entry * ((points[k, SHIFT] if j == 2 else 0.0) - local[g, j])
     return result
 
 
 @outlined
 def reach_back(tree, goal, work, links, points):
-    """Wishes of all points, from the goals towards the roots."""
+    """Targets of all points, from the goals towards the roots."""
     n = tree.parent.shape[0]
     for index in range(work.nodes.shape[0] - 1, -1, -1):
         k = work.nodes[index]
@@ -141,10 +141,12 @@ def reach_back(tree, goal, work, links, points):
         while c >= 0:
             share = points[c, SHARE] / points[k, SHARE] if points[k, SHARE] > 0.0 else 0.0
             if share > 0.0:
-                fixed = c >= n and turned_goal(goal, c - n)
+                fixed = c >= n and has_orientation(goal, c - n)
                 for i in range(3):
                     target = (
-                        posed(goal, points, k, c - n, i) if fixed else pulled(tree, goal, points, k, c, i)
+                        posed_position(goal, points, k, c - n, i)
+                        if fixed
+                        else pulled_position(tree, goal, points, k, c, i)
                     )
                     points[k, TARGET + i] += share * target
             c = links[c, NEXT]
@@ -164,13 +166,13 @@ def bend(tree, goal, work, links, points, kick):
             length += points[root, LENGTH]
             root = links[root, UP]
         end, at = tip, TARGET
-        far = apart(points, tip, TARGET, root, NOW)
+        far = distance(points, tip, TARGET, root, NOW)
         if far >= length * (1.0 - _STRETCHED):
             too_far = True
             continue
         if far < 1e-9 * length:  # the goal is at the root: the line is the chain's own
             at = NOW
-            far = apart(points, tip, NOW, root, NOW)
+            far = distance(points, tip, NOW, root, NOW)
             if far < 1e-9 * length:
                 continue
         x = (points[end, at] - points[root, NOW]) / far
@@ -184,12 +186,12 @@ def bend(tree, goal, work, links, points, kick):
             off = max(off, abs(y * dz - z * dy), abs(z * dx - x * dz), abs(x * dy - y * dx))
             k = links[k, UP]
         if off < _STRAIGHT * length:
-            bulge(tree, work.world, links, points, root, tip, x, y, z, kick)
+            push_off_line(tree, work.world, links, points, root, tip, x, y, z, kick)
     return too_far
 
 
 @outlined
-def bulge(tree, world, links, points, root, tip, x, y, z, kick):
+def push_off_line(tree, world, links, points, root, tip, x, y, z, kick):
     """Moves the points between root and tip off the line (x, y, z), to where their hinges can go."""
     ax, ay, az = across(x, y, z)
     k = links[tip, UP]
@@ -210,13 +212,13 @@ def bulge(tree, world, links, points, root, tip, x, y, z, kick):
 
 @outlined
 def straighten(tree, links, points):
-    """Wishes of a single chain on the line from its root to its goal, bone after bone."""
+    """Targets of a single chain on the line from its root to its goal, bone after bone."""
     tip = tree.parent.shape[0]
     root, length = tip, 0.0
     while links[root, UP] >= 0:
         length += points[root, LENGTH]
         root = links[root, UP]
-    far = apart(points, tip, TARGET, root, NOW)
+    far = distance(points, tip, TARGET, root, NOW)
     x, y, z = points[tip, TARGET], points[tip, TARGET + 1], points[tip, TARGET + 2]
     k = tip
     while k != root:
@@ -233,7 +235,7 @@ def lacks_wrist(tree, goal, links, points):
     """Whether some goal asks for an orientation that the joints at its end cannot take by themselves."""
     for g in range(goal.kind.shape[0]):
         k, freedoms = goal.node[g], 0
-        if k < 0 or not turned_goal(goal, g):
+        if k < 0 or not has_orientation(goal, g):
             continue
         while k >= 0:
             freedoms += 3 if tree.kind[k] in (BALL, FREE) else (1 if tree.kind[k] == HINGE else 0)
@@ -269,11 +271,11 @@ def fabrik(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
+    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
-    mark_hanging(goal, links)
+    mark_descendants(goal, links)
     work.step[:] = 0.0
     sums[PULL] = options.pull
     begin(tree, goal, work)

@@ -16,7 +16,7 @@ from robot_ik.solvers.base import IterativeSolver, option
 class JacobianSolver(IterativeSolver):
     """A method whose step is made from the Jacobian and the residual: options that all of them share."""
 
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     unseen: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
@@ -68,8 +68,8 @@ class BoneSolver(IterativeSolver):
                 hint="freeze it with load_robot(…, joints=[…]), or use another solver",
             )
 
-    def beyond(self, problem: Problem) -> str:
-        if kind := super().beyond(problem):
+    def unsupported(self, problem: Problem) -> str:
+        if kind := super().unsupported(problem):
             return kind
         if len(problem.goals) > 1 and not self.several:
             return "several goals at once"

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import cap, keep_inside, pin_downhill, prepare, shorten
+from robot_ik.kernels.jacobian_step import cap, fix_pushed_by_gradient, keep_inside, prepare, shorten
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
@@ -52,7 +52,7 @@ def transpose_step(tree, goal, work, options):
     """work.step = α Jᵀ e without the joints that stand at a bound and would leave it."""
     alpha = options.fixed_gain
     prepare(tree, goal, work, options.clamp, options.alternative)
-    pin_downhill(work)  # afterwards work.gradient is Jᵀ e of the joints that remain
+    fix_pushed_by_gradient(work)  # afterwards work.gradient is Jᵀ e of the joints that remain
     jacobian, gradient, step = work.jacobian, work.gradient, work.step
     if alpha == 0.0:
         along, square = 0.0, 0.0

@@ -4,7 +4,7 @@ Each step minimises ½ ‖J d − r‖² + ½ λ ‖d‖² inside the joint limi
 proportion to the cost, as Chan & Lawrence (General inverse kinematics with the error damped
 pseudoinverse, ICRA 1988) have it; a step that made things worse is taken back and λ raised
 (Marquardt 1963).  Short tries from random starts, each the best of a few draws, replace long ones
-that creep; in these a joint with a whole turn of room goes round rather than stop at its limit.
+that creep; in these a joint with a range of 2π wraps around rather than stop at its limit.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -57,7 +57,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
-# What Gauss-Newton leaves out: how the Jacobian itself turns, weighed with the residual.
+# What Gauss-Newton leaves out: how the Jacobian itself rotates, weighed with the residual.
 #
 # Near a goal that can be met the residual vanishes and this with it.  Near the nearest point to a goal that
 # cannot, it decides how quickly a descent ends: without it each step takes off a fixed share of the way.
@@ -87,7 +87,7 @@ def second_order(tree, goal, work, out):
     """Hessian of ½ |r|² less JᵀJ into the lower triangle of ``out`` (nu, nu); r and J are in the work space.
 
     Of two joints that move a goal the one with the smaller index is nearer to the root, a its axis.  A hinge
-    there turns the other's column of the position, v: ∂²p = a × v.  Of a rotation, with unit axes a before b
+    there rotates the other's column of the position, v: ∂²p = a × v.  Of a rotation, with unit axes a, b,
     and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
     follows from φ' = −J_r⁻¹(φ) ω and b' = a × b (k of ``curvature``).
     """
@@ -99,20 +99,24 @@ def second_order(tree, goal, work, out):
             out[i, j] = 0.0
     for g in range(goal.kind.shape[0]):
         what, row, weight = goal.kind[g], goal.row[g], goal.weight[g, 1]
-        turned = row if what == ORIENTATION else row + 3
+        angular_row = row if what == ORIENTATION else row + 3
         ex, ey, ez, fx, fy, fz, k, square = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if what != ORIENTATION:
             ex, ey, ez = residual[row], residual[row + 1], residual[row + 2]
         if what != POSITION and weight > 0.0:
             s = 1.0 / weight
-            fx, fy, fz = s * residual[turned], s * residual[turned + 1], s * residual[turned + 2]
+            fx, fy, fz = (
+                s * residual[angular_row],
+                s * residual[angular_row + 1],
+                s * residual[angular_row + 2],
+            )
             k, square = curvature(fx, fy, fz), fx * fx + fy * fy + fz * fz
         for j in range(n):
             node = dof_node[goal.dofs[j]]
             if goal.moves[g, j] == 0:
                 continue
-            ax, ay, az, turn = dof_axis(kinds, world, node, goal.dofs[j] - vadr[node])
-            if not turn:
+            ax, ay, az, rotational = dof_axis(kinds, world, node, goal.dofs[j] - vadr[node])
+            if not rotational:
                 continue
             s = joint_scale[j]
             # e · (a × v) = v · (e × a), and φ · (a × b) = b · (φ × a).
@@ -127,14 +131,14 @@ def second_order(tree, goal, work, out):
                 if what == POSITION:
                     continue
                 other = dof_node[goal.dofs[i]]
-                bx, by, bz, turns = dof_axis(kinds, world, other, goal.dofs[i] - vadr[other])
-                if not turns:
+                bx, by, bz, other_rotational = dof_axis(kinds, world, other, goal.dofs[i] - vadr[other])
+                if not other_rotational:
                     continue
                 cosine = ax * bx + ay * by + az * bz
                 hessian = cosine + k * (along * (fx * bx + fy * by + fz * bz) - square * cosine)
                 hessian -= 0.5 * (qx * bx + qy * by + qz * bz)
                 product = 0.0
-                for r in range(turned, turned + 3):
+                for r in range(angular_row, angular_row + 3):
                     product += jacobian[r, i] * jacobian[r, j]
                 out[i, j] += weight * weight * s * joint_scale[i] * hessian - product
 
@@ -181,7 +185,7 @@ class LevenbergMarquardt(IterativeSolver):
 
     name: ClassVar[str] = "lm"
     title: ClassVar[str] = "Levenberg-Marquardt inside the joint limits, with restarts"
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
@@ -200,10 +204,10 @@ class LevenbergMarquardt(IterativeSolver):
 
         return lm_levels
 
-    def beyond(self, problem: Problem) -> str:
+    def unsupported(self, problem: Problem) -> str:
         if self.guided and has_levels(problem.compiled):
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
-        return super().beyond(problem)
+        return super().unsupported(problem)
 
     def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
         options = self.option_values
@@ -215,11 +219,11 @@ class LevenbergMarquardt(IterativeSolver):
         return (RUN.pack(tables),)
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         run = self._run_for(problem)
         if budget.seconds is not None or self.guided:
-            super().attempt_many(problem, targets, starts, answers, budget)  # only Python can read a clock
+            super().attempt_many(problem, targets, starts, results, budget)  # only Python can read a clock
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
         fresh, value = self.fresh_state(budget, problem.seed)
@@ -227,7 +231,7 @@ class LevenbergMarquardt(IterativeSolver):
         (address,) = run.arguments
         lm_many(
             address, fresh, targets, starts,
-            answers.q, answers.status, answers.miss, answers.iterations, answers.restarts,
+            results.q, results.status, results.miss, results.iterations, results.restarts,
         )  # fmt: skip
 
 
@@ -240,38 +244,38 @@ def has_levels(compiled: CompiledProblem) -> bool:
 
 
 @pure
-def spare_room(tree, goal, work, stride):
-    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may go round."""
+def stride_bounds(tree, goal, work, stride):
+    """``step_bounds``, but no more than ``stride`` at once; in later tries joints may wrap around."""
     step_bounds(tree, goal, work)
     low, high, joint_scale = work.low, work.high, goal.joint_scale
-    around = roams(tree, work)
+    around = may_wrap(tree, work)
     for u in range(low.shape[0]):
         most = stride / joint_scale[u]
-        if around and goes_round(tree, goal.dofs[u]):
+        if around and can_wrap(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:
             low[u], high[u] = max(low[u], -most), min(high[u], most)
 
 
 @pure
-def roams(tree, work):
-    """Whether joints may go round: not where others follow, nor in the tries that stay near the start."""
+def may_wrap(tree, work):
+    """Whether joints may wrap around: not where others follow, nor in the tries that stay near the start."""
     return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.tied.shape[0] == 0
 
 
 @pure
-def goes_round(tree, v):
-    """Whether a joint has a whole turn between its limits, so that no pose is lost by going round."""
-    turn = tree.upper[v] - tree.lower[v]
-    return turn >= 2.0 * math.pi and turn < math.inf and tree.kind[tree.dof_node[v]] == HINGE
+def can_wrap(tree, v):
+    """Whether a joint has a whole revolution between its limits, so that wrapping loses no pose."""
+    span = tree.upper[v] - tree.lower[v]
+    return span >= 2.0 * math.pi and span < math.inf and tree.kind[tree.dof_node[v]] == HINGE
 
 
 @pure
-def go_round(tree, goal, work):
-    """Where a step leads a joint past its limit, it goes on a whole turn before."""
+def wrap_around(tree, goal, work):
+    """Where a step leads a joint past its limit, it goes on a whole revolution before."""
     for u in range(work.step.shape[0]):
         v = goal.dofs[u]
-        if goes_round(tree, v):
+        if can_wrap(tree, v):
             joint_scale = goal.joint_scale[u]
             there = work.q[tree.qadr[tree.dof_node[v]]] + joint_scale * work.step[u]
             if there > tree.upper[v]:
@@ -312,7 +316,7 @@ def lm_step(tree, goal, work, points, wanted, options):
         value[COST] = value[ACCEPTED]
         copy(work.accepted, work.q)
     damping = value[DAMPING] * value[COST] + floor
-    spare_room(tree, goal, work, options.stride)
+    stride_bounds(tree, goal, work, options.stride)
     if exact:
         pressed = exact_step(work, damping)
     elif m < n:
@@ -332,8 +336,8 @@ def lm_step(tree, goal, work, points, wanted, options):
             step[i] = 0.0
     else:
         state[PRESSED] = pressed
-        if roams(tree, work):
-            go_round(tree, goal, work)
+        if may_wrap(tree, work):
+            wrap_around(tree, goal, work)
 
 
 @pure

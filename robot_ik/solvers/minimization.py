@@ -25,11 +25,11 @@ from robot_ik.solvers.base import IterativeSolver, option, options_of
 # ------------------------------------------------------------------------------------------
 # Cones of balls as constraints of a variable metric.
 #
-# A ball whose turn is as large as its cone allows would leave it along the axis n of that turn, body axes:
+# A ball whose rotation is as large as its cone allows would leave it along that rotation's axis n, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
-# zero at the minimum, would spoil what the metric learns.)
+# zero at the minimum, would spoil the update of the metric.)
 
 
 # A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
@@ -46,7 +46,7 @@ def is_cone(tree, goal, u):
 
 @pure
 def edge_axis(tree, goal, q, u):
-    """Axis of the ball's turn where that is as large as its cone allows, else zero."""
+    """Axis of the ball's rotation where that is as large as its cone allows, else zero."""
     v = goal.dofs[u]
     a = tree.qadr[tree.dof_node[v]]
     sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
@@ -97,19 +97,19 @@ def release_cone(work, u):
 
 @outlined
 def slope_left(tree, goal, work):
-    """The slope at work.q along work.way, less what the edges of the held cones take up."""
-    gradient, way = work.gradient, work.way
+    """The slope at work.q along work.search_direction, less what the edges of the held cones take up."""
+    gradient, search_direction = work.gradient, work.search_direction
     left = 0.0
-    for u in range(way.shape[0]):
-        left += gradient[u] * way[u]
+    for u in range(search_direction.shape[0]):
+        left += gradient[u] * search_direction[u]
         if work.side[u] != 0 and is_cone(tree, goal, u):
             x, y, z = edge_axis(tree, goal, work.q, u)
-            left -= along(gradient, u, x, y, z) * along(way, u, x, y, z)
+            left -= along(gradient, u, x, y, z) * along(search_direction, u, x, y, z)
     return left
 
 
 @pure
-def turned(x, y, z, vx, vy, vz, k):
+def rotated(x, y, z, vx, vy, vz, k):
     """w + v × w + k v × (v × w): Rodrigues' rotation with v = sine · axis, k = 1 / (1 + cosine)."""
     cx, cy, cz = vy * z - vz * y, vz * x - vx * z, vx * y - vy * x
     return (
@@ -120,7 +120,7 @@ def turned(x, y, z, vx, vy, vz, k):
 
 
 @outlined
-def carry(tree, goal, work):
+def transport(tree, goal, work):
     """Takes metric, work.moved and work.before of the held cones from work.accepted along to work.q."""
     metric, normal, moved, before = work.metric, work.outward, work.moved, work.before
     n = metric.shape[0]
@@ -140,15 +140,15 @@ def carry(tree, goal, work):
             vector[u + 2] -= out * z
         vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
         for vector in (moved, before):
-            vector[u], vector[u + 1], vector[u + 2] = turned(
+            vector[u], vector[u + 1], vector[u + 2] = rotated(
                 vector[u], vector[u + 1], vector[u + 2], vx, vy, vz, k
             )
         for i in range(n):
-            metric[u, i], metric[u + 1, i], metric[u + 2, i] = turned(
+            metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(
                 metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
             )
         for i in range(n):
-            metric[i, u], metric[i, u + 1], metric[i, u + 2] = turned(
+            metric[i, u], metric[i, u + 1], metric[i, u + 2] = rotated(
                 metric[i, u], metric[i, u + 1], metric[i, u + 2], vx, vy, vz, k
             )
         normal[u], normal[u + 1], normal[u + 2] = px, py, pz
@@ -163,7 +163,7 @@ def carry(tree, goal, work):
 # The metric of a variable-metric method, projected on the limits that are active.
 #
 # ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as a multiple of
-# the identity and learns the inverse of the Hessian from the steps that are taken (``learn``).
+# the identity and is updated to the inverse of the Hessian by the steps that are taken (``update_metric``).
 #
 # A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
 # it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
@@ -176,19 +176,19 @@ def carry(tree, goal, work):
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
-# Least cosine between a step and the change of slope along it for the metric to learn from them.
+# Least cosine between a step and the change of slope along it for the metric to be updated from them.
 _LEAST_CURVATURE = 1e-8
 
 
 @outlined
-def slopes(tree, goal, work):
-    """At work.q, which has been measured: work.gradient = Jᵀr, and how far down it the linearised goals want.
+def measure_gradient(tree, goal, work):
+    """At work.q, which has been measured: work.gradient = Jᵀr, and the step along it that the goals ask for.
 
-    That is value[SCALE] = gᵀg / |J g|² (Cauchy 1847).
+    That step is value[SCALE] = gᵀg / |J g|², of the linearised goals (Cauchy 1847).
     """
     goal_jacobian(tree, goal, work, work.frames)
     jacobian, residual, gradient = work.jacobian, work.residual, work.gradient
-    square, bend = 0.0, 0.0
+    square, curvature = 0.0, 0.0
     for u in range(gradient.shape[0]):
         along = 0.0
         for r in range(residual.shape[0]):
@@ -199,8 +199,8 @@ def slopes(tree, goal, work):
         row = 0.0
         for u in range(gradient.shape[0]):
             row += jacobian[r, u] * gradient[u]
-        bend += row * row
-    work.value[SCALE] = square / bend if bend > 0.0 else 1.0
+        curvature += row * row
+    work.value[SCALE] = square / curvature if curvature > 0.0 else 1.0
 
 
 @outlined
@@ -231,7 +231,7 @@ def hold_coordinate(work, u):
 
 
 @pure
-def leaves(work, vector, u):
+def leaves_bound(work, vector, u):
     """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
     return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
 
@@ -254,7 +254,7 @@ def constrain(tree, goal, work):
                 for i in range(u, u + 3):
                     work.low[i] = work.high[i] = 0.0
             continue
-        leaving = leaves(work, gradient, u)
+        leaving = leaves_bound(work, gradient, u)
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
@@ -264,21 +264,21 @@ def constrain(tree, goal, work):
 
 @outlined
 def direction(tree, goal, work):
-    """work.way = H g; limits that it would cross at once are held, too.  Returns the slope along it."""
-    metric, gradient, way, side = work.metric, work.gradient, work.way, work.side
+    """work.search_direction = H g; limits that it crosses at once are held, too.  Returns its slope."""
+    metric, gradient, search_direction, side = work.metric, work.gradient, work.search_direction, work.side
     n = gradient.shape[0]
     for _ in range(n + 1):
         for i in range(n):
             s = 0.0
             for j in range(n):
                 s += metric[i, j] * gradient[j]
-            way[i] = s
+            search_direction[i] = s
         crossed = False
         for u in range(n):
-            if is_cone(tree, goal, u) and leaves_cone(work, way, u) and side[u] == 0:
+            if is_cone(tree, goal, u) and leaves_cone(work, search_direction, u) and side[u] == 0:
                 hold_cone(work, u)
                 crossed = True
-            elif leaves(work, way, u) and side[u] == 0:
+            elif leaves_bound(work, search_direction, u) and side[u] == 0:
                 hold_coordinate(work, u)
                 crossed = True
         if not crossed:
@@ -286,7 +286,7 @@ def direction(tree, goal, work):
     pressed, slope = 0, 0.0
     for u in range(n):
         pressed += side[u]
-        slope += gradient[u] * way[u]
+        slope += gradient[u] * search_direction[u]
     work.state[PRESSED] = pressed
     return slope
 
@@ -312,7 +312,7 @@ def displacement(tree, goal, work):
 
 
 @outlined
-def learn(work):
+def update_metric(work):
     """The update of Broyden, Fletcher, Goldfarb and Shanno (1970) from s = moved and y = before − gradient.
 
     H ← (1 − s yᵀ/σ) H (1 − y sᵀ/σ) + s sᵀ/σ, σ = sᵀy; left out where σ is not clearly positive, which
@@ -369,7 +369,7 @@ class Minimization(IterativeSolver):
     name: ClassVar[str] = "bfgs"
     title: ClassVar[str] = "minimisation by a variable metric (BFGS), projected on the limits"
     source: ClassVar[str] = "Zhao & Badler, ACM Transactions on Graphics 13(4), 1994"
-    parts: ClassVar[bool] = True
+    partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
 
     def kernel(self) -> Callable[..., None]:
@@ -380,15 +380,15 @@ open_options = options_of(Minimization)
 
 
 @outlined
-def go(tree, goal, work, share):
-    """Measures the point ``share`` of work.way from work.accepted, inside limits; returns what is promised.
+def try_step(tree, goal, work, share):
+    """Measures work.accepted plus ``share`` of work.search_direction, in limits; returns what is promised.
 
-    That is the descent which the slope promises for the way that is left of it at the limits.
+    That is the descent which the slope promises for the part that is left of it at the limits.
     """
-    step, low, high, way = work.step, work.low, work.high, work.way
+    step, low, high, search_direction = work.step, work.low, work.high, work.search_direction
     copy(work.accepted, work.q)
     for u in range(step.shape[0]):
-        step[u] = min(max(share * way[u], low[u]), high[u])
+        step[u] = min(max(share * search_direction[u], low[u]), high[u])
     apply_step(tree, goal, work.nodes, step, work.dq, work.q)
     displacement(tree, goal, work)
     measure(tree, goal, work)
@@ -399,28 +399,32 @@ def go(tree, goal, work, share):
 
 
 @outlined
-def search(tree, goal, work, options, slope):
-    """Goes down along work.way until enough is won and the slope has eased (Wolfe 1969).
+def line_search(tree, goal, work, options, slope):
+    """Goes down along work.search_direction until enough is won and the slope has eased (Wolfe 1969).
 
     Returns whether a lower point was found: then work.q, work.step, work.gradient and work.moved are its own.
-    A way that meets limits is bent along them, and searched for descent only.
+    A direction that meets limits is clipped to them, and searched for descent only.
     """
     max_step, decrease, curvature = options.max_step, options.decrease, options.curvature
-    cost, way = work.value[COST], work.way
+    cost, search_direction = work.value[COST], work.search_direction
     longest = 0.0
-    for u in range(way.shape[0]):
-        longest = max(longest, abs(way[u]))
+    for u in range(search_direction.shape[0]):
+        longest = max(longest, abs(search_direction[u]))
     share = min(1.0, max_step / longest)
     good, bad = 0.0, 0.0
     for _ in range(_TRIALS):
-        promised = go(tree, goal, work, share)
+        promised = try_step(tree, goal, work, share)
         won = cost - work.value[COST]
         if promised > 0.0 and won >= decrease * promised:
-            slopes(tree, goal, work)
-            bent = False
-            for u in range(way.shape[0]):
-                bent = bent or work.step[u] != share * way[u]
-            if slope_left(tree, goal, work) <= curvature * slope or bent or 2.0 * share * longest > max_step:
+            measure_gradient(tree, goal, work)
+            clipped = False
+            for u in range(search_direction.shape[0]):
+                clipped = clipped or work.step[u] != share * search_direction[u]
+            if (
+                slope_left(tree, goal, work) <= curvature * slope
+                or clipped
+                or 2.0 * share * longest > max_step
+            ):
                 return True
             good = share
             share = 2.0 * share if bad == 0.0 else 0.5 * (good + bad)
@@ -431,8 +435,8 @@ def search(tree, goal, work, options, slope):
             else:  # the parabola through both costs and the slope
                 share *= min(max(0.5 * promised / (promised - won), 0.1), 0.5)
     if good > 0.0:
-        go(tree, goal, work, good)
-        slopes(tree, goal, work)
+        try_step(tree, goal, work, good)
+        measure_gradient(tree, goal, work)
     return good > 0.0
 
 
@@ -441,17 +445,17 @@ def bfgs_step(tree, goal, work, options):
     """work.step for one step downhill; zero, and the end of the try, where there is none."""
     state, cost = work.state, work.value[COST]
     if state[TRY_STEPS] == 0:
-        slopes(tree, goal, work)
+        measure_gradient(tree, goal, work)
         reset(work)
     copy(work.q, work.accepted)
     for _ in range(2):
         constrain(tree, goal, work)
         slope = direction(tree, goal, work)
         copy(work.gradient, work.before)
-        found = slope > 0.0 and search(tree, goal, work, options, slope)
+        found = slope > 0.0 and line_search(tree, goal, work, options, slope)
         if found:
-            carry(tree, goal, work)
-            learn(work)
+            transport(tree, goal, work)
+            update_metric(work)
         copy(work.accepted, work.q)  # ``advance`` goes on from there
         work.value[COST] = cost
         if found:

@@ -19,9 +19,9 @@ from robot_ik.kernels.jacobian_step import (
     cap,
     extra_damping,
     filtered_step,
+    fix_pushed_by_gradient,
+    fix_pushed_by_step,
     keep_inside,
-    pin_downhill,
-    pin_outward,
     prepare,
     svd,
     volume,
@@ -167,7 +167,7 @@ def set_aim(tree, goal, work, code, gain):
 
 @outlined
 def keep_aim_inside(work):
-    """Drops what the aim asks of joints that stand at a bound and would leave it, or are pinned."""
+    """Drops what the aim asks of joints that stand at a bound and would leave it, or are fixed."""
     for u in range(work.aim.shape[0]):
         a = work.aim[u]
         leaves = (a < 0.0 and work.low[u] > -AT_BOUND) or (a > 0.0 and work.high[u] < AT_BOUND)
@@ -233,13 +233,13 @@ def pseudo_step(tree, goal, work, options):
     extra = math.sqrt(extra_damping(work))
     if work.state[POLISHING] > 0:
         cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
-    pin_downhill(work)
+    fix_pushed_by_gradient(work)
     keep_aim_inside(work)
     for _ in range(work.step.shape[0] + 1):
         svd(work.jacobian, work.left, work.sigma, work.right)
         filtered_step(work, cutoff, extra)
         add_null_motion(work, cutoff)
-        if not pin_outward(work):
+        if not fix_pushed_by_step(work):
             break
     share = keep_inside(work)
     return share * cap(work, gain, max_step)

@@ -25,7 +25,7 @@ import numpy as np
 
 from robot_ik.kernels.bones import (
     BALL_PULL,
-    HANGS,
+    DESCENDANTS,
     LENGTH,
     NOW,
     PATH,
@@ -34,12 +34,12 @@ from robot_ik.kernels.bones import (
     SUM_SIZE,
     TARGET,
     across,
-    apart,
     chain_path,
+    distance,
     inner_radius,
     link_points,
     locate_all,
-    mark_hanging,
+    mark_descendants,
     settle,
     third_side_angle,
 )
@@ -78,13 +78,13 @@ open_options = options_of(Recursive)
 
 
 @pure
-def meet(points, e, b, p, radius):
+def intersect_spheres(points, e, b, p, radius):
     """Target of ``b`` on the circle of the spheres about that of ``e`` (its bone) and ``p`` (``radius``).
 
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
     length = points[e, LENGTH]
-    far = apart(points, e, TARGET, p, NOW)
+    far = distance(points, e, TARGET, p, NOW)
     if far > length + radius or far < abs(length - radius) or far == 0.0:
         return False
     x = (points[e, TARGET] - points[p, NOW]) / far
@@ -111,7 +111,7 @@ def meet(points, e, b, p, radius):
 
 
 @pure
-def drag(points, e, b, root, low, high, guard):
+def drag_bone(points, e, b, root, low, high, guard):
     """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
     length = points[e, LENGTH]
     x, y, z = (
@@ -124,7 +124,7 @@ def drag(points, e, b, root, low, high, guard):
         x, y, z = x / norm, y / norm, z / norm
     else:
         x, y, z = 0.0, 0.0, 1.0
-    far = apart(points, root, NOW, e, TARGET)
+    far = distance(points, root, NOW, e, TARGET)
     if guard and far > 0.0 and length > 0.0:
         rx = (points[root, NOW] - points[e, TARGET]) / far
         ry = (points[root, NOW + 1] - points[e, TARGET + 1]) / far
@@ -148,7 +148,7 @@ def drag(points, e, b, root, low, high, guard):
 
 @outlined
 def pull_chain(tree, goal, links, points, guard):
-    """Wishes of all points, tip to root; False when the root bone cannot follow."""
+    """Targets of all points, tip to root; False when the root bone cannot follow."""
     count = chain_path(tree, links)
     total = 0.0
     for i in range(count):
@@ -162,13 +162,13 @@ def pull_chain(tree, goal, links, points, guard):
     rest = total
     for i in range(count - 1, 0, -1):
         e, b = links[i, PATH], links[i - 1, PATH]
-        if abs(apart(points, e, TARGET, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
+        if abs(distance(points, e, TARGET, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
             return True
         if i == 1:
             return False
         rest -= points[e, LENGTH]
-        if not meet(points, e, b, links[i - 2, PATH], points[b, LENGTH]):
-            drag(points, e, b, root, inner_radius(points, links, 1, i), rest, guard)
+        if not intersect_spheres(points, e, b, links[i - 2, PATH], points[b, LENGTH]):
+            drag_bone(points, e, b, root, inner_radius(points, links, 1, i), rest, guard)
         else:
             return True
     return False
@@ -193,12 +193,12 @@ def recursive(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
+    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     best = np.empty(work.best.shape[0])
     link_points(tree, goal, work.nodes, links, points)
-    mark_hanging(goal, links)
+    mark_descendants(goal, links)
     work.step[:] = 0.0
     sums[BALL_PULL] = 0.0
     sums[PULL] = 0.0

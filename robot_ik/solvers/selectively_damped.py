@@ -20,9 +20,9 @@ from typing import ClassVar
 
 from robot_ik.kernels.jacobian_step import (
     cap,
+    fix_pushed_by_gradient,
+    fix_pushed_by_step,
     keep_inside,
-    pin_downhill,
-    pin_outward,
     prepare,
     shorten,
     svd,
@@ -110,11 +110,11 @@ def sdls_step(tree, goal, work, options):
     """One step of Buss & Kim; joints that stand at a bound and would leave it are taken out first."""
     clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
     prepare(tree, goal, work, clamp, alternative)
-    pin_downhill(work)
+    fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
         svd(work.jacobian, work.left, work.sigma, work.right)
         selective_step(goal, work, max_step)
-        if not pin_outward(work):
+        if not fix_pushed_by_step(work):
             break
     keep_inside(work)
     cap(work, gain, max_step)

@@ -25,7 +25,7 @@ import numpy as np
 
 from robot_ik.kernels.bones import (
     BALL_PULL,
-    HANGS,
+    DESCENDANTS,
     LENGTH,
     NOW,
     PATH,
@@ -40,7 +40,7 @@ from robot_ik.kernels.bones import (
     link_points,
     locate,
     locate_all,
-    mark_hanging,
+    mark_descendants,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
@@ -133,7 +133,7 @@ def bone_direction(tree, work, goal, links, points, i, j, count, improved):
 
 @outlined
 def target_bone(tree, work, goal, links, points, i, j, count, improved):
-    """Wishes for the end of the bone from path[i] to path[j], and for the points after it on one line."""
+    """Targets for the end of the bone from path[i] to path[j], and for the points after it on one line."""
     p, a = links[i, PATH], points[links[j, PATH], LENGTH]
     dx, dy, dz = bone_direction(tree, work, goal, links, points, i, j, count, improved)
     x, y, z = points[p, NOW] + a * dx, points[p, NOW + 1] + a * dy, points[p, NOW + 2] + a * dz
@@ -183,11 +183,11 @@ def triangulation(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, HANGS + goal.kind.shape[0]), dtype=np.int64)
+    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
     points = np.empty((count, POINT_COLUMNS))
     one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
     link_points(tree, goal, work.nodes, links, points)
-    mark_hanging(goal, links)
+    mark_descendants(goal, links)
     work.step[:] = 0.0
     sums[BALL_PULL] = 0.0
     sums[PULL] = options.pull

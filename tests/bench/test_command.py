@@ -16,7 +16,7 @@ from robot_ik.cli.main import main
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "said"),
     [
         ("--solvers lmm", "did you mean 'lm'"),
         ("--robots puma56", "did you mean 'puma560'"),
@@ -26,18 +26,20 @@ from robot_ik.cli.main import main
     ],
 )
 def test_wrong_input_is_one_sentence(
-    words: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "none"
-    assert main(["bench", *words.split(), "--out", str(out)]) == 2
+    assert main(["bench", *arguments.split(), "--out", str(out)]) == 2
     reported = capsys.readouterr()
     assert said in " ".join((reported.out + reported.err).split()) and "Traceback" not in reported.err
     assert not out.exists()
 
 
 def test_the_table_has_a_row_for_each_method(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = f"bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots --out {tmp_path}"
-    assert main(words.split()) == 0
+    arguments = (
+        f"bench --solvers analytic lm --robots panda --sets cold --count 10 --no-plots --out {tmp_path}"
+    )
+    assert main(arguments.split()) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].strip() == "panda, cold"
     assert {"solver", "solved", "median", "p99", "steps", "restarts"} <= set(lines[1].split())
@@ -53,10 +55,10 @@ def test_kernels_and_batches(
 ) -> None:
     monkeypatch.setattr(growth, "JOINTS", (4, 8))
     monkeypatch.setattr(growth, "FIGURE_FRAMES", growth.FIGURE_FRAMES[:2])
-    words = (
+    arguments = (
         "bench --solvers lm analytic --robots panda puma560 --sets kernels batch --count 2 --no-plots --out"
     )
-    assert main([*words.split(), str(tmp_path)]) == 0
+    assert main([*arguments.split(), str(tmp_path)]) == 0
     reported = capsys.readouterr()
     results = read_results(tmp_path / "bench.json")
     assert not results.cells and [one.joints for one in results.lower_bounds] == [7, 6]
@@ -73,17 +75,19 @@ def test_kernels_and_batches(
 
 
 def test_problems_that_do_not_exist_take_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
-    assert main([*words.split(), str(tmp_path)]) == 0
+    arguments = "bench --solvers lm ccd --robots humanoid --sets unreachable --count 5 --no-plots --out"
+    assert main([*arguments.split(), str(tmp_path)]) == 0
     (line, *_) = capsys.readouterr().out.splitlines()
     assert line.startswith("humanoid, unreachable: nothing is out of its reach")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGINT for a child there")
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path, real_time: None) -> None:
-    words = "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999 --no-plots --out"
+    arguments = (
+        "bench --solvers lm ccd --robots puma560 --sets cold --count 2000 --seconds 999 --no-plots --out"
+    )
     child = subprocess.Popen(
-        [sys.executable, "-m", "robot_ik", *words.split(), str(tmp_path)],
+        [sys.executable, "-m", "robot_ik", *arguments.split(), str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

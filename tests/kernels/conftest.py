@@ -67,9 +67,9 @@ def random_models(draw: Any) -> RandomModel:
         for kind in kinds:
             names.append(f"j{len(names)}")
             joints += f'<freejoint name="{names[-1]}"/>' if kind == "free" else draw(_joint(kind, names[-1]))
-        place = f'pos="{_text(draw(VECTOR))}" quat="{_text(draw(QUATERNION))}"'
+        pose = f'pos="{_text(draw(VECTOR))}" quat="{_text(draw(QUATERNION))}"'
         site = f'<site name="s{i}" pos="{_text(draw(VECTOR))}" quat="{_text(draw(QUATERNION))}"/>'
-        bodies.append(f'<body name="b{i}" {place}>{joints}<geom size="0.1"/>{site}%s</body>')
+        bodies.append(f'<body name="b{i}" {pose}>{joints}<geom size="0.1"/>{site}%s</body>')
     for i in reversed(range(count)):
         inside = "".join(bodies[k] for k in range(i + 1, count) if parents[k] == i)
         bodies[i] = bodies[i] % inside

@@ -102,7 +102,7 @@ def test_an_edit_starts_another_cache_for_what_it_concerns_and_for_nothing_else(
 def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named_after() -> None:
     """A number from any other room would be baked in, and an edit of it would go unnoticed."""
     for path in sorted(
-        p for room in ("kernels", "solvers", "camera") for p in (PACKAGE / room).rglob("*.py")
+        p for folder in ("kernels", "solvers", "camera") for p in (PACKAGE / folder).rglob("*.py")
     ):
         name = ".".join(("robot_ik", *path.relative_to(PACKAGE).with_suffix("").parts))
         if path.name == "__init__.py" or "kernels.jit" not in path.read_text():
@@ -122,7 +122,7 @@ def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named
 def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tmp_path: Path):
     kernels = copied / "robot_ik" / "kernels"
     (kernels / "caller.py").write_text(CALLER)
-    answers = []
+    outputs = []
     for factor in ("2.0", "2.0", "5.0"):
         (kernels / "callee.py").write_text(CALLEE.replace("FACTOR", factor))
         code = (
@@ -131,9 +131,9 @@ def test_a_changed_callee_in_another_file_is_never_served_stale(copied: Path, tm
         # Python itself takes a file of the same length and second for unchanged, and would load its bytecode.
         done = run(code, COPY=copied, XDG_CACHE_HOME=tmp_path / "cache", PYTHONDONTWRITEBYTECODE="1")
         assert done.returncode == 0, done.stderr
-        answers.append(done.stdout.split(maxsplit=1))
-    assert [value for value, _ in answers] == ["21.0", "21.0", "51.0"]
-    assert [hits.strip() != "{}" for _, hits in answers] == [False, True, False]
+        outputs.append(done.stdout.split(maxsplit=1))
+    assert [value for value, _ in outputs] == ["21.0", "21.0", "51.0"]
+    assert [hits.strip() != "{}" for _, hits in outputs] == [False, True, False]
 
 
 def test_a_cache_that_cannot_be_written_is_replaced_by_a_temporary_one(tmp_path: Path):
@@ -163,9 +163,9 @@ except TypeError:
     print("TypeError")
 """
     cache = tmp_path / "cache"
-    for entry, answer, cached in (("doubled", "20.0", "False"), ("again", "40.0", "True")):
+    for entry, output, cached in (("doubled", "20.0", "False"), ("again", "40.0", "True")):
         done = run(code.replace("ENTRY", entry), XDG_CACHE_HOME=cache, PYTHONPATH=tmp_path)
-        assert done.stdout.split() == [answer, cached, "TypeError"], done.stderr
+        assert done.stdout.split() == [output, cached, "TypeError"], done.stderr
     machine_code = {
         name: [b"\x7fELF" in file.read_bytes() for file in cache.rglob(f"mine.{name}-*.nbc")]
         for name in ("twice", "doubled", "again")

@@ -77,16 +77,16 @@ def test_clip_gives_the_nearest_inside(any_model, load_xml, roam, data, seed):
         if k in (0, 1):  # hinge, slide
             assert inside[a] == min(max(q[a], robot.lower[v]), robot.upper[v])
         elif k == 2:
-            turn = np.zeros(3)
-            mujoco.mju_quat2Vel(turn, inside[a : a + 4] / np.linalg.norm(inside[a : a + 4]), 1.0)
-            assert np.linalg.norm(turn) <= robot.upper[v] + 1e-12
+            vector = np.zeros(3)
+            mujoco.mju_quat2Vel(vector, inside[a : a + 4] / np.linalg.norm(inside[a : a + 4]), 1.0)
+            assert np.linalg.norm(vector) <= robot.upper[v] + 1e-12
             before = np.zeros(3)
             mujoco.mju_quat2Vel(before, q[a : a + 4] / np.linalg.norm(q[a : a + 4]), 1.0)
             if np.linalg.norm(before) <= robot.upper[v]:
                 assert np.array_equal(inside[a : a + 4], q[a : a + 4])
             else:  # brought back to the cone along the shortest way: about the same axis
-                assert np.linalg.norm(turn) == pytest.approx(robot.upper[v], abs=1e-12)
-                assert np.linalg.norm(np.cross(turn, before)) < 1e-9 and turn @ before > 0
+                assert np.linalg.norm(vector) == pytest.approx(robot.upper[v], abs=1e-12)
+                assert np.linalg.norm(np.cross(vector, before)) < 1e-9 and vector @ before > 0
         else:
             assert np.array_equal(inside[a : a + 7], q[a : a + 7])
     np.testing.assert_allclose(robot.clip(inside), inside, atol=1e-15)
@@ -115,10 +115,10 @@ def test_a_zero_quaternion_turns_nothing_as_in_mujoco(load_xml, mujoco_at):
 
 
 @settings(max_examples=30)
-@given(turn=st.tuples(*[st.floats(-1e-5, 1e-5)] * 3), scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e5]))
-def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, turn, scale):
+@given(vector=st.tuples(*[st.floats(-1e-5, 1e-5)] * 3), scale=st.sampled_from([1e-6, 1e-3, 1.0, 1e5]))
+def test_small_and_large_turns_integrate_as_in_mujoco(load_xml, vector, scale):
     robot = load_xml(BALL)
-    step = np.array(turn) * scale
+    step = np.array(vector) * scale
     expected = np.array([0.5, 0.5, -0.5, 0.5])
     moved = robot.integrate(expected, step)
     mujoco.mju_quatIntegrate(expected, step, 1.0)

@@ -33,8 +33,8 @@ def problems(draw):
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
     factor = rng.normal(size=(n + draw(st.integers(0, 3)), n))
     matrix = factor.T @ factor + 1e-3 * np.eye(n)
-    room = draw(st.sampled_from([0.01, 0.3, 3.0, np.inf]))
-    low, high = -room * rng.uniform(size=n), room * rng.uniform(size=n)
+    bound = draw(st.sampled_from([0.01, 0.3, 3.0, np.inf]))
+    low, high = -bound * rng.uniform(size=n), bound * rng.uniform(size=n)
     for i in range(n):  # some joints stand at a bound
         if draw(st.integers(0, 3)) == 0:
             (low if draw(st.booleans()) else high)[i] = 0.0
@@ -151,13 +151,13 @@ def among_rows(jacobian, residual, damping, low, high, hits, counts, step, side,
 @settings(max_examples=100)
 @given(
     m=st.integers(1, 8), more=st.integers(0, 5), seed=st.integers(0, 2**32),
-    size=st.floats(-6, 1), damping=st.floats(-6, 0), room=st.sampled_from([0.01, 0.3, 3.0]),
+    size=st.floats(-6, 1), damping=st.floats(-6, 0), bound=st.sampled_from([0.01, 0.3, 3.0]),
 )  # fmt: skip
-def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, room):
+def test_a_step_solved_among_the_rows_is_the_same(m, more, seed, size, damping, bound):
     rng, n = np.random.default_rng(seed), m + more
     jacobian, residual = rng.normal(size=(m, n)), rng.normal(size=m) * 10.0**size
     jacobian[rng.uniform(size=(m, n)) < 0.3] = 0.0
-    low, high = -room * rng.uniform(size=n), room * rng.uniform(size=n)
+    low, high = -bound * rng.uniform(size=n), bound * rng.uniform(size=n)
     low[rng.uniform(size=n) < 0.2] = 0.0
     high[rng.uniform(size=n) < 0.2] = 0.0
     matrix = jacobian.T @ jacobian + 10.0**damping * np.eye(n)

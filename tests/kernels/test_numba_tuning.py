@@ -46,8 +46,8 @@ def test_a_remembered_signature_is_the_one_that_numba_finds(monkeypatch: pytest.
     monkeypatch.setattr(BaseFunction, "get_call_type", both)
     options = (np.float32, np.float64)
     for kind in options:
-        answer = numba.njit(mixed)(ARGUMENTS[0].astype(kind), ARGUMENTS[1].astype(kind), *ARGUMENTS[2:])
-        assert answer == pytest.approx(mixed(ARGUMENTS[0].copy(), ARGUMENTS[1].copy(), *ARGUMENTS[2:]))
+        result = numba.njit(mixed)(ARGUMENTS[0].astype(kind), ARGUMENTS[1].astype(kind), *ARGUMENTS[2:])
+        assert result == pytest.approx(mixed(ARGUMENTS[0].copy(), ARGUMENTS[1].copy(), *ARGUMENTS[2:]))
     assert len(compared) > 100
     for key, args, given, gives, found, finds in compared:
         assert (given, gives) == (found, finds), (key, args)

@@ -77,11 +77,11 @@ def differences(problem, q, step=1e-6):
     for v in problem.dofs:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        ahead, behind = (
+        forward, backward = (
             evaluate(problem, robot.integrate(q, dq))[1],
             evaluate(problem, robot.integrate(q, -dq))[1],
         )
-        columns.append((behind - ahead) / (2 * step))
+        columns.append((backward - forward) / (2 * step))
     return np.array(columns).T.reshape(problem.rows, len(problem.dofs))
 
 

@@ -47,7 +47,7 @@ def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(name: str, tmp
     off = [np.abs(robot.difference(a, b)).max() for a, b in zip(frames.q, again.q, strict=True)]
     assert max(off) < 1e-10  # degrees to 17 digits, and one tilted hinge through a matrix
     # Each BVH joint stands where MuJoCo has the anchor of the joints that it is made of.
-    places, _ = read.poses()
+    positions, _ = read.poses()
     data = mujoco.MjData(robot.model)
     for k in range(0, len(frames), 9):
         data.qpos[:] = robot.qpos(frames.q[k])
@@ -56,7 +56,7 @@ def test_a_motion_is_read_back_equal_and_stands_where_mujoco_says(name: str, tmp
             if joint.name != "base":
                 body = robot.model.body(joint.name)
                 anchor = data.xanchor[int(body.jntadr[0])]
-                assert np.abs(BVH_AXES @ anchor - places[k, j] / 100.0).max() < 1e-12
+                assert np.abs(BVH_AXES @ anchor - positions[k, j] / 100.0).max() < 1e-12
 
 
 def test_a_robot_that_slides_has_no_bvh() -> None:
@@ -164,16 +164,16 @@ def test_a_take_of_another_figure_is_taken_over(humanoid: rik.Robot, tmp_path: P
 
 def test_our_own_file_is_taken_over_where_it_was(humanoid: rik.Robot) -> None:
     home = humanoid.home
-    place = humanoid.forward(home, "right_hand").position + np.array([0.25, 0.0, 0.35])
+    position = humanoid.forward(home, "right_hand").position + np.array([0.25, 0.0, 0.35])
     feet = [rik.PoseGoal.at(f, humanoid.forward(home, f)) for f in ("left_foot", "right_foot")]
     found = rik.solve(
-        humanoid, [*feet, rik.PositionGoal("right_hand", place), rik.PostureGoal(q=home, soft=True)]
+        humanoid, [*feet, rik.PositionGoal("right_hand", position), rik.PostureGoal(q=home, soft=True)]
     )
     motion = Keyframes.through(humanoid, [home, found.q], velocity=6.0)
     again = retarget(export_bvh(motion, 20.0), humanoid)
     end = again.motion.q[-1]
     assert again.scale == pytest.approx(0.01)
-    assert np.abs(humanoid.measure(end, "right_hand").position - place).max() < 5e-3
+    assert np.abs(humanoid.measure(end, "right_hand").position - position).max() < 5e-3
     assert np.median(again.hand_miss) < 2e-3
 
 
@@ -236,7 +236,7 @@ DEEP = "HIERARCHY ROOT a { OFFSET 0 0 0 " + "JOINT a { OFFSET 0 0 0 " * 5000
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("", "the file ends too early"),
         ("HIERARCHY MOTION", "got 'MOTION'; allowed: ROOT"),
@@ -252,7 +252,7 @@ DEEP = "HIERARCHY ROOT a { OFFSET 0 0 0 " + "JOINT a { OFFSET 0 0 0 " * 5000
         (DEEP, "the file ends too early"),
     ],
 )
-def test_a_broken_file_says_where(text: str, words: str, tmp_path: Path) -> None:
+def test_a_broken_file_says_where(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.bvh").write_text(text)
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(ConfigError, match=message):
         Bvh.load(tmp_path / "a.bvh")

@@ -148,7 +148,7 @@ def test_a_motion_asked_too_fast_says_how_long_it_takes(humanoid: rik.Robot) -> 
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("change", "message"),
     [
         (lambda t, q: (t[::-1], q), "times must increase"),
         (lambda t, q: (t, q[:, :-1]), "keys of 'puma560' got times"),
@@ -156,10 +156,10 @@ def test_a_motion_asked_too_fast_says_how_long_it_takes(humanoid: rik.Robot) -> 
         (lambda t, q: (t, q + 10.0), "outside its limits"),
     ],
 )
-def test_keys_that_make_no_motion_are_refused(change: object, words: str) -> None:
+def test_keys_that_make_no_motion_are_refused(change: object, message: str) -> None:
     puma = rik.load_robot("puma560")
     times, q = change(np.array([0.0, 1.0, 2.0]), np.array(random_keys(puma, 3)))  # type: ignore[operator]
-    with pytest.raises(TrajectoryError, match=words):
+    with pytest.raises(TrajectoryError, match=message):
         Keyframes(puma, times, q)
 
 
@@ -209,7 +209,7 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    ("text", "message"),
     [
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
         ("schema = 1\n[poses.a]\njoint9 = 1.0", r"poses.a.joint9: unknown joint \(did you mean 'joint\d'"),
@@ -225,9 +225,9 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
         ("schema = 1\n[poses.a]\njoint1 = nan", "nan is not right"),
     ],
 )
-def test_a_wrong_file_says_where(text: str, words: str, tmp_path: Path) -> None:
+def test_a_wrong_file_says_where(text: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "poses.toml").write_text(text)
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(ConfigError, match=message):
         KeyPoses.load(tmp_path / "poses.toml", rik.load_robot("puma560"))
 
 

@@ -32,9 +32,9 @@ def tool_poses(robot, trajectory, times, site):
     return np.array(positions), np.array(quats)
 
 
-def goal_beside(robot, q, shift, turn=(0.0, 0.0, 0.0), frame=None):
+def goal_beside(robot, q, shift, rotation=(0.0, 0.0, 0.0), frame=None):
     begin = robot.forward(q, frame)
-    return begin, Pose(begin.position + shift, quat_multiply(begin.wxyz, rotation_exp(turn)))
+    return begin, Pose(begin.position + shift, quat_multiply(begin.wxyz, rotation_exp(rotation)))
 
 
 def check_straight(robot, trajectory, begin, end, site, allowed=1e-4):
@@ -57,15 +57,15 @@ def check_straight(robot, trajectory, begin, end, site, allowed=1e-4):
 
 
 @pytest.mark.parametrize(
-    ("shift", "turn"),
+    ("shift", "rotation"),
     [
         ((0.1, -0.15, 0.1), (0.0, 0.0, 0.0)),
         ((-0.05, 0.2, -0.1), (0.2, -0.3, 0.5)),
         ((0.0, 0.0, -0.002), (0.0, 0.0, 0.0)),
     ],
 )
-def test_the_tool_runs_straight_within_every_limit(puma, shift, turn):
-    begin, end = goal_beside(puma, puma.home, shift, turn)
+def test_the_tool_runs_straight_within_every_limit(puma, shift, rotation):
+    begin, end = goal_beside(puma, puma.home, shift, rotation)
     path = line_move(puma, puma.home, end)
     check_straight(puma, path, begin, end, "gripper")
     assert (path.q[0] == puma.home).all()

@@ -64,8 +64,8 @@ def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, 
         for v in range(robot.nv):
             step = np.zeros(robot.nv)
             step[v] = 1e-6
-            ahead, back = robot.integrate(q, step), robot.integrate(q, -step)
-            numeric[v] = (prior.energy(robot, ahead) - prior.energy(robot, back)) / 2e-6
+            forward, backward = robot.integrate(q, step), robot.integrate(q, -step)
+            numeric[v] = (prior.energy(robot, forward) - prior.energy(robot, backward)) / 2e-6
         np.testing.assert_allclose(gradient, numeric, atol=1e-6 * max(1.0, np.abs(numeric).max()))
 
 
@@ -152,8 +152,8 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
     home = humanoid.home
     feet = [rik.PoseGoal.at(f, humanoid.forward(home, f)) for f in ("left_foot", "right_foot")]
     inside = []
-    for place in ((0.42, -0.2, 1.2), (0.3, -0.45, 1.0), (0.25, -0.1, 1.45), (0.4, -0.3, 0.9)):
-        hand = rik.PositionGoal("right_hand", place)
+    for position in ((0.42, -0.2, 1.2), (0.3, -0.45, 1.0), (0.25, -0.1, 1.45), (0.4, -0.3, 0.9)):
+        hand = rik.PositionGoal("right_hand", position)
         plain = rik.solve(humanoid, [*feet, hand], solver="lm")
         likely = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm")
         assert likely.converged and likely.miss.position < 1e-4

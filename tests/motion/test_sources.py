@@ -63,8 +63,8 @@ def test_circle_is_round_flat_and_runs_counter_clockwise(normal):
     np.testing.assert_allclose(np.linalg.norm(spokes, axis=1), 0.1)
     np.testing.assert_allclose(spokes @ axis, 0.0, atol=1e-12)
     np.testing.assert_allclose(spokes[0], spokes[-1], atol=1e-12)
-    turns = np.cross(spokes[:-1], spokes[1:]) @ axis
-    np.testing.assert_allclose(turns, 0.01 * np.sin(2 * np.pi / 40), atol=1e-12)
+    rotations = np.cross(spokes[:-1], spokes[1:]) @ axis
+    np.testing.assert_allclose(rotations, 0.01 * np.sin(2 * np.pi / 40), atol=1e-12)
 
 
 def test_lemniscate_crosses_its_center_twice_and_stays_in_its_box():

@@ -96,10 +96,10 @@ def linear_model() -> Callable[..., tuple[np.ndarray, np.ndarray]]:
                 rows.append(weight * (whole[:3] + moved))
                 errors.append(weight * off)
             if goal.has_angle:
-                turn = Pose.from_rotation(goal.target.rotation @ here.rotation.T, np.zeros(3)).wxyz
-                turn = turn if turn[0] >= 0 else -turn
-                sine = float(np.linalg.norm(turn[1:]))
-                phi = 2 * np.arctan2(sine, turn[0]) * turn[1:] / sine
+                quat = Pose.from_rotation(goal.target.rotation @ here.rotation.T, np.zeros(3)).wxyz
+                quat = quat if quat[0] >= 0 else -quat
+                sine = float(np.linalg.norm(quat[1:]))
+                phi = 2 * np.arctan2(sine, quat[0]) * quat[1:] / sine
                 rows.append(goal.weights[1] * _right_jacobian_inverse(phi) @ whole[3:])
                 errors.append(goal.weights[1] * phi)
         return np.vstack(rows)[:, problem.dofs], np.concatenate(errors)
@@ -131,9 +131,9 @@ def near_problems(robots: Callable[[str], Robot]) -> Callable[..., list[tuple[Pr
     ) -> list[tuple[Problem, np.ndarray]]:
         robot, rng = robots(name), np.random.default_rng(7)
         ball = robot.tree.kind[robot.tree.dof_node] >= BALL
-        room = np.where(np.isfinite(robot.lower), 0.25 * (robot.upper - robot.lower), 0.5)
-        lower = np.where(ball, -np.inf, np.maximum(robot.lower, -9) + room)
-        upper = np.where(ball, np.pi / 2, np.minimum(robot.upper, 9) - room)
+        margin = np.where(np.isfinite(robot.lower), 0.25 * (robot.upper - robot.lower), 0.5)
+        lower = np.where(ball, -np.inf, np.maximum(robot.lower, -9) + margin)
+        upper = np.where(ball, np.pi / 2, np.minimum(robot.upper, 9) - margin)
         inner = robot.with_limits(lower, upper)
         problems = []
         for _ in range(count):

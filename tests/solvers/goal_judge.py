@@ -35,8 +35,8 @@ def goals_met_at(robot, q):
     """A goal of every kind and of every part, met at q (nq,), by what it is called in the tests."""
     pose, (eye, axis) = robot.forward(q), LOOKS[robot.name]
     seen, body = robot.forward(q, eye), BODY[robot.name]
-    sign, look = (-1, axis[1:]) if axis[0] == "-" else (1, axis)
-    ahead = seen.apply(0.6 * sign * np.eye(3)["xyz".index(look)])
+    sign, letter = (-1, axis[1:]) if axis[0] == "-" else (1, axis)
+    point = seen.apply(0.6 * sign * np.eye(3)["xyz".index(letter)])
     slant = np.array([0.6, 0.0, 0.8])
     return {
         "position": PositionGoal(None, pose.position, weight=2.0),
@@ -45,7 +45,7 @@ def goals_met_at(robot, q):
         "axis": OrientationGoal(None, pose.wxyz, free_axis=(0, 3, 4)),
         "pose": PoseGoal.at(None, pose),
         "drill": PoseGoal(None, pose.position, pose.wxyz, free_axis="z", angle_weight=0.7),
-        "aim": AimGoal(eye, ahead, axis=axis),
+        "aim": AimGoal(eye, point, axis=axis),
         "line": LineGoal(None, pose.position + 0.3 * slant, slant),
         "plane": PlaneGoal(None, pose.position + 0.3 * np.array([0.8, 0.0, -0.6]), slant),
         "wall": HalfSpaceGoal(None, pose.position - 0.01 * slant, slant),
@@ -114,11 +114,15 @@ def measured(robot, q, goal):
             return metres, angle_between(
                 rotation @ direction(goal.free_axis), wanted @ direction(goal.free_axis)
             )
-        turn = rotation.T @ wanted
+        rotation_left = rotation.T @ wanted
         sine = 0.5 * np.linalg.norm(
-            [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
+            [
+                rotation_left[2, 1] - rotation_left[1, 2],
+                rotation_left[0, 2] - rotation_left[2, 0],
+                rotation_left[1, 0] - rotation_left[0, 1],
+            ]
         )
-        return metres, float(np.arctan2(sine, 0.5 * (np.trace(turn) - 1)))
+        return metres, float(np.arctan2(sine, 0.5 * (np.trace(rotation_left) - 1)))
     normal, off = direction(goal.direction), goal.point - here
     along = float(normal @ off)
     across = {

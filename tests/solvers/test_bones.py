@@ -29,8 +29,8 @@ def links(joints: list[str], lengths: list[float], tail: str = "") -> str:
     """Nested bodies, each with the joints given (several elements allowed) and its length along x."""
     text = f'<site name="tool" pos="{lengths[-1]} 0 0"/>{tail}'
     for i in reversed(range(len(joints))):
-        place = f'pos="{lengths[i - 1] if i else 0.0} 0 0"'
-        text = f'<body {place}>{joints[i]}<geom size="0.01"/>{text}</body>'
+        offset = f'pos="{lengths[i - 1] if i else 0.0} 0 0"'
+        text = f'<body {offset}>{joints[i]}<geom size="0.01"/>{text}</body>'
     return text
 
 
@@ -218,9 +218,9 @@ def test_what_cannot_be_served_is_refused_with_the_methods_that_can(name):
     with pytest.raises(UnsupportedGoalError, match=rf"{name}.*orientation goal") as caught:
         make_solver(name).solve(Problem(robot, OrientationGoal(None, (1, 0, 0, 0))))
     assert "lm" in caught.value.able and name not in caught.value.able
-    turned = PoseGoal(None, (0.4, 0, 0.8), position_weight=0.0)
+    rotated = PoseGoal(None, (0.4, 0, 0.8), position_weight=0.0)
     with pytest.raises(UnsupportedGoalError, match="pose goal"):
-        make_solver(name).solve(Problem(robot, turned))
+        make_solver(name).solve(Problem(robot, rotated))
 
 
 @pytest.mark.parametrize("name", ["triangulation", "recursive"])

@@ -39,8 +39,10 @@ def test_a_sweep_takes_each_joint_to_its_best_angle_in_that_order(order, robots,
 
             angles = np.linspace(robot.lower[joint], robot.upper[joint], 101)
             near = min(angles, key=miss)
-            room = np.clip([near - 0.1, near + 0.1], angles[0], angles[-1])
-            expected[joint] = minimize_scalar(miss, bounds=room, method="bounded", options={"xatol": 1e-9}).x
+            bounds = np.clip([near - 0.1, near + 0.1], angles[0], angles[-1])
+            expected[joint] = minimize_scalar(
+                miss, bounds=bounds, method="bounded", options={"xatol": 1e-9}
+            ).x
         np.testing.assert_allclose(one_sweep(robot, goal, start, order=order), expected, atol=1e-5)
 
 
@@ -61,9 +63,9 @@ def test_free_bones_turn_as_the_textbook_has_it(order):
         q = start.copy()
         for k in range(4) if order == "root_to_tip" else (3, 2, 1, 0):
             pose = chain.measure(q, names[k])
-            turn = textbook(pose.position, chain.measure(q).position, target)
+            rotation = textbook(pose.position, chain.measure(q).position, target)
             way = np.zeros(chain.nv)
-            way[3 * k : 3 * k + 3] = pose.rotation.T @ turn  # MuJoCo turns balls in their own axes
+            way[3 * k : 3 * k + 3] = pose.rotation.T @ rotation  # MuJoCo turns balls in their own axes
             q = chain.integrate(q, way)
         found = one_sweep(chain, PositionGoal(None, target), start, order=order, axis="free")
         np.testing.assert_allclose(found, q, atol=1e-9)

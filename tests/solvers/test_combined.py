@@ -81,8 +81,8 @@ def test_the_three_ways_of_giving_poses_agree(puma):
     by_matrix = solve_batch(puma, np.array([p.matrix for p in poses]))
     by_quaternion = solve_batch(puma, np.array([[*p.position, *(2.0 * p.wxyz)] for p in poses]))
     assert np.abs(by_matrix.q - by_quaternion.q).max() < 1e-9
-    places = solve_batch(puma, np.array([p.position for p in poses]))
-    assert places.converged.all() and places.angle_miss.max() == 0.0
+    positions = solve_batch(puma, np.array([p.position for p in poses]))
+    assert positions.converged.all() and positions.angle_miss.max() == 0.0
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_whatever_is_given_as_a_new_target_is_one_or_is_refused_and_changes_noth
 @pytest.mark.parametrize("matrix", [np.zeros((4, 4)), np.diag([2.0, 2, 2, 1]), np.diag([1.0, 1, -1, 1])])
 def test_a_matrix_that_is_no_rotation_is_no_target(puma, kind, matrix):
     problem = Problem(puma, kind)
-    with pytest.raises(InvalidGoalError, match="does not turn"):
+    with pytest.raises(InvalidGoalError, match="is not a rotation"):
         problem.retarget(matrix)
     assert problem.goals[0] is kind
 
@@ -159,8 +159,11 @@ def test_no_goals_are_refused(puma, nothing):
         (lambda robot, goal: solve(robot, goal, budget=Budget(iterations=10**30)), "2\\^62"),
         (lambda robot, goal: solve(robot, goal, seed="lucky"), "whole number"),
         (lambda robot, goal: solve_batch(robot, [[0, 0, 1]], threads=0), "threads"),
-        (lambda robot, goal: solve_batch(robot, [np.zeros((4, 4))]), "does not turn"),
-        (lambda robot, goal: solve_batch(robot, [np.eye(4), np.diag([1, 1, -1, 1])]), "pose 1 does not turn"),
+        (lambda robot, goal: solve_batch(robot, [np.zeros((4, 4))]), "is not a rotation"),
+        (
+            lambda robot, goal: solve_batch(robot, [np.eye(4), np.diag([1, 1, -1, 1])]),
+            "pose 1 is not a rotation",
+        ),
         (lambda robot, goal: solve(robot, PositionGoal(None, (1e200, 0, 0))), "below 1e\\+100"),
         (lambda robot, goal: solve(robot, PostureGoal(q=[1, 2])), "has 6 numbers"),
     ],

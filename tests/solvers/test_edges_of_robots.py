@@ -53,8 +53,8 @@ def make_robot(tmp_path_factory):
 def chain(scale=1.0, ranges=("-2 2",) * 3):
     """Three hinges; masses are stated, because MuJoCo wants some even of a tiny arm."""
     bodies, inertia = "", '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
-    for place, axis, limits in zip((0, 0.5, 0.4), ("0 0 1", "0 1 0", "0 1 0"), ranges, strict=True):
-        bodies += f'<body pos="{place * scale} 0 0"><joint axis="{axis}" range="{limits}"/>{inertia}'
+    for offset, axis, limits in zip((0, 0.5, 0.4), ("0 0 1", "0 1 0", "0 1 0"), ranges, strict=True):
+        bodies += f'<body pos="{offset * scale} 0 0"><joint axis="{axis}" range="{limits}"/>{inertia}'
     return f'{bodies}<site name="tip" pos="{0.3 * scale} 0 0"/>' + "</body>" * 3
 
 
@@ -94,10 +94,10 @@ def test_a_range_whose_lower_end_is_above_its_upper_is_refused(make_robot, joint
 @pytest.mark.parametrize(
     ("lower", "upper", "says"),
     [
-        ([1], [-1], "no room is left for joint 'j'"),
-        ([2], [3], "no room is left for joint 'j'"),
-        (1, -1, "no room is left for joint 'j'"),
-        ([np.inf], [np.inf], "no room is left"),
+        ([1], [-1], "no range is left for joint 'j'"),
+        ([2], [3], "no range is left for joint 'j'"),
+        (1, -1, "no range is left for joint 'j'"),
+        ([np.inf], [np.inf], "no range is left"),
         ([np.nan], [1], "must be numbers"),
         ([-1, 0], [1, 1], "1 numbers each"),
         ([], [], "1 numbers each"),
@@ -167,7 +167,7 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_size_does_not_matter(make_robot, name, scale):
     solver = make_solver(name)
-    answers = []
+    results = []
     for size in (1.0, scale):
         robot = make_robot(chain(size), tool="tip")
         tolerance = Tolerance(1e-6 * size, 1e-6)
@@ -181,10 +181,10 @@ def test_size_does_not_matter(make_robot, name, scale):
             if solver.applies(problem):
                 solution = solver.solve(problem, [0, 0.1, 0.1])
                 honest(robot, solution, tolerance)
-                answers.append((solution.status, solution.q))
-    half = len(answers) // 2
+                results.append((solution.status, solution.q))
+    half = len(results) // 2
     assert (half >= 1) == (name != "analytic")  # which knows no such chain
-    for (status, q), (other, there) in zip(answers[:half], answers[half:], strict=True):
+    for (status, q), (other, there) in zip(results[:half], results[half:], strict=True):
         assert status is other
         np.testing.assert_allclose(q, there, atol=1e-5)
 

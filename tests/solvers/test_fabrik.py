@@ -14,7 +14,7 @@ from robot_ik.solvers import make_solver
 TIGHT = Tolerance(position=1e-9, angle=1e-7)
 
 
-def places(robot, q, names):
+def positions(robot, q, names):
     return np.array([robot.measure(q, name).position for name in names])
 
 
@@ -41,7 +41,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
     for _ in range(10):
         start = robot.sample(rng)
         target = rng.normal(size=3) * n / 4
-        points = places(robot, start, names)
+        points = positions(robot, start, names)
         for passes in (1, 2, 3):
             points = textbook(points, target)
             # The last pass, not the best: a longer budget would begin from the same start.
@@ -56,7 +56,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
             assert solution.trace[-1].position == pytest.approx(miss, abs=1e-9)
             # The answer is the best pass: mostly the last, whose points can then be compared.
             if miss <= min(step.position for step in solution.trace) + 1e-12:
-                np.testing.assert_allclose(places(robot, solution.q, names), points, atol=1e-8)
+                np.testing.assert_allclose(positions(robot, solution.q, names), points, atol=1e-8)
                 compared += 1
     assert compared >= 10
 

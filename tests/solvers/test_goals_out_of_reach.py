@@ -42,18 +42,18 @@ def never(robot, kind):
     """A goal of that kind that the limits put out of reach."""
     pose, (eye, axis) = robot.forward(robot.home), LOOKS[robot.name]
     seen, body = robot.forward(robot.home, eye), BODY[robot.name]
-    turned = (pose @ Pose((0, 0, 0), (np.cos(1.1), 0.6 * np.sin(1.1), 0.8 * np.sin(1.1), 0))).wxyz
+    rotated = (pose @ Pose((0, 0, 0), (np.cos(1.1), 0.6 * np.sin(1.1), 0.8 * np.sin(1.1), 0))).wxyz
     far = pose.position + np.array([1.1, -0.9, 0.8])
     slant = np.array([0.6, 0.0, 0.8])
-    behind = seen.position - 0.7 * (seen.rotation @ direction(axis)) + np.array([0.1, 0.3, 0.4])
+    backward = seen.position - 0.7 * (seen.rotation @ direction(axis)) + np.array([0.1, 0.3, 0.4])
     return {
         "position": PositionGoal(None, far),
         "height": PositionGoal(None, np.add(far, (0, 0, 1.5)), axes="z"),
-        "orientation": OrientationGoal(None, turned),
-        "axis": OrientationGoal(None, turned, free_axis="z"),
-        "pose": PoseGoal(None, far, turned),
-        "drill": PoseGoal(None, far, turned, free_axis="z"),
-        "aim": AimGoal(eye, behind, axis=axis),
+        "orientation": OrientationGoal(None, rotated),
+        "axis": OrientationGoal(None, rotated, free_axis="z"),
+        "pose": PoseGoal(None, far, rotated),
+        "drill": PoseGoal(None, far, rotated, free_axis="z"),
+        "aim": AimGoal(eye, backward, axis=axis),
         "line": LineGoal(None, far, (0.8, 0.3, 0)),
         "plane": PlaneGoal(None, pose.position + 2.0 * slant, slant),
         "wall": HalfSpaceGoal(None, pose.position + 2.0 * slant, slant),
@@ -74,8 +74,8 @@ def slope(problem, q):
     for v in problem.dofs:
         dq = np.zeros(robot.nv)
         dq[v] = step
-        ahead, behind = cost(problem, robot.integrate(q, dq)), cost(problem, robot.integrate(q, -dq))
-        gradient[v] = (ahead - behind) / (2 * step) / size
+        forward, backward = cost(problem, robot.integrate(q, dq)), cost(problem, robot.integrate(q, -dq))
+        gradient[v] = (forward - backward) / (2 * step) / size
     open_ = ~((q <= robot.lower + 1e-9) & (gradient > 0) | (q >= robot.upper - 1e-9) & (gradient < 0))
     return float(np.abs(gradient * open_).max())
 

@@ -75,11 +75,11 @@ def test_law_5_inputs_are_not_modified_and_answers_are_not_shared(name, robot_na
     start.flags.writeable = False
     problem = Problem(robot, goal)
     first = solver.solve(problem, start)
-    answer = first.q.copy()
+    solution_q = first.q.copy()
     problem.retarget(robot.forward(other))
     solver.solve(problem, start)
-    assert np.array_equal(first.q, answer)
-    assert first.miss.position == pytest.approx(measured(robot, answer, goal)[0], abs=1e-12)
+    assert np.array_equal(first.q, solution_q)
+    assert first.miss.position == pytest.approx(measured(robot, solution_q, goal)[0], abs=1e-12)
     for before, now in zip(
         kept, [start, robot.lower, robot.upper, robot.home, goal.target.matrix], strict=True
     ):

@@ -176,7 +176,7 @@ def test_positions_of_all_sorts_move_a_target_alike():
     position = robot.forward(robot.home).position
     for goal in (PositionGoal(None, (0.0, 0.0, 0.0)), PoseGoal(None, (0.0, 0.0, 0.0))):
         problem = Problem(robot, [goal, goal])
-        turned = problem.target[:, 3:].copy()
+        rotations = problem.target[:, 3:].copy()
         for same in (position, position.tolist(), np.repeat(position, 2)[::2], position.astype(np.float32)):
             problem.target[:, :3] = 0.0
             problem.retarget(same, 1)
@@ -186,7 +186,7 @@ def test_positions_of_all_sorts_move_a_target_alike():
             with pytest.raises(InvalidGoalError, match="finite"):
                 problem.retarget(np.array(wrong, dtype=float), 1)
         np.testing.assert_allclose(problem.target[1, :3], position, rtol=1e-6)
-        np.testing.assert_array_equal(problem.target[:, 3:], turned)
+        np.testing.assert_array_equal(problem.target[:, 3:], rotations)
     with pytest.raises(InvalidGoalError, match="no position"):
         Problem(robot, OrientationGoal(None, (1, 0, 0, 0))).retarget(position)
 

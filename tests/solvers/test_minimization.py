@@ -48,8 +48,8 @@ def slope_by_differences(problem, q, step=1e-5):
     for v in problem.dofs:
         way = np.zeros(robot.nv)
         way[v] = step
-        ahead, behind = robot.integrate(q, way), robot.integrate(q, -way)
-        slope.append((half_square(problem, ahead) - half_square(problem, behind)) / (2 * step))
+        forward, backward = robot.integrate(q, way), robot.integrate(q, -way)
+        slope.append((half_square(problem, forward) - half_square(problem, backward)) / (2 * step))
     return np.array(slope)
 
 
@@ -83,11 +83,11 @@ def test_the_metric_learns_the_last_step_and_stays_definite(near_problems):
 
 
 @pytest.mark.parametrize(
-    ("robot_name", "place"), [("puma560", (0.85, 0.6, 0.9)), ("tree", (-0.6, -0.6, -0.4))]
+    ("robot_name", "position"), [("puma560", (0.85, 0.6, 0.9)), ("tree", (-0.6, -0.6, -0.4))]
 )
-def test_the_cost_never_rises_within_a_try(robot_name, place, robots, reachable):
+def test_the_cost_never_rises_within_a_try(robot_name, position, robots, reachable):
     robot = robots(robot_name)
-    goal = PoseGoal(None, place, (0.5, 0.5, -0.5, 0.5))
+    goal = PoseGoal(None, position, (0.5, 0.5, -0.5, 0.5))
     for start in reachable(robot, 5):
         problem = Problem(robot, goal, trace=True, budget=Budget(restarts=6))
         solution = Minimization().solve(problem, start)
@@ -147,14 +147,14 @@ def test_it_ends_where_scipy_ends(robot_name, what, robots, reachable, linear_mo
 CONE = 1.2  # of the tree's shoulder, rad; its five joints are rail, column, shoulder, elbow and roll
 
 
-@pytest.mark.parametrize("place", [(-0.6, -0.6, -0.4), (-2.0, 0.0, 1.0)])
-def test_on_the_edge_of_a_balls_cone_nothing_is_left_to_win_either(place, robots, reachable):
+@pytest.mark.parametrize("position", [(-0.6, -0.6, -0.4), (-2.0, 0.0, 1.0)])
+def test_on_the_edge_of_a_balls_cone_nothing_is_left_to_win_either(position, robots, reachable):
     """SLSQP has the cone as a constraint on the rotation vector, and differences for the slope."""
     robot, rest = robots("tree"), np.array([0, 0, 1, 0, 0, 0, 0, 0, 0], dtype=float)
-    room = [(-0.5, 0.5), (0.0, 0.6), (-2.0, 2.0), (-2.0, 2.0), (-2.0, 2.0), (-2.2, 2.2), (-9.0, 9.0)]
+    ranges = [(-0.5, 0.5), (0.0, 0.6), (-2.0, 2.0), (-2.0, 2.0), (-2.0, 2.0), (-2.2, 2.2), (-9.0, 9.0)]
     cone = {"type": "ineq", "fun": lambda x: CONE**2 - x[2:5] @ x[2:5]}
     for start in reachable(robot, 3, 40):
-        problem = Problem(robot, PositionGoal(None, place), budget=ONE_TRY)
+        problem = Problem(robot, PositionGoal(None, position), budget=ONE_TRY)
         q = Minimization().solve(problem, start).q
 
         def cost(x, problem=problem):
@@ -165,12 +165,12 @@ def test_on_the_edge_of_a_balls_cone_nothing_is_left_to_win_either(place, robots
         assert angle == pytest.approx(CONE, abs=1e-9)
         x = np.concatenate([q[:2], np.sign(q[2]) * angle / sine * q[3:6], q[6:8]])
         assert cost(x) == pytest.approx(half_square(problem, q), abs=1e-9)
-        aside = np.clip(x + 0.02 * np.array([1, -1, -1, 1, 1, -1, 1]), *np.transpose(room))
-        assert cost(aside) > cost(x) + 1e-5 or cone["fun"](aside) < 0
+        nearby = np.clip(x + 0.02 * np.array([1, -1, -1, 1, 1, -1, 1]), *np.transpose(ranges))
+        assert cost(nearby) > cost(x) + 1e-5 or cone["fun"](nearby) < 0
         found = minimize(
             cost,
-            aside,
-            bounds=room,
+            nearby,
+            bounds=ranges,
             constraints=cone,
             method="SLSQP",
             options={"ftol": 1e-13, "maxiter": 300},
@@ -233,15 +233,16 @@ def test_limits_hold_at_every_step_and_joints_at_them_do_not_hold_the_others_bac
 def every_kind(robot, q, frame, other):
     """A goal of every kind, met at q."""
     pose, there = robot.forward(q, frame), robot.forward(q, other).position
-    place = pose.position
-    ahead = place + 0.7 * pose.rotation[:, 2]
+    position = pose.position
+    aimed_at = position + 0.7 * pose.rotation[:, 2]
     return [
-        PositionGoal(frame, place), PositionGoal(frame, place, axes="xz"), OrientationGoal(frame, pose.wxyz),
-        OrientationGoal(frame, pose.wxyz, free_axis="y"), PoseGoal.at(frame, pose),
-        PoseGoal(frame, place, pose.wxyz, free_axis="x"), AimGoal(frame, ahead, axis="z"),
-        LineGoal(frame, place, (1, 2, 3)), PlaneGoal(frame, place, (3, 2, 1)),
-        HalfSpaceGoal(frame, place, (0, 0, -1)), CenterOfMassGoal(None, robot.center_of_mass(q)),
-        PostureGoal(q=q), [PositionGoal(frame, place), PlaneGoal(other, there, (1, 1, 0))],
+        PositionGoal(frame, position), PositionGoal(frame, position, axes="xz"),
+        OrientationGoal(frame, pose.wxyz), OrientationGoal(frame, pose.wxyz, free_axis="y"),
+        PoseGoal.at(frame, pose), PoseGoal(frame, position, pose.wxyz, free_axis="x"),
+        AimGoal(frame, aimed_at, axis="z"), LineGoal(frame, position, (1, 2, 3)),
+        PlaneGoal(frame, position, (3, 2, 1)), HalfSpaceGoal(frame, position, (0, 0, -1)),
+        CenterOfMassGoal(None, robot.center_of_mass(q)), PostureGoal(q=q),
+        [PositionGoal(frame, position), PlaneGoal(other, there, (1, 1, 0))],
     ]  # fmt: skip
 
 

@@ -89,16 +89,16 @@ def test_the_order_of_the_list_does_not_matter_but_that_of_the_numbers_does(arm)
         PlaneGoal("elbow", (0, 0, 0.3), "z", priority=7),
         PositionGoal("elbow", (0.1, 0.9, 0.9), priority=40),
     ]
-    answers = [solve(arm, list(order), solver="lm") for order in itertools.permutations(goals)]
-    for found in answers:
+    results = [solve(arm, list(order), solver="lm") for order in itertools.permutations(goals)]
+    for found in results:
         by_goal = dict(zip(found.goals, found.misses, strict=True))
         assert [by_goal[g].position for g in goals] == pytest.approx(
-            [answers[0].misses[k].position for k in range(3)], abs=1e-6
+            [results[0].misses[k].position for k in range(3)], abs=1e-6
         )
-    turned = solve(
+    reversed_order = solve(
         arm, [PositionGoal("elbow", (0.1, 0.9, 0.9)), PositionGoal(None, pose.position, priority=1)]
     )
-    assert turned.misses[0].position < answers[0].misses[2].position - 0.01
+    assert reversed_order.misses[0].position < results[0].misses[2].position - 0.01
 
 
 def test_a_figure_stands_balances_reaches_and_looks_in_that_order():

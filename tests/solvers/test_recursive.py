@@ -12,7 +12,7 @@ from robot_ik.solvers import make_solver
 TIGHT = Tolerance(position=1e-8, angle=1e-9)
 
 
-def places(robot, q, n):
+def positions(robot, q, n):
     names = [f"link{i}" for i in range(1, n + 1)] + ["tip"]
     return np.array([robot.measure(q, name).position for name in names])
 
@@ -33,14 +33,14 @@ def test_only_the_bones_that_must_move_do():
     """The last two bones can meet: the rest of the chain stays where it was."""
     robot = rik.make_chain(6)
     start = robot.sample(np.random.default_rng(1))
-    before = places(robot, start, 6)
+    before = positions(robot, start, 6)
     direction = np.array([0.6, 0.0, 0.8])
     target = before[4] + 1.3 * direction  # within 2 of the base of the last bone but one
     solution = make_solver("recursive").solve(
         Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
     )
     assert solution.converged
-    np.testing.assert_allclose(places(robot, solution.q, 6)[:5], before[:5], atol=1e-12)
+    np.testing.assert_allclose(positions(robot, solution.q, 6)[:5], before[:5], atol=1e-12)
     np.testing.assert_allclose(solution.q[:16], start[:16], atol=1e-15)
 
 
@@ -50,13 +50,13 @@ def test_two_rings_meet_on_the_circle_nearest_to_where_they_were():
     solution = make_solver("recursive").solve(
         Problem(robot, PositionGoal(None, (1.0, 0, 0)), tolerance=TIGHT), start
     )
-    np.testing.assert_allclose(places(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9)
+    np.testing.assert_allclose(positions(robot, solution.q, 2)[1], [0.5, 0.0, np.sqrt(0.75)], atol=1e-9)
 
 
 def test_a_turn_of_the_last_bone_is_enough_when_it_reaches():
     robot = rik.make_chain(3)
     start = robot.sample(np.random.default_rng(9))
-    target = places(robot, start, 3)[2] + [0.0, 1.0, 0.0]
+    target = positions(robot, start, 3)[2] + [0.0, 1.0, 0.0]
     solution = make_solver("recursive").solve(
         Problem(robot, PositionGoal(None, target), tolerance=TIGHT), start
     )

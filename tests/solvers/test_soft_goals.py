@@ -49,9 +49,9 @@ def whole_body(figure, ball, priorities, posture):
 
 def ball_path(figure):
     hand = figure.forward(figure.home, "right_hand").position
-    turn = np.linspace(0, 2 * np.pi, FRAMES)
+    phase = np.linspace(0, 2 * np.pi, FRAMES)
     return hand + np.stack(
-        [0.2 + 0.15 * np.sin(turn), 0.05 + 0.1 * np.cos(2 * turn), -0.1 + 0.15 * np.cos(turn)], axis=1
+        [0.2 + 0.15 * np.sin(phase), 0.05 + 0.1 * np.cos(2 * phase), -0.1 + 0.15 * np.cos(phase)], axis=1
     )
 
 
@@ -143,11 +143,11 @@ def test_soft_goals_alone_are_served_and_converge(arm):
 
 
 def test_several_soft_goals_have_priorities_among_themselves(arm):
-    place = arm.forward(arm.home + 0.2).position
+    position = arm.forward(arm.home + 0.2).position
     elbow = PositionGoal("elbow", arm.forward(arm.home + 0.25, "elbow").position, soft=True)
     rest = PostureGoal(q=arm.home, soft=True, priority=1)
-    found = solve(arm, [rest, elbow, PositionGoal(None, place)])
-    without = solve(arm, [elbow, PositionGoal(None, place)])
+    found = solve(arm, [rest, elbow, PositionGoal(None, position)])
+    without = solve(arm, [elbow, PositionGoal(None, position)])
     assert found.converged and found.misses[2].position < 1e-4
     assert found.misses[1].position <= without.misses[0].position + 2e-3
 

@@ -40,8 +40,8 @@ def test_balls_stretch_straight_at_what_is_out_of_reach(n, improved):
         solution = solver.solve(Problem(robot, PositionGoal(None, far), tolerance=TIGHT), start)
         assert solution.status is Status.UNREACHABLE
         for i in range(2, n + 1):
-            place = robot.measure(solution.q, f"link{i}").position
-            np.testing.assert_allclose(place, far / np.linalg.norm(far) * (i - 1), atol=1e-9)
+            position = robot.measure(solution.q, f"link{i}").position
+            np.testing.assert_allclose(position, far / np.linalg.norm(far) * (i - 1), atol=1e-9)
         assert solution.miss.position == pytest.approx(0.2 * n, abs=1e-9)
 
 
@@ -59,21 +59,21 @@ def test_the_textbook_triangle():
 def test_the_improved_version_turns_less_near_the_root():
     robot = rik.make_chain(8)
     rng = np.random.default_rng(4)
-    turned = {False: 0.0, True: 0.0}
+    angle_sums = {False: 0.0, True: 0.0}
     moved = {False: 0, True: 0}
     for _ in range(20):
         start = robot.sample(rng)
         target = robot.forward(start).position + rng.normal(size=3) * 0.3
-        for improved in turned:
+        for improved in angle_sums:
             solution = make_solver("triangulation", improved=improved).solve(
                 Problem(robot, PositionGoal(None, target)), start
             )
             assert solution.converged
             q, p = solution.q.reshape(8, 4), start.reshape(8, 4)
             angles = 2.0 * np.arccos(np.clip(np.abs((q * p).sum(axis=1)), 0.0, 1.0))
-            turned[improved] += angles[0]
+            angle_sums[improved] += angles[0]
             moved[improved] += int((angles > 1e-6).sum())
-    assert turned[True] < 0.2 * turned[False]
+    assert angle_sums[True] < 0.2 * angle_sums[False]
     assert moved[True] < 0.6 * moved[False]
 
 

@@ -15,7 +15,7 @@ class Quantity:
     """One measured number.
 
     Attributes:
-        quantity: What was measured, in words, with its unit in ``unit``.
+        quantity: What was measured, as text, with its unit in ``unit``.
         value: What came out.
         unit: mm, °, px, ms, …
         wanted: The bound; None where none was set.
@@ -47,7 +47,7 @@ class Effort:
     """How much is measured.
 
     Attributes:
-        quick: A tenth of the pictures: for a look, not for the record.
+        quick: A tenth of the pictures: for a first impression, not for the record.
         seed: Of everything random.
         photographs: A folder of real ones without markers; empty: none.
     """
@@ -74,7 +74,7 @@ class Row:
 
     Attributes:
         name: What it is called on the command line.
-        about: What it does, in words.
+        about: What it does, as text.
         function: ``module:function``, imported when it is measured.
     """
 
@@ -113,7 +113,9 @@ ROWS: tuple[Row, ...] = (
         "joint zeros from 30 pictures of a board in the hand",
         _HERE + "arm:offsets",
     ),
-    Row("honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:honesty"),
+    Row(
+        "honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:consistency"
+    ),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "arm:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "speed:times"),
     Row("drawing", "drawing a robot over a picture", _HERE + "speed:drawing"),

@@ -84,9 +84,9 @@ def corners(effort: Effort) -> Iterator[Quantity]:
             if seen is None:
                 continue
             error = seen.corners - view.corners
-            way = view.corners - view.corners.mean(axis=0)
+            direction = view.corners - view.corners.mean(axis=0)
             errors.append(error)
-            outward.append((error * way).sum(axis=1) / np.linalg.norm(way, axis=1))
+            outward.append((error * direction).sum(axis=1) / np.linalg.norm(direction, axis=1))
     every = np.array(errors)
     bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outward))))
     yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
@@ -137,8 +137,11 @@ def _boards(
 
 def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
     """Outline (4, 2) in pixels of what hides half of a board, from a random side."""
-    turn, far = rng.uniform(0.0, 2.0 * np.pi), 1.5 * size
-    along, across = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
+    angle, far = rng.uniform(0.0, 2.0 * np.pi), 1.5 * size
+    along, across = (
+        np.array([np.cos(angle), np.sin(angle), 0.0]),
+        np.array([-np.sin(angle), np.cos(angle), 0.0]),
+    )
     outline = [far * across, far * across + far * along, far * along - far * across, -far * across]
     points = pose.apply(np.array(outline))
     points[:, 2] = np.maximum(points[:, 2], 0.05)
@@ -199,13 +202,13 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
         seen = tracker.observe(frame)
         finds += len(seen)
         for marker_id in {observation.id for observation in seen}:
-            one = MarkerGoalSource(_One(frame), tracker, Pose(), marker_id, Pose())
+            one = MarkerGoalSource(_SingleFrameSource(frame), tracker, Pose(), marker_id, Pose())
             false += one.poll(0.05 * number) is not None
     yield Quantity(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
     yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
 
 
-class _One(ClosingSource):
+class _SingleFrameSource(ClosingSource):
     """One frame for ever."""
 
     live = False
@@ -224,7 +227,7 @@ class _One(ClosingSource):
 #: A lens with strong distortion, and the same without any.
 BENT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
 STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
-# Spheres in the picture: radius and room round each, pixels.
+# Spheres in the picture: radius and margin round each, pixels.
 _RADIUS_PX, _ROOM_PX = 8.0, 44
 # Where a robot on the board may be: metres beside it and above it.
 _BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
@@ -359,21 +362,21 @@ def _in_view(pixels: Array) -> NDArray[np.bool_]:
 
 
 def _photograph(pose: Pose, rng: np.random.Generator, number: int, at: float) -> Frame:
-    markers = {id: (side, pose.compose(place)) for id, (side, place) in _BOARD.layout.items()}
+    markers = {id: (side, pose.compose(local)) for id, (side, local) in _BOARD.layout.items()}
     image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=_DICTIONARY, margin=0.12, look=WEBCAM)
     return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), at, number)
 
 
 def hand_motion(t: float) -> Pose:
     """``pose_camera_board`` of a board that a hand moves about 0.8 m away: some 200 mm/s, 40 deg/s."""
-    place = (
+    position = (
         0.060 * np.sin(2.6 * t) + 0.015 * np.sin(6.1 * t + 1.0),
         0.035 * np.sin(3.4 * t + 0.7),
         0.80 + 0.04 * np.sin(1.9 * t),
     )
     facing = Pose(wxyz=rotation_exp([np.pi, 0.0, 0.0]))
     lean = rotation_exp([-0.6 + 0.20 * np.sin(2.2 * t), 0.15 * np.sin(2.9 * t), 0.35 * np.sin(1.7 * t)])
-    return Pose(place, facing.compose(Pose(wxyz=lean)).wxyz)
+    return Pose(position, facing.compose(Pose(wxyz=lean)).wxyz)
 
 
 LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
@@ -384,35 +387,39 @@ LATENCY_CASES: dict[str, tuple[float, LatencyOptions]] = {
     "prediction and shifting": (1.0, LatencyOptions("latest", predict=True, shift=True)),
     "delayed video": (0.0, LatencyOptions("tracked")),
 }
-"""Azuma's remedies: what part of the delay is left, and what is done about it."""
+"""Azuma's latency options: what part of the delay is left, and what is done about it."""
 
 
 # Pictures a second of the registration that lags.
 _RATE_HZ = 30.0
 
 
-def remedy_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Misses]:
+def latency_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Misses]:
     """Registration errors of a robot on a moving board when tracking and drawing take ``delay`` seconds.
 
-    Each remedy is measured on the same pictures, with points of a robot on the board.
+    Each option is measured on the same pictures, with points of a robot on the board.
     """
     rng = np.random.default_rng([0, 5])
     steps = max(1, round(delay * _RATE_HZ))
     times = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
     frames = [_photograph(hand_motion(t), rng, k, float(t)) for k, t in enumerate(times)]
     watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
-    looks = [watcher.see(frame) for frame in frames]
+    observations = [watcher.see(frame) for frame in frames]
     return {
-        name: _remedy_error(latency_options, round(share * steps), frames, looks, robot_points(0))
+        name: _latency_error(latency_options, round(share * steps), frames, observations, robot_points(0))
         for name, (share, latency_options) in LATENCY_CASES.items()
     }
 
 
-def _remedy_error(
-    latency_options: LatencyOptions, steps: int, frames: list[Frame], looks: list[Seen | None], points: Array
+def _latency_error(
+    latency_options: LatencyOptions,
+    steps: int,
+    frames: list[Frame],
+    observations: list[Seen | None],
+    points: Array,
 ) -> Misses:
     registrar = Registrar(
-        _Remembering(looks),
+        _RecordedWatcher(observations),
         PainterArtist(),
         DrawnRobot(mujoco.MjSpec().compile()),
         STANDARD_CAMERA,
@@ -435,14 +442,14 @@ def _remedy_error(
     return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
 
 
-class _Remembering(BoardWatcher):
+class _RecordedWatcher(BoardWatcher):
     """Has seen all pictures before."""
 
-    def __init__(self, looks: list[Seen | None]) -> None:
-        self._looks = looks
+    def __init__(self, observations: list[Seen | None]) -> None:
+        self._observations = observations
 
     def see(self, frame: Frame) -> Seen | None:
-        return self._looks[frame.sequence]
+        return self._observations[frame.sequence]
 
 
 # ------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Joint zero offsets from 30 pictures: recovered from what is hidden in a simulated arm.
 
-Nothing is known that a person could not know: the camera's place comes from one picture of a sheet on the
+Nothing is known that a person could not know: the camera's pose comes from one picture of a sheet on the
 table, or from the arm's own views; where the board sits in the hand, from the drawing of its mount, which is
 made with errors, or from those views.  The job that moves servos and takes pictures is the row ``zeros``.
 """
@@ -36,7 +36,7 @@ _ROBOT, _VIEWS, _TRIALS = "puma560", 30, 6
 # Hidden offsets up to so much; scatter of a servo (half a tick of twelve bits) and of corners.
 _HIDDEN, _SERVO, _PIXELS = np.deg2rad(2.0), np.deg2rad(0.044), 0.1
 _DISTANCE, _BEND, _STEEPEST = 0.8, 1.2, 0.4
-# So far inside the picture, px, is a board that is looked at.
+# So far inside the picture, px, is a board that is observed.
 _EDGE = 6.0
 # On the tool, a board of 2×2, where the drawing of its mount has it; on the table, a sheet of A4, seen at 45
 # degrees, 0.9 m away.
@@ -45,23 +45,23 @@ _SHEET = grid_body(4, 3, 0.05, 0.0125).markers
 _SHEET_SEEN = Pose((0.0, 0.05, 0.9), rotation_exp([0.75 * np.pi, 0.0, 0.0]))
 # How far the board is from its drawing, each axis, m and rad: held in a hand; in a mount made to it.
 _HELD, _MOUNTED = (0.02, np.deg2rad(3.0)), (1e-4, np.deg2rad(0.03))
-# What hand-eye calibration by the same views says of a place is worth no more before zeros are known.
+# What hand-eye calibration by the same views says of a pose is worth no more before zeros are known.
 _ANYWHERE = (0.05, np.deg2rad(5.0))
 
 
 @dataclass(frozen=True)
 class _Case:
-    """What is known beforehand, and how many of six joints can be told then.
+    """What is known beforehand, and how many of six joints are observable then.
 
     Attributes:
-        words: For the table.
-        located: Whether the camera's place was found by the sheet on the table.
+        text: For the table.
+        located: Whether the camera's pose was found by the sheet on the table.
         made: How well the board sits where its drawing says, m and rad.
         drawing: Whether that drawing is known.
         joints: Of six.
     """
 
-    words: str
+    text: str
     located: bool
     made: tuple[float, float]
     drawing: bool
@@ -90,15 +90,15 @@ def offsets(effort: Effort) -> Iterator[Quantity]:
             counted.append(len(error))
             ratios.append(error / sigma)
         every = np.degrees(np.concatenate(off))
-        yield Quantity(f"{case.words}: joint zeros, RMS", rms(every), "°", 0.1)
-        yield Quantity(f"{case.words}: joint zeros, worst", float(every.max()), "°", 0.1)
-        yield Quantity(f"{case.words}: joints of 6 told", min(counted), "", case.joints, at_least=True)
+        yield Quantity(f"{case.text}: joint zeros, RMS", rms(every), "°", 0.1)
+        yield Quantity(f"{case.text}: joint zeros, worst", float(every.max()), "°", 0.1)
+        yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", case.joints, at_least=True)
     ratio = rms(np.concatenate(ratios))
     yield Quantity("stated uncertainty of joint zeros off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
 
 
 def _trial(robot: Robot, eye: Pose, case: _Case, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Errors and stated standard deviations of the joints that are told, rad."""
+    """Errors and stated standard deviations of the joints that are observable, rad."""
     hidden = rng.uniform(-_HIDDEN, _HIDDEN, robot.nv)
     board = moved(_DRAWN, rng.normal(0.0, 1.0, 6) * np.repeat(case.made, 3))
     views = [_view(robot, eye, board, hidden, rng) for _ in range(_VIEWS)]
@@ -110,17 +110,17 @@ def _trial(robot: Robot, eye: Pose, case: _Case, rng: np.random.Generator) -> tu
         board=KnownPose.within(_DRAWN, *case.made) if case.drawing
         else KnownPose.within(start.pose_other_board, *_ANYWHERE),
     )  # fmt: skip
-    told = found.sigma > 0.0
-    return (found.offsets - hidden)[told], found.sigma[told]
+    observable = found.sigma > 0.0
+    return (found.offsets - hidden)[observable], found.sigma[observable]
 
 
 def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
-    """The camera's place by one picture of the sheet on the table, which lies where the world begins."""
-    place = locate_camera([_look(_SHEET_SEEN, _SHEET, rng)], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
-    return KnownPose(place.pose_parent_camera, place.covariance)
+    """The camera's pose by one picture of the sheet on the table, which lies where the world begins."""
+    found = locate_camera([_observe(_SHEET_SEEN, _SHEET, rng)], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
+    return KnownPose(found.pose_parent_camera, found.covariance)
 
 
-def _look(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView:
+def _observe(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView:
     """A board at ``pose`` (camera frame): its corners, with noise, and the pose that they give."""
     corners, points = {}, []
     for id, (side, on) in layout.items():
@@ -134,35 +134,40 @@ def _look(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView:
     )
 
 
-_Look = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
+_Observer = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
 
 
 def _view(
-    robot: Robot, eye: Pose, board: Pose, hidden: Array, rng: np.random.Generator, look: _Look = _look
+    robot: Robot,
+    eye: Pose,
+    board: Pose,
+    hidden: Array,
+    rng: np.random.Generator,
+    observe: _Observer = _observe,
 ) -> CalibrationStation:
     """What the servos say and the camera sees, at a random pose that shows the board."""
     while True:
         q = robot.clip(robot.home + rng.uniform(-_BEND, _BEND, robot.nq))
         true = q + hidden + rng.normal(0.0, _SERVO, robot.nv)
         there = eye.inverse().compose(robot.forward(true)).compose(board)
-        way = -there.position / np.linalg.norm(there.position)
-        if there.position[2] < 0.3 or there.rotation[:, 2] @ way < _STEEPEST:
+        direction = -there.position / np.linalg.norm(there.position)
+        if there.position[2] < 0.3 or there.rotation[:, 2] @ direction < _STEEPEST:
             continue
         corners = np.concatenate([on.apply(marker_points(side)) for side, on in _CARRIED.values()])
         pixels = STANDARD_CAMERA.project(there.apply(corners))
         if (pixels > _EDGE).all() and (pixels < np.array(STANDARD_CAMERA.size) - _EDGE - 1).all():
-            seen = look(there, _CARRIED, rng)
+            seen = observe(there, _CARRIED, rng)
             if seen is not None:
                 return CalibrationStation(q, seen)
 
 
 # ------------------------------------------------------------------------------------------
-# The whole chain by pictures of a webcam: is each answer as near as it says?
+# The whole chain by pictures of a webcam: is each result as near as it says?
 
 
 _SEEDS, _CHAIN_VIEWS = 20, 20
 # Mean squared error over the stated one.
-_HONEST = (0.3, 3.0)
+_NEES_RANGE = (0.3, 3.0)
 _PRINTED = "DICT_4X4_50"
 
 
@@ -174,11 +179,11 @@ def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> Board
 
 
 @dataclass
-class _Honesty:
+class _Consistency:
     """Squared errors over the stated ones, one a seed.
 
     Attributes:
-        located: Of the camera's place by a sheet on the table; ``handeye`` by the arm's views.
+        located: Of the camera's pose by a sheet on the table; ``handeye`` by the arm's views.
         handeye: See ``located``.
         zeros: Of the joint zeros; ``offsets`` their errors, rad.
         offsets: See ``zeros``.
@@ -196,33 +201,34 @@ class _Honesty:
         views = [_view(robot, eye, board, hidden, rng, _photographed) for _ in range(_CHAIN_VIEWS)]
         sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
         assert sheet is not None, "the sheet of the bench was not found"
-        place = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
-        self.located.append(_nees(place.pose_parent_camera, eye, place.covariance))
-        # The same pictures by an arm whose zeros are right: the camera's place by its views alone.
+        by_sheet = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
+        self.located.append(_nees(by_sheet.pose_parent_camera, eye, by_sheet.covariance))
+        # The same pictures by an arm whose zeros are right: the camera's pose by its views alone.
         samples = [HandEyeSample(robot.forward(one.q + hidden), one.view) for one in views]
         found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
         self.handeye.append(_nees(found.pose_parent_camera, eye, found.covariance[:6, :6]))
         fit = fit_zero_offsets(
             views, robot, robot.tool, STANDARD_CAMERA,
-            camera=KnownPose(place.pose_parent_camera, place.covariance),
+            camera=KnownPose(by_sheet.pose_parent_camera, by_sheet.covariance),
             board=KnownPose.within(_DRAWN, *_MOUNTED),
         )  # fmt: skip
-        told = np.flatnonzero(fit.sigma > 0.0)
-        off = (fit.offsets - hidden)[told]
+        observable = np.flatnonzero(fit.sigma > 0.0)
+        off = (fit.offsets - hidden)[observable]
         self.offsets += np.abs(off).tolist()
-        self.zeros.append(float(off @ np.linalg.solve(fit.covariance[np.ix_(told, told)], off)) / len(told))
+        covariance = fit.covariance[np.ix_(observable, observable)]
+        self.zeros.append(float(off @ np.linalg.solve(covariance, off)) / len(observable))
 
 
 def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
-    """Squared error of a pose over the stated one: 1 on average for an honest one."""
-    turn = rotation_log(quat_multiply(found.wxyz, truth.inverse().wxyz))
-    off = np.concatenate([found.position - truth.position, turn])
+    """Squared error of a pose over the stated one: 1 on average for a consistent one."""
+    rotation = rotation_log(quat_multiply(found.wxyz, truth.inverse().wxyz))
+    off = np.concatenate([found.position - truth.position, rotation])
     return float(off @ np.linalg.solve(covariance, off)) / 6.0
 
 
-def honesty(effort: Effort) -> Iterator[Quantity]:
+def consistency(effort: Effort) -> Iterator[Quantity]:
     """Locate, hand-eye and ``verify --fit`` by the pictures of a webcam: is each as near as it says?"""
-    robot, result = load_robot(_ROBOT), _Honesty()
+    robot, result = load_robot(_ROBOT), _Consistency()
     seen = robot.forward(robot.home).compose(_DRAWN)
     eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
     for seed in range(effort.count(_SEEDS)):
@@ -232,8 +238,8 @@ def honesty(effort: Effort) -> Iterator[Quantity]:
         ("joint zeros", result.zeros),
     ):  # fmt: skip
         nees = float(np.mean(values))
-        yield Quantity(f"{what}, squared error over the stated", nees, "", _HONEST[1])
-        yield Quantity(f"{what}, the same, at least", nees, "", _HONEST[0], at_least=True)
+        yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES_RANGE[1])
+        yield Quantity(f"{what}, the same, at least", nees, "", _NEES_RANGE[0], at_least=True)
     off = np.degrees(result.offsets)
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")
@@ -310,8 +316,8 @@ def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Gener
         predicted = [tracked.predict(time + delay).pose.position for delay in DELAYS]
         rows.append(
             [
-                [np.linalg.norm(found - truth) for found in (seen.position, ahead, shown)]
-                for truth, ahead in zip(truths, predicted, strict=True)
+                [np.linalg.norm(found - truth) for found in (seen.position, forecast, shown)]
+                for truth, forecast in zip(truths, predicted, strict=True)
             ]
         )
     return np.array(rows)

@@ -76,7 +76,7 @@ CONDITIONS: tuple[Condition, ...] = (
         "sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH
     ),
     Condition("soft shadow", replace(WEBCAM, shadow=0.5), (0.15, 0.8, 2.5), (), _BIAS_HARSH),
-    # Not mended: the light over a print is smooth in the model.  The answer says how far off it may be.
+    # Not corrected: the light over a print is smooth in the model.  The result says how far off it may be.
     Condition("hard shadow", replace(WEBCAM, shadow=0.5, shadow_edge=0.7), (0.4, 1.5, 4.0), (), 0.1),
 )  # fmt: skip
 
@@ -87,7 +87,7 @@ class Errors:
 
     Attributes:
         metres: Position errors.
-        nees: Squared position errors over the stated covariance, 1 on average for an honest one.
+        nees: Squared position errors over the stated covariance, 1 on average for a consistent one.
         outward: Mean error of the corners along the diagonals, px.
         missed: Pictures in which nothing was found.
     """
@@ -146,9 +146,9 @@ def _see(
         return
     errors.add(distance, seen[0].pose.position - pose.position, seen[0].covariance[:3, :3])
     true = STANDARD_CAMERA.project(pose.apply(marker_points(STANDARD_SIZE)))
-    way = true - true.mean(axis=0)
-    way /= np.linalg.norm(way, axis=1, keepdims=True)
-    errors.outward.append(float(np.mean(np.sum((seen[0].corners - true) * way, axis=1))))
+    direction = true - true.mean(axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    errors.outward.append(float(np.mean(np.sum((seen[0].corners - true) * direction, axis=1))))
 
 
 def cameras(effort: Effort) -> Iterator[Quantity]:

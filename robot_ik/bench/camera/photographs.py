@@ -1,4 +1,4 @@
-"""What synthetic pictures cannot tell: photographs of your own, and the first command on a bare machine."""
+"""What synthetic pictures cannot show: photographs of your own, and the first command on a bare machine."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _FIRST_SECONDS, _PATIENCE = 20.0, 300.0
 
 
 def photographs(effort: Effort) -> Iterator[Quantity]:
-    """What the tests ask of OpenCV's samples, of a user's folder: false finds, calibration, markers' places.
+    """What the tests ask of OpenCV's samples, a user's folder: false finds, calibration, markers' positions.
 
     Raises:
         NotMeasuredError: No folder is given, or it holds no pictures.
@@ -117,9 +117,9 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
             seen = {one.id: one.corners for one in tracker.observe(frame_of(picture))}
             off += outward_of_saddles(picture, lens, board, seen)
     if off:
-        words = f"{len(off)} markers, outwards of where the saddles of their board say"
-        yield Quantity(f"{words}, mean", abs(float(np.mean(off))), "px", 0.15)
-        yield Quantity(f"{words}, scatter", float(np.std(off)), "px", 0.12)
+        text = f"{len(off)} markers, outwards of where the saddles of their board say"
+        yield Quantity(f"{text}, mean", abs(float(np.mean(off))), "px", 0.15)
+        yield Quantity(f"{text}, scatter", float(np.std(off)), "px", 0.12)
 
 
 def outward_of_saddles(
@@ -138,9 +138,9 @@ def outward_of_saddles(
         if number not in seen or not 0 < row < board.rows - 1:
             continue
         expected = lens.distort(_predicted(homography, board, column, row))
-        way = expected - expected.mean(axis=0)
-        way /= np.linalg.norm(way, axis=1, keepdims=True)
-        off.append(float(np.mean(np.sum((seen[number] - expected) * way, axis=1))))
+        direction = expected - expected.mean(axis=0)
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        off.append(float(np.mean(np.sum((seen[number] - expected) * direction, axis=1))))
     return off
 
 
@@ -155,10 +155,12 @@ def _predicted(homography: NDArray[Any], board: CharucoPattern, column: int, row
 def _unseen(view: FoundPattern, others: list[FoundPattern], size: tuple[int, int]) -> NDArray[np.float64]:
     lens = calibrate(others, size).intrinsics
     fitted = np.arange(len(view.pixels)) % 2 == 0
-    _, turn, place = cv2.solvePnP(
+    _, rotation, translation = cv2.solvePnP(
         view.points_board[fitted], view.pixels[fitted], lens.matrix, lens.coefficients
     )
-    there, _ = cv2.projectPoints(view.points_board[~fitted], turn, place, lens.matrix, lens.coefficients)
+    there, _ = cv2.projectPoints(
+        view.points_board[~fitted], rotation, translation, lens.matrix, lens.coefficients
+    )
     off = np.asarray(there, dtype=float).reshape(-1, 2) - view.pixels[~fitted]
     return np.asarray((off**2).sum(axis=1), dtype=float)
 

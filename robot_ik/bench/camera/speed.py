@@ -1,4 +1,4 @@
-"""How long it takes to see, to draw and to answer.
+"""How long it takes to detect, to draw and to give goals.
 
 A time stands there twice.  Processor time of one thread, OpenCV's own threads switched off, is what the work
 takes on a core of its own, whatever else the machine does.  Time by the clock, with OpenCV's threads, is what
@@ -49,7 +49,7 @@ CAMERAS = (
 _TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
 _LOOP_WANTED = {640: 60.0, 1280: 30.0}
 _DELAY_WANTED_MS = 15.0
-# Joint angles at which the tool is in the middle of its room: a robot that is drawn and asked for goals.
+# Joint angles at which the tool is in the middle of its workspace: a robot that is drawn and asked for goals.
 _ARM, _FIGURE = "puma560", "humanoid"
 
 
@@ -59,15 +59,17 @@ def moving_frames(camera: CameraIntrinsics, count: int, seed: int) -> list[Frame
     frames = []
     for k in range(count):
         angle = 2.0 * np.pi * k / 60.0
-        place = (0.06 * np.cos(angle), 0.06 * np.sin(angle), _DISTANCE)
-        pose = Pose(place, Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, 0.2, angle]))).wxyz)
+        position = (0.06 * np.cos(angle), 0.06 * np.sin(angle), _DISTANCE)
+        pose = Pose(
+            position, Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, 0.2, angle]))).wxyz
+        )
         image = render_marker(camera, pose, rng, size=_SIZE, dictionary=_DICTIONARY, marker_id=_MARKER)
         frames.append(frame_of(image, k, k * _PERIOD))
     return frames
 
 
 @dataclass(frozen=True)
-class Took:
+class ElapsedTimes:
     """Median over pictures of the best of three rounds, ms: of one thread's processor time, by the clock."""
 
     processor: float
@@ -79,7 +81,7 @@ class Took:
         yield Quantity(f"{what}, by the clock", self.clock, "ms", timed=True)
 
 
-def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
+def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> ElapsedTimes:
     """How long ``work`` takes for one of the ``items``."""
     for item in items:  # compiles and warms up
         work(item)
@@ -89,7 +91,7 @@ def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> Took:
         processor = _best(work, items, time.thread_time)
     finally:
         cv2.setNumThreads(threads)
-    return Took(processor, _best(work, items, time.perf_counter))
+    return ElapsedTimes(processor, _best(work, items, time.perf_counter))
 
 
 def _best(work: Callable[[Any], object], items: Sequence[Any], clock: Callable[[], float]) -> float:
@@ -243,7 +245,7 @@ class _Camera:
 
 
 def delay(effort: Effort) -> Iterator[Quantity]:
-    """A camera of 30 Hz with its thread, a thread that looks, and a loop of 100 Hz that asks for goals."""
+    """A camera of 30 Hz with its thread, a thread that detects, and a loop of 100 Hz that asks for goals."""
     from robot_ik.robot import load_robot
 
     robot = load_robot(_ARM)

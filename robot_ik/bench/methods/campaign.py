@@ -60,7 +60,7 @@ class Campaign:
         Yields:
             Why something could not be measured.
         """
-        # What compiling left behind need not be looked through again before each method's turn.
+        # What compiling left behind need not be collected again before each method's run.
         gc.collect()
         gc.freeze()
         try:

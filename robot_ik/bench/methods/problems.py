@@ -21,7 +21,7 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
-# A robot written out in the plainest MJCF: one hinge a body, turning about the body's own origin.
+# A robot written out in the plainest MJCF: one hinge a body, rotating about the body's own origin.
 #
 # Other libraries' readers and converters ask for that form; a body of ours may carry several hinges with
 # anchors of their own.  The kinematics are the same, which a test holds to MuJoCo.
@@ -58,7 +58,7 @@ class _Writer:
         for name, frame in self.sites.items():
             at = self.robot.frame(frame)
             carrier, local = self.carriers[at.body]
-            ElementTree.SubElement(carrier, "site", {"name": name} | _place(local.compose(at.local)))
+            ElementTree.SubElement(carrier, "site", {"name": name} | _pos_and_quat(local.compose(at.local)))
         keys = ElementTree.SubElement(self.root, "keyframe")
         ElementTree.SubElement(keys, "key", name="home", qpos=_numbers(self.robot.qpos(self.robot.home)))
         ElementTree.indent(self.root)
@@ -78,7 +78,7 @@ class _Writer:
                 )
             anchor = Pose(model.jnt_pos[joint] if kind == _HINGE else np.zeros(3))
             carrier = ElementTree.SubElement(
-                carrier, "body", {"name": f"at_{name}"} | _place(at.compose(anchor))
+                carrier, "body", {"name": f"at_{name}"} | _pos_and_quat(at.compose(anchor))
             )
             ElementTree.SubElement(carrier, "inertial", pos="0 0 0", mass="1", diaginertia="0.01 0.01 0.01")
             if kind == _FREE:
@@ -92,11 +92,11 @@ class _Writer:
         return carrier, at
 
 
-def _place(pose: Pose) -> dict[str, str]:
-    place = {"pos": _numbers(pose.position)}
+def _pos_and_quat(pose: Pose) -> dict[str, str]:
+    attributes = {"pos": _numbers(pose.position)}
     if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
-        place["quat"] = _numbers(pose.wxyz)
-    return place
+        attributes["quat"] = _numbers(pose.wxyz)
+    return attributes
 
 
 def _numbers(values: Iterable[float]) -> str:
@@ -112,7 +112,7 @@ SLACK = 1e-9
 
 
 class Judge:
-    """Measures answers for one frame of a robot; nothing of the solvers' own code is asked."""
+    """Measures solutions for one frame of a robot; nothing of the solvers' own code is asked."""
 
     def __init__(self, robot: Robot, frame: str | None = None) -> None:
         self._robot, self._at = robot, robot.frame(frame)
@@ -152,8 +152,8 @@ class Judge:
             low, high = model.jnt_range[joint]
             start = int(model.jnt_qposadr[joint])
             if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
-                turn = 2.0 * math.atan2(float(np.linalg.norm(qpos[start + 1 : start + 4])), abs(qpos[start]))
-                outside = turn > high + SLACK
+                angle = 2.0 * math.atan2(float(np.linalg.norm(qpos[start + 1 : start + 4])), abs(qpos[start]))
+                outside = angle > high + SLACK
             else:
                 outside = not low - SLACK <= qpos[start] <= high + SLACK
             if outside:
@@ -188,7 +188,7 @@ class ProblemSet:
         targets: (n, 4, 4) poses in the world.
         witnesses: (n, nq) joint angles inside the limits that meet them; (0, nq) if nothing can.
         first: (nq,) where the first solve starts.
-        tracking: Whether each solve starts at the answer before it; otherwise all start at ``first``.
+        tracking: Whether each solve starts at the solution before it; otherwise all start at ``first``.
         reason: Why there are no problems, if there are none.
     """
 
@@ -272,8 +272,8 @@ def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) 
         assert ball is not None
         centre, radius = ball
         pose = judge.pose(robot.sample(rng))
-        way = pose[:3, 3] - centre
-        pose[:3, 3] = centre + way / np.linalg.norm(way) * radius * rng.uniform(*BEYOND)
+        direction = pose[:3, 3] - centre
+        pose[:3, 3] = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(*BEYOND)
         targets.append(pose)
     reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
     empty = np.empty((0, robot.nq))
@@ -328,9 +328,9 @@ def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
     for i in range(robot.nv):
         dq = np.zeros(robot.nv)
         dq[i] = h
-        ahead = robot.jacobian(robot.integrate(q, dq), frame)
+        forward = robot.jacobian(robot.integrate(q, dq), frame)
         back = robot.jacobian(robot.integrate(q, -dq), frame)
-        slope[i] = u @ (ahead - back) @ v / (2.0 * h)
+        slope[i] = u @ (forward - back) @ v / (2.0 * h)
     return slope
 
 
@@ -365,10 +365,10 @@ def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
     middle = robot.home.copy()
     for k in range(tree.size):
         a, v = int(tree.qadr[k]), int(tree.vadr[k])
-        room = robot.upper[v] - robot.lower[v]
-        if tree.kind[k] in (HINGE, SLIDE) and np.isfinite(room):
-            amplitude[v] = min(amplitude[v], 0.45 * room)
-            margin = amplitude[v] + 1e-3 * room
+        span = robot.upper[v] - robot.lower[v]
+        if tree.kind[k] in (HINGE, SLIDE) and np.isfinite(span):
+            amplitude[v] = min(amplitude[v], 0.45 * span)
+            margin = amplitude[v] + 1e-3 * span
             middle[a] = np.clip(middle[a], robot.lower[v] + margin, robot.upper[v] - margin)
     index = np.arange(robot.nv)
     pace, phase = 1.0 + 0.37 * np.sqrt(index + 1.0), 0.9 * index + rng.uniform(0.0, 2.0 * math.pi)
@@ -378,8 +378,8 @@ def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
 def _step(a: Array, b: Array) -> float:
     """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
     chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
-    turn = 2.0 * math.asin(min(1.0, chord))
-    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, turn / WARM_RADIANS)
+    angle = 2.0 * math.asin(min(1.0, chord))
+    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, angle / WARM_RADIANS)
 
 
 #: Every kind of problem set, by name.

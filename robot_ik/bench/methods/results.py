@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 _MADE_BY = "robot-ik bench makes such files (version 1)"
 
-#: A larger step of a joint between two warm answers is a jump to another branch, rad.
+#: A larger step of a joint between two warm solutions is a jump to another branch, rad.
 JUMP = 0.2
 
 
@@ -76,7 +76,7 @@ class Cell(_Data):
         success: By MuJoCo's forward pass within tolerance, and inside the model's joint ranges.
         position_miss, angle_miss: By MuJoCo, metres and radians; 0 for a part that was not asked for.
         status: What the solver said, names of ``Status``.
-        largest_step: Largest change of a joint between answers (warm only), rad or m.
+        largest_step: Largest change of a joint between solutions (warm only), rad or m.
         jumps: Changes above ``JUMP`` (warm only).
     """
 
@@ -189,7 +189,7 @@ def read_results(path: Path) -> Results:
 
 
 def results_text(results: Results) -> str:
-    """The file: one line for each cell, so that people can look at it and tools can compare it."""
+    """The file: one line for each cell, so that people can read it and tools can compare it."""
     data = results.model_dump(mode="json")
     lines = []
     for key, value in data.items():
@@ -284,10 +284,10 @@ def _in_order(names: Iterable[str]) -> list[str]:
 
 
 def _styles(solvers: Iterable[str]) -> Style:
-    places = {name: index for index, name in enumerate(_in_order(solvers))}
+    indices = {name: index for index, name in enumerate(_in_order(solvers))}
 
     def style(solver: str) -> dict[str, Any]:
-        index = places[solver]
+        index = indices[solver]
         return {
             "color": _COLOURS[index % len(_COLOURS)],
             "linestyle": _DASHES[index // len(_COLOURS) % len(_DASHES)],

@@ -1,4 +1,4 @@
-"""Runs solvers on problem sets: times the call and nothing else, and lets MuJoCo judge the answer."""
+"""Runs solvers on problem sets: times the call and nothing else, and lets MuJoCo judge the solution."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""The comparison from the command line: makes the libraries' environments, and lets each take its turns.
+"""The comparison from the command line: makes the libraries' environments, and runs each several times.
 
     python -m robot_ik.bench.peers install ENVIRONMENTS            # a virtual environment for each library
     python -m robot_ik.bench.peers run --environments ENVIRONMENTS --out RESULTS
 
-Without an environment a library is looked for beside robot_ik.  One that is not there is named, with the line
+Without an environment a library is expected beside robot_ik.  One that is not there is named, with the line
 that installs it, and the others go on; the exit code is then 1.  RESULTS/peers.json says what was measured,
 with which versions, seed and day; RESULTS/tasks holds the problems.
 """
@@ -55,7 +55,7 @@ def install(environments: Path, names: Sequence[str]) -> int:
     return 1 if failed else 0
 
 
-def take_turn(name: str, task: Path, environments: Path | None, seconds: float) -> dict[str, Any]:
+def run_library(name: str, task: Path, environments: Path | None, seconds: float) -> dict[str, Any]:
     """A library solves all sets of a task in a process of its own, and MuJoCo judges it."""
     for file in ("turn.json", "answers.npz"):
         (task / file).unlink(missing_ok=True)
@@ -87,7 +87,7 @@ def compare(
     seconds: float = 8.0,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Every library on every robot, in turn, several rounds.
+    """Every library on every robot, one after the other, several rounds.
 
     Args:
         names: Rows of ``worker.LIBRARIES``, or FILE.py:CLASS.
@@ -95,7 +95,7 @@ def compare(
         out: Folder for the problems.
         environments: What ``install`` made.
         count: Problems of a kind.
-        rounds: How often each takes its turn.
+        rounds: How often each is run.
         seconds: For a set; it is cut short after them.
         seed: Of the problems.
 
@@ -104,7 +104,7 @@ def compare(
         ``failed`` why a library could not take part.
     """
     tasks = {robot: write_task(robot, out / "tasks" / robot, count, seed) for robot in robots}
-    turns: dict[str, dict[str, list[Any]]] = {name: {robot: [] for robot in robots} for name in names}
+    runs: dict[str, dict[str, list[Any]]] = {name: {robot: [] for robot in robots} for name in names}
     about: dict[str, Any] = {name: {"versions": {}, "settings": "", "calibration_us": []} for name in names}
     missing: dict[str, str] = {}
     failed: dict[str, str] = {}
@@ -113,18 +113,19 @@ def compare(
             for robot, task in tasks.items():
                 if name in missing or name in failed:
                     continue
-                said = take_turn(name, task, environments, seconds)
-                if "missing" in said:
-                    missing[name] = f"{said['missing']}; pip install {' '.join(map(repr, said['needs']))}"
-                elif "failed" in said:
-                    failed[name] = f"{robot}: {said['failed']}"
-                elif said["supported"]:
-                    turns[name][robot].append(said)
-                    about[name] |= {"versions": said["versions"], "settings": said["settings"]}
-                    about[name]["calibration_us"].append(round(said["calibration_us"]))
-                    say(_line(name, robot, said))
+                report = run_library(name, task, environments, seconds)
+                if "missing" in report:
+                    missing[name] = f"{report['missing']}; pip install {' '.join(map(repr, report['needs']))}"
+                elif "failed" in report:
+                    failed[name] = f"{robot}: {report['failed']}"
+                elif report["supported"]:
+                    runs[name][robot].append(report)
+                    about[name] |= {"versions": report["versions"], "settings": report["settings"]}
+                    about[name]["calibration_us"].append(round(report["calibration_us"]))
+                    say(_line(name, robot, report))
     libraries = {
-        name: about[name] | {"robots": {robot: _cells(said) for robot, said in turns[name].items() if said}}
+        name: about[name]
+        | {"robots": {robot: _cells(report) for robot, report in runs[name].items() if report}}
         for name in names
         if name not in missing and name not in failed
     }
@@ -133,12 +134,12 @@ def compare(
     return asked | {"machine": machine, "libraries": libraries, "missing": missing, "failed": failed}
 
 
-def _cells(turns: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    return {key: merged([one["sets"][key] for one in turns]) for key in turns[0]["sets"]}
+def _cells(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    return {key: merged([one["sets"][key] for one in runs]) for key in runs[0]["sets"]}
 
 
-def _line(name: str, robot: str, said: dict[str, Any]) -> str:
-    cells = (f"{key} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for key, c in said["sets"].items())
+def _line(name: str, robot: str, report: dict[str, Any]) -> str:
+    cells = (f"{key} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for key, c in report["sets"].items())
     return f"{name}, {robot}: {'; '.join(cells)}"
 
 

@@ -39,8 +39,8 @@ class OursAuto(Library):
         if len(self._sites) == 1:
             self._problem.retarget(target)
         else:
-            for index, place in enumerate(target):
-                self._problem.retarget(place, index)
+            for index, position in enumerate(target):
+                self._problem.retarget(position, index)
         return self._method.solve(self._problem, start).q
 
     def forward(self, q: Array) -> Array | None:
@@ -55,6 +55,6 @@ class Numeric(OursAuto):
 
 
 class ClosedForm(OursAuto):
-    """The closed form alone: out of reach it proves that, and looks for nothing nearest."""
+    """The closed form alone: out of reach it proves that, and searches for nothing nearest."""
 
     solver = "analytic"

@@ -26,30 +26,30 @@ SAME_ROBOT = 1e-6
 
 
 def judged(folder: Path) -> dict[str, Any]:
-    """What a turn comes to: ``turn.json`` with a cell for each set of problems.
+    """The results of a run: ``turn.json`` with a cell for each set of problems.
 
     Args:
-        folder: Of the task, with the answers of one library.
+        folder: Of the task, with the solutions of one library.
     """
-    said: dict[str, Any] = json.loads((folder / "turn.json").read_text(encoding="utf-8"))
-    if not said.get("supported"):
-        return said
+    report: dict[str, Any] = json.loads((folder / "turn.json").read_text(encoding="utf-8"))
+    if not report.get("supported"):
+        return report
     sites = Sites(mujoco.MjModel.from_xml_path(str(folder / "model.xml")))
-    problems, answers = np.load(folder / "problems.npz"), np.load(folder / "answers.npz")
-    if "probes" in answers:
+    problems, solutions = np.load(folder / "problems.npz"), np.load(folder / "answers.npz")
+    if "probes" in solutions:
         own = [sites.poses(q)[0] for q in problems["probes"]]
-        off = float(np.abs(np.array(own) - answers["probes"]).max()) if len(own) else 0.0
-        said["forward_off"] = off
+        off = float(np.abs(np.array(own) - solutions["probes"]).max()) if len(own) else 0.0
+        report["forward_off"] = off
         if not off <= SAME_ROBOT:
-            return said | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
-    said["sets"] = {}
-    for key in [name[: -len("_answers")] for name in answers.files if name.endswith("_answers")]:
-        said["sets"][key] = _cell(sites, key, problems, answers)
-    return said
+            return report | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
+    report["sets"] = {}
+    for key in [name[: -len("_answers")] for name in solutions.files if name.endswith("_answers")]:
+        report["sets"][key] = _cell(sites, key, problems, solutions)
+    return report
 
 
-def _cell(sites: Sites, key: str, problems: Any, answers: Any) -> dict[str, Any]:
-    q, wall, cpu = (answers[f"{key}_{part}"] for part in ("answers", "wall", "cpu"))
+def _cell(sites: Sites, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
+    q, wall, cpu = (solutions[f"{key}_{part}"] for part in ("answers", "wall", "cpu"))
     targets, starts = problems[f"{key}_targets"][: len(q)], problems[f"{key}_starts"][: len(q)]
     marks = np.array([_mark(sites, one, target) for one, target in zip(q, targets, strict=True)])
     cell = {
@@ -67,7 +67,7 @@ def _cell(sites: Sites, key: str, problems: Any, answers: Any) -> dict[str, Any]
 
 
 def _mark(sites: Sites, q: Array, target: Array) -> tuple[bool, bool]:
-    """Whether an answer (nq,) is a success, and whether it is exact."""
+    """Whether a solution (nq,) is a success, and whether it is exact."""
     if not np.isfinite(q).all():
         return False, False
     hinges = q[-len(sites.lower) :]

@@ -30,7 +30,7 @@ FIGURE_SITES = {
     "left_foot": "left_foot",
     "right_foot": "right_foot",
 }
-# Of the four goals: how far joints go, as a share of the way to random angles, and the base, m.
+# Of the four goals: how far joints go, as a share of the distance to random angles, and the base, m.
 _AWAY, _BASE_M, _POINTS_TOLERANCE = 0.5, 0.1, 1e-4
 _FAR, _PROBES = 30, 20
 _BASE = 7  # numbers of a free base in qpos
@@ -196,8 +196,8 @@ def frames_of(model: mujoco.MjModel) -> Array:
 
 def _along(axis: Array) -> Array:
     """A rotation (3, 3) whose z is ``axis``."""
-    aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(aside, axis)
+    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(helper, axis)
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(axis, x), axis], axis=1)
 
@@ -257,7 +257,7 @@ def _joint(
 
 
 def roll_pitch_yaw(wxyz: Array) -> Array:
-    """(3,) of a URDF: turns about fixed x, then y, then z."""
+    """(3,) of a URDF: rotations about fixed x, then y, then z."""
     flat = np.empty(9)
     mujoco.mju_quat2Mat(flat, np.asarray(wxyz, dtype=float))
     r = flat.reshape(3, 3)

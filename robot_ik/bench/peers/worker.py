@@ -1,8 +1,8 @@
-"""One library's turn, in that library's own interpreter: numpy and the library are all that it needs.
+"""One library's run, in that library's own interpreter: numpy and the library are all that it needs.
 
     python worker.py LIBRARY FOLDER SECONDS
 
-LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS; FOLDER holds what ``tasks`` wrote.  Answers and times go
+LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS; FOLDER holds what ``tasks`` wrote.  Solutions and times go
 to ``answers.npz`` and ``turn.json`` in it.  Nothing is judged here.  A time is that of the whole Python call:
 an array in, joint angles out, with all conversions, restarts and handling of limits.
 """
@@ -28,7 +28,7 @@ for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import numpy as np  # noqa: E402 - it reads those variables when it is loaded
 
 Array = Any  # of numpy's type; annotations that need no numpy.typing keep old environments in
-TURN = 2.0 * np.pi
+TWO_PI = 2.0 * np.pi
 # Untimed solves before each set, and the least number of problems that a set is judged by.
 _WARM_UP, _LEAST = 5, 20
 
@@ -40,7 +40,7 @@ class Task:
     Attributes:
         folder: Holds ``model.urdf`` and ``model.xml``, the same kinematics in both forms.
         robot: Its name.
-        joints: Names of the hinges, in the order of answers (behind the seven numbers of a free base).
+        joints: Names of the hinges, in the order of solutions (behind the seven numbers of a free base).
         lower: (n,) rad; ``upper`` likewise.
         upper: See ``lower``.
         home: (nq,).
@@ -84,7 +84,7 @@ class Library:
 
     Attributes:
         needs: Distributions that pip installs for it.
-        settings: What it was asked for, in words.
+        settings: What it was asked for, as text.
     """
 
     needs: tuple[str, ...] = ()
@@ -107,10 +107,10 @@ class Library:
 
 
 def into_limits(q: Array, task: Task) -> Array:
-    """Angles moved by whole turns into their range, where there is one."""
-    up = np.maximum(np.ceil((task.lower - q) / TURN - 1e-12), 0.0)
-    down = np.maximum(np.ceil((q - task.upper) / TURN - 1e-12), 0.0)
-    return q + TURN * (up - down)
+    """Angles moved by multiples of 2π into their range, where there is one."""
+    up = np.maximum(np.ceil((task.lower - q) / TWO_PI - 1e-12), 0.0)
+    down = np.maximum(np.ceil((q - task.upper) / TWO_PI - 1e-12), 0.0)
+    return q + TWO_PI * (up - down)
 
 
 class RoboticsToolbox(Library):
@@ -164,8 +164,8 @@ class Eaik(Library):
     def solve(self, target: Array, start: Array) -> Array | None:
         wanted = target.copy()
         wanted[:3, :3] = target[:3, :3] @ self._zero.T
-        answer = self._robot.IK(wanted)
-        every, least = np.array(answer.Q), np.array(answer.is_LS, dtype=bool)
+        result = self._robot.IK(wanted)
+        every, least = np.array(result.Q), np.array(result.is_LS, dtype=bool)
         found = None if least.all() else self._nearest(every[~least], start)
         if found is None and least.any():  # what is marked as least squares may be exact
             exact = [q for q in every[least] if np.abs(self.forward(q) - target).max() < 1e-4]
@@ -173,18 +173,18 @@ class Eaik(Library):
         return found
 
     def _nearest(self, branches: Array, start: Array) -> Array | None:
-        """The branch, turned by whole turns, that is nearest to the start and inside the limits."""
+        """The branch, moved by multiples of 2π, that is nearest to the start and inside the limits."""
         moves = branches - start
-        moves -= TURN * np.rint(moves / TURN)
+        moves -= TWO_PI * np.rint(moves / TWO_PI)
         lower, upper = self._task.lower, self._task.upper
         best = start + moves[np.abs(moves).max(axis=1).argmin()]
         if (best >= lower).all() and (best <= upper).all():  # as a rule it is the nearest of all
             return np.asarray(best)
-        turned = into_limits(start + moves, self._task)
-        far = np.abs(turned - start).max(axis=1)
-        far[((turned < lower - 1e-9) | (turned > upper + 1e-9)).any(axis=1)] = np.inf
+        candidates = into_limits(start + moves, self._task)
+        far = np.abs(candidates - start).max(axis=1)
+        far[((candidates < lower - 1e-9) | (candidates > upper + 1e-9)).any(axis=1)] = np.inf
         nearest = int(far.argmin())
-        return None if far[nearest] == np.inf else np.asarray(turned[nearest])
+        return None if far[nearest] == np.inf else np.asarray(candidates[nearest])
 
     def forward(self, q: Array) -> Array:
         pose = np.array(self._robot.fwdKin(q))
@@ -220,7 +220,7 @@ class Placo(Library):
         self.settings = f"soft tasks, regularisation 1e-6, {self.steps} steps, {self.restarts} restarts"
         return True
 
-    def _place(self, q: Array) -> None:
+    def _set_q(self, q: Array) -> None:
         x = self._robot.state.q.copy()
         if self._task.free_base:
             x[:7] = (*q[:3], *q[4:7], q[3])  # its quaternions are x y z w
@@ -242,27 +242,27 @@ class Placo(Library):
             for one in self._points:
                 one.update()
             return max(one.error_norm() for one in self._points) < self._task.position
-        place, turn = self._frame.position(), self._frame.orientation()
-        place.update()
-        turn.update()
-        return place.error_norm() < self._task.position and turn.error_norm() < self._task.angle
+        position, orientation = self._frame.position(), self._frame.orientation()
+        position.update()
+        orientation.update()
+        return position.error_norm() < self._task.position and orientation.error_norm() < self._task.angle
 
     def _descend(self, start: Array) -> bool:
-        self._place(start)
+        self._set_q(start)
         for _ in range(self.steps):
             if self._met():
                 return True
             try:
                 self._solver.solve(True)
-            except RuntimeError:  # a program without an answer
+            except RuntimeError:  # a program without a solution
                 return False
             self._robot.update_kinematics()
         return self._met()
 
     def solve(self, target: Array, start: Array) -> Array | None:
         if self._task.free_base:
-            for one, place in zip(self._points, target):  # noqa: B905
-                one.target_world = place
+            for one, position in zip(self._points, target):  # noqa: B905
+                one.target_world = position
         else:
             self._frame.T_world_frame = target
         met = self._descend(start)
@@ -274,7 +274,7 @@ class Placo(Library):
     def forward(self, q: Array) -> Array | None:
         if self._task.free_base:
             return None
-        self._place(q)
+        self._set_q(q)
         return np.asarray(self._robot.get_T_world_frame(self._task.sites[0]))
 
 
@@ -340,7 +340,7 @@ def library_of(name: str) -> type[Library]:
     return found
 
 
-# ------------------------------------------------------------------------------------------- a turn
+# ------------------------------------------------------------------------------------------- a run
 
 
 def run_set(
@@ -349,7 +349,7 @@ def run_set(
     """Answers (n, nq), wall-clock and processor times (n,) in µs, and the errors that were raised."""
     for target, start in zip(targets[:_WARM_UP], starts):  # noqa: B905
         _try(solve, target, start, {})
-    answers, wall, cpu, errors = [], [], [], {}  # type: ignore[var-annotated]
+    solutions, wall, cpu, errors = [], [], [], {}  # type: ignore[var-annotated]
     began = time.perf_counter()
     gc.collect()
     gc.disable()
@@ -359,11 +359,11 @@ def run_set(
         wall.append((time.perf_counter_ns() - t) / 1e3)
         cpu.append((time.process_time_ns() - c) / 1e3)
         good = q is not None and np.shape(q) == starts.shape[1:]
-        answers.append(np.array(q, dtype=float) if good else np.full(starts.shape[1:], np.nan))
+        solutions.append(np.array(q, dtype=float) if good else np.full(starts.shape[1:], np.nan))
         if time.perf_counter() - began > seconds and len(wall) >= _LEAST:
             break
     gc.enable()
-    return np.array(answers), np.array(wall), np.array(cpu), errors
+    return np.array(solutions), np.array(wall), np.array(cpu), errors
 
 
 def _try(
@@ -400,32 +400,32 @@ def versions_of(kind: type[Library]) -> dict[str, str]:
     return found
 
 
-def take_turn(name: str, folder: Path, seconds: float) -> dict[str, Any]:
-    """All sets of a task by one library; what is to be said of it."""
+def run_library(name: str, folder: Path, seconds: float) -> dict[str, Any]:
+    """All sets of a task by one library; and a report on it."""
     kind, task = library_of(name), Task.load(folder)
-    library, said = kind(), {"library": name, "calibration_us": calibration(), "errors": {}}
+    library, report = kind(), {"library": name, "calibration_us": calibration(), "errors": {}}
     try:
-        said["supported"] = library.setup(task)
+        report["supported"] = library.setup(task)
     except ImportError as error:
-        return said | {"missing": str(error), "needs": list(kind.needs)}
-    said |= {"versions": versions_of(kind), "settings": library.settings, "python": sys.version.split()[0]}
-    if not said["supported"]:
-        return said
+        return report | {"missing": str(error), "needs": list(kind.needs)}
+    report |= {"versions": versions_of(kind), "settings": library.settings, "python": sys.version.split()[0]}
+    if not report["supported"]:
+        return report
     sets, saved = np.load(folder / "problems.npz"), {}
     poses = [library.forward(q) for q in sets["probes"]]
     if all(pose is not None for pose in poses):
         saved["probes"] = np.array(poses)
     for key in sorted(key[: -len("_targets")] for key in sets.files if key.endswith("_targets")):
-        answers, wall, cpu, errors = run_set(
+        solutions, wall, cpu, errors = run_set(
             library.solve, sets[f"{key}_targets"], sets[f"{key}_starts"], seconds
         )
-        saved |= {f"{key}_answers": answers, f"{key}_wall": wall, f"{key}_cpu": cpu}
-        said["errors"][key] = errors  # type: ignore[index]
+        saved |= {f"{key}_answers": solutions, f"{key}_wall": wall, f"{key}_cpu": cpu}
+        report["errors"][key] = errors  # type: ignore[index]
     np.savez(folder / "answers.npz", **saved)  # type: ignore[arg-type]
-    return said
+    return report
 
 
 if __name__ == "__main__":
     _folder = Path(sys.argv[2])
-    _said = take_turn(sys.argv[1], _folder, float(sys.argv[3]))
-    (_folder / "turn.json").write_text(json.dumps(_said), encoding="utf-8")
+    _report = run_library(sys.argv[1], _folder, float(sys.argv[3]))
+    (_folder / "turn.json").write_text(json.dumps(_report), encoding="utf-8")

@@ -22,7 +22,7 @@ from robot_ik.solvers import SOLVERS, make_solver
 # Witnesses: joint angles of a ball-joint chain that meet a goal, made by drawing the chain, not by solving.
 #
 # All links but those that an orientation fixes are laid on one circular arc from the base to where they
-# have to end; each joint then turns its link from the direction of the one before.
+# have to end; each joint then rotates its link from the direction of the one before.
 
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -36,43 +36,43 @@ def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
     Args:
         links: How many.
         target: Pose of the tip, world; its orientation does not count unless ``oriented``.
-        oriented: Whether the last link has to be turned as ``target`` says.
+        oriented: Whether the last link has to be oriented as ``target`` says.
 
     Raises:
         ValueError: The links cannot get there.
     """
     if not oriented:
-        return chain_from_world([_turn_up_to(d) for d in _arc(links, target.position)])
+        return chain_from_world([_rotation_up_to(d) for d in _arc(links, target.position)])
     wrist = target.position - target.rotation @ _UP
-    turns = [_turn_up_to(d) for d in _arc(links - 1, wrist)]
-    return chain_from_world([*turns, target.wxyz])
+    rotations = [_rotation_up_to(d) for d in _arc(links - 1, wrist)]
+    return chain_from_world([*rotations, target.wxyz])
 
 
-def chain_from_world(turns: Sequence[Array]) -> Array:
-    """q of the chain whose links are turned in the world as the unit quaternions ``turns`` (4,) say."""
+def chain_from_world(rotations: Sequence[Array]) -> Array:
+    """q of the chain whose links are oriented in the world as the unit quaternions ``rotations`` (4,) say."""
     q, before = [], np.array([1.0, 0.0, 0.0, 0.0])
-    for turn in turns:
-        q.append(quat_multiply(before * [1.0, -1.0, -1.0, -1.0], turn))
-        before = turn
+    for rotation in rotations:
+        q.append(quat_multiply(before * [1.0, -1.0, -1.0, -1.0], rotation))
+        before = rotation
     return np.concatenate(q)
 
 
 def _arc(links: int, end: Array) -> list[Array]:
     """Directions (3,) of links of 1 m on a circular arc from the origin to ``end`` (3,)."""
     chord = float(np.linalg.norm(end))
-    bend = arc_bend(links, chord)
+    joint_angle = arc_joint_angle(links, chord)
     along = end / chord if chord > _AT_BASE else np.array([1.0, 0.0, 0.0])
     # The arc lies in the upright plane through its end; where that end is right above, in the xz plane.
-    aside = np.cross(np.cross(along, _UP), along)
-    if float(np.linalg.norm(aside)) < 1e-6:
-        aside = np.array([1.0, 0.0, 0.0])
-    aside = aside - along * (aside @ along)
-    aside /= np.linalg.norm(aside)
-    angles = [0.5 * bend * (links - 1 - 2 * k) for k in range(links)]
-    return [math.cos(a) * along + math.sin(a) * aside for a in angles]
+    lateral = np.cross(np.cross(along, _UP), along)
+    if float(np.linalg.norm(lateral)) < 1e-6:
+        lateral = np.array([1.0, 0.0, 0.0])
+    lateral = lateral - along * (lateral @ along)
+    lateral /= np.linalg.norm(lateral)
+    angles = [0.5 * joint_angle * (links - 1 - 2 * k) for k in range(links)]
+    return [math.cos(a) * along + math.sin(a) * lateral for a in angles]
 
 
-def arc_bend(links: int, chord: float) -> float:
+def arc_joint_angle(links: int, chord: float) -> float:
     """Angle from one link to the next, rad, for which the arc's ends are ``chord`` metres apart."""
     if links == 1:
         if abs(chord - 1.0) > _AT_BASE:
@@ -88,13 +88,13 @@ def arc_bend(links: int, chord: float) -> float:
     return 0.5 * (low + high)
 
 
-def _turn_up_to(direction: Array) -> Array:
-    """Shortest turn, wxyz, of the z axis to a unit vector (3,)."""
+def _rotation_up_to(direction: Array) -> Array:
+    """Shortest rotation, wxyz, of the z axis to a unit vector (3,)."""
     w = 1.0 + float(direction[2])
     if w < 1e-12:
         return np.array([0.0, 1.0, 0.0, 0.0])
-    turn = np.array([w, -direction[1], direction[0], 0.0])
-    return np.asarray(turn / np.linalg.norm(turn))
+    rotation = np.array([w, -direction[1], direction[0], 0.0])
+    return np.asarray(rotation / np.linalg.norm(rotation))
 
 
 # ------------------------------------------------------------------------------------------
@@ -112,7 +112,7 @@ X, Y, Z = np.eye(3)
 
 CIRCLE_STEP = 1.0  # degrees a frame
 SMALL_STEP, LARGE_STEP = 0.1, 5.0  # tests 6, 7 and 9
-SLOWNESS = 4.0  # test 3: the orientation turns this many times slower than the goal
+SLOWNESS = 4.0  # test 3: the orientation rotates this many times slower than the goal
 SIDE = 2.0 * X  # test 10: middle of its circle of 1 m
 POINTS, LINE_STEP = 10, 0.02  # tests 11, 12: random points; metres a frame
 BEND = 75.0  # test 13: the elbow bends to twice this, degrees
@@ -135,7 +135,7 @@ class Course:
         robot: The chain.
         goal: The kind of goal, with the first target.
         moves: What the goal does; what A00 states first, then what is chosen.
-        unit: Of ``at``: ``"°"`` of the goal's turn, or ``"m"`` along its path.
+        unit: Of ``at``: ``"°"`` of the goal's rotation, or ``"m"`` along its path.
         at: (frames,) how far the goal has gone.
         targets: One pose a frame.
         witnesses: (frames, nq) joint angles that meet them.
@@ -157,28 +157,28 @@ class Course:
         return float(metres), float(radians)
 
 
-def _turned(axis: Array, degrees: float, point: Array) -> Array:
+def _rotated(axis: Array, degrees: float, point: Array) -> Array:
     return Pose((0.0, 0.0, 0.0), rotation_exp(axis * math.radians(degrees))).apply(point)
 
 
 def _about(axis: Array, degrees: float, wxyz: Array | None = None) -> Array:
-    turn = rotation_exp(axis * math.radians(degrees))
-    return turn if wxyz is None else quat_multiply(turn, wxyz)
+    rotation = rotation_exp(axis * math.radians(degrees))
+    return rotation if wxyz is None else quat_multiply(rotation, wxyz)
 
 
 TO_X = rotation_exp(Y * math.pi / 2.0)  # the last link along x
 
 
 def _circle(axis: Array, start: Array, at: float) -> Pose:
-    return Pose(_turned(axis, at, start))
+    return Pose(_rotated(axis, at, start))
 
 
 def _slow(at: float) -> Pose:
-    return Pose(_turned(Z, at, 2.5 * X), _about(Z, at / SLOWNESS, TO_X))
+    return Pose(_rotated(Z, at, 2.5 * X), _about(Z, at / SLOWNESS, TO_X))
 
 
 def _along(at: float) -> Pose:
-    return Pose(_turned(DIAGONAL, at, 2.5 * Z), _about(DIAGONAL, at))
+    return Pose(_rotated(DIAGONAL, at, 2.5 * Z), _about(DIAGONAL, at))
 
 
 def _in_place(at: float) -> Pose:
@@ -186,7 +186,7 @@ def _in_place(at: float) -> Pose:
 
 
 def _one_side(at: float) -> Pose:
-    return Pose(SIDE + _turned(DIAGONAL, at, Z), _about(SKEW, at, TO_X))
+    return Pose(SIDE + _rotated(DIAGONAL, at, Z), _about(SKEW, at, TO_X))
 
 
 def _make(
@@ -224,7 +224,7 @@ def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
 
 def _square(number: int, frames: int | None) -> Course:
     """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
-    robot, at = make_chain(2), _turns(CIRCLE_STEP)[:frames]
+    robot, at = make_chain(2), _circle_angles(CIRCLE_STEP)[:frames]
     witnesses = np.array([_two_balls(a) for a in at])
     targets = tuple(robot.measure(q) for q in witnesses)
     moves = (
@@ -236,17 +236,17 @@ def _square(number: int, frames: int | None) -> Course:
 
 
 def _two_balls(at: float) -> Array:
-    bend = math.radians(BEND * (1.0 - math.cos(math.radians(at))))
-    axis = _turned(Z, 2.0 * at, X)
-    return np.concatenate([_about(DIAGONAL, at), rotation_exp(bend * axis)])
+    elbow = math.radians(BEND * (1.0 - math.cos(math.radians(at))))
+    axis = _rotated(Z, 2.0 * at, X)
+    return np.concatenate([_about(DIAGONAL, at), rotation_exp(elbow * axis)])
 
 
-def _turns(step: float) -> Array:
+def _circle_angles(step: float) -> Array:
     return np.arange(0.0, 360.0 + 0.5 * step, step)
 
 
 def _circles(number: int, frames: int | None) -> Course:
-    degrees, small = _turns(CIRCLE_STEP), _turns(SMALL_STEP)
+    degrees, small = _circle_angles(CIRCLE_STEP), _circle_angles(SMALL_STEP)
     diagonal = "about (1,1,0) from the z axis"
     rows: dict[int, tuple[int, bool, str, Array, Callable[[float], Pose]]] = {
         1: (3, False, "circle about the origin in XY", degrees, lambda a: _circle(Z, 1.5 * X, a)),
@@ -259,7 +259,7 @@ def _circles(number: int, frames: int | None) -> Course:
         7: (5, True, f"{diagonal} in {SMALL_STEP:g}° steps, the orientation turning as much, from the "
             "last link pointing outwards", small, _along),
         8: (5, True, "fixed at (0, 0, 2.5) m, the orientation turning about (1,1,0)", degrees, _in_place),
-        9: (5, False, f"{diagonal} in {LARGE_STEP:g}° steps", _turns(LARGE_STEP),
+        9: (5, False, f"{diagonal} in {LARGE_STEP:g}° steps", _circle_angles(LARGE_STEP),
             lambda a: _circle(DIAGONAL, 2.5 * Z, a)),
         10: (5, True, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
              "orientation turning about (1,-1,1)", degrees, _one_side),

@@ -34,7 +34,7 @@ LIMIT = 45.0  # degrees, about x and z
 
 ITERATIONS, ALPHA, LAMBDA, MAX_STEP = 100, 0.01, 1.1, math.pi / 16.0
 IN_DEGREES = ALPHA * 180.0 / math.pi
-"""α as a share of a step if his steps come out in radians and are turned into degrees nowhere else."""
+"""α as a share of a step if his steps come out in radians and are converted to degrees nowhere else."""
 
 MUST_PASS = ("lm", "auto")
 METHODS = ("ccd", "transpose", "pseudoinverse", "dls")
@@ -119,8 +119,8 @@ def make_arm(limited: bool) -> Robot:
     arm = load_robot("seven_segment")
     if not limited:
         return arm
-    bend = np.array([np.inf if name.endswith("twist") else math.radians(LIMIT) for name in arm.joints])
-    return arm.with_limits(-bend, bend)
+    bounds = np.array([np.inf if name.endswith("twist") else math.radians(LIMIT) for name in arm.joints])
+    return arm.with_limits(-bounds, bounds)
 
 
 def make_witnesses(arm: Robot, case: ArmCase, frames: int, seed: int) -> Array:
@@ -160,7 +160,7 @@ def make_method(variant: str, name: str, problem: Problem) -> Solver:
 
 
 def steps_of(name: str, track: Track) -> float:
-    """N as he counts: iterations, but of ``ccd`` turns of single bones, of which a sweep has seven."""
+    """N as he counts: iterations, but of ``ccd`` rotations of single bones, of which a sweep has seven."""
     return track.iterations * (SEGMENTS if name == "ccd" else 1)
 
 
@@ -236,16 +236,16 @@ def s12_picture(report: S12Report) -> bytes:
 def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
     """One case: the upper axes get η, the lower t."""
     methods = BEST_METHODS
-    for place, kind in enumerate(("S12", "same", "best")):
+    for index, kind in enumerate(("S12", "same", "best")):
         at, solved, times = [], [], []
         for k, name in enumerate(methods):
             cell = _cell(report, kind, name, case)
             if cell is not None:
-                at.append(k + 0.27 * (place - 1) if name in HIS else k)  # one bar alone: in the middle
+                at.append(k + 0.27 * (index - 1) if name in HIS else k)  # one bar alone: in the middle
                 solved.append(cell[1])
                 times.append(cell[0])
         style = {"width": 0.25, "color": _COLOURS[kind], "label": _TITLES[kind]}
-        # A bar of nothing would look like a missing one: 0 % gets a sliver.
+        # A bar of zero height cannot be told from a missing one: 0 % gets a sliver.
         axes[0].bar(at, np.maximum(solved, 0.7), **style)
         axes[1].bar(at, times, **style)
     axes[0].set_title(f"{case.number}: {case.title}")

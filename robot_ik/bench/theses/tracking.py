@@ -1,4 +1,4 @@
-"""Goals one after the other, each solved from the answer to the last: the loop of both experiments."""
+"""Goals one after the other, each solved from the solution to the last: the loop of both experiments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 """Called with what is being done and which share of all is behind."""
 
-# Looks at the progress bar this often, frames: a look costs more than a solve.
+# Updates the progress bar this often, frames: an update costs more than a solve.
 _LOOK = 25
 
 
@@ -124,7 +124,7 @@ def track(
         seconds += solution.seconds
         iterations += solution.iterations
         restarts += solution.restarts
-        metres, radians = judge.miss(q, target)  # MuJoCo's word, not the solver's
+        metres, radians = judge.miss(q, target)  # by MuJoCo, not the solver's
         if metres <= allowed.position and radians <= allowed.angle:
             solved += 1
         elif lost is None:

@@ -29,7 +29,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.tables import Place, Table, Wxyz, read_table
+from robot_ik.tables import Position, Table, Wxyz, read_table
 
 Array = NDArray[np.float64]
 
@@ -278,7 +278,7 @@ _Six = Annotated[tuple[float, float, float, float, float, float], Field(strict=F
 class _ExtrinsicsFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")] = 1
     parent: str
-    position: Place
+    position: Position
     wxyz: Wxyz
     covariance: Annotated[tuple[_Six, _Six, _Six, _Six, _Six, _Six], Field(strict=False)]
     sigma_position: float | None = None  # what the covariance says, for people

@@ -23,7 +23,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
-from robot_ik.tables import Place, Several, Table, read_table
+from robot_ik.tables import Position, Several, Table, read_table
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -311,7 +311,7 @@ _Edge = Annotated[float, Field(gt=0.0)]
 class BoxTable(Table):
     """A box: its middle and its edges in metres, turned about the vertical."""
 
-    position: Place
+    position: Position
     size: Annotated[
         tuple[_Edge, _Edge, _Edge], Field(strict=False, description="three edges above 0, metres")
     ]

@@ -28,7 +28,7 @@ from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
-from robot_ik.tables import Pair, Place, Several, Table, Wxyz, config_error
+from robot_ik.tables import Pair, Position, Several, Table, Wxyz, config_error
 
 
 @dataclass(frozen=True)
@@ -303,10 +303,10 @@ class _Lens(Table):
 
 class _Sample(Table):
     q: Several[float]
-    points: Several[Place]
+    points: Several[Position]
     pixels: Several[Pair]
     sigma: float
-    position: Place
+    position: Position
     wxyz: Wxyz
 
 
@@ -453,7 +453,7 @@ _Six = Annotated[Several[float], Field(min_length=6, max_length=6)]
 
 
 class _Known(Table):
-    position: Place
+    position: Position
     wxyz: Wxyz
     covariance: Annotated[Several[_Six], Field(min_length=6, max_length=6)]
 

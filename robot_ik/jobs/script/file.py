@@ -13,7 +13,7 @@ from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
 from robot_ik.reading import parse_toml, read_text, shown
-from robot_ik.tables import Place, Several, Table, WrongKey, check_table, chosen
+from robot_ik.tables import Position, Several, Table, WrongKey, check_table, chosen
 
 _Word = Annotated[str, Field(min_length=1)]
 _Positive = Annotated[float, Field(gt=0.0)]
@@ -27,7 +27,7 @@ class ObjectTable(Table):
     """
 
     name: _Word
-    position: Place
+    position: Position
     yaw_deg: float = 0.0
     size_mm: Annotated[tuple[_Positive, _Positive, _Positive], Field(strict=False)]
     mass_g: _Positive = 50.0

@@ -1,9 +1,9 @@
 """Closed forms: the geometry is recognised from the kinematic tree alone.
 
 Paden-Kahan subproblems on lines in space (Paden 1986; Elias & Wen, IK-Geo, 2022), and the swivel angle of
-a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the answer is the one inside the limits
+a limb (Tolani, Goswami & Badler 2000).  All branches are computed; the solution is the one inside the limits
 nearest to the start.  At singular poses the free angle stays as near to the start as can be.  Where there is
-no answer, a proof is tried that nothing within tolerance can be reached (``proofs.py``).
+no solution, a proof is tried that nothing within tolerance can be reached (``proofs.py``).
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -51,17 +51,17 @@ from robot_ik.solvers.analytic.recognise import (
     Family,
     Form,
     limit_edges,
-    middle_turns,
+    middle_rotations,
     recognise,
 )
 from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
 from robot_ik.solvers.analytic.subproblems import (
     EVERY,
     FORM,
-    LOOK,
     SOLVE,
+    START_ONLY,
     invert,
-    look,
+    measure_start,
     nearest,
     open_form,
     settle,
@@ -77,9 +77,9 @@ _SHOULDER = int(Family.SPHERICAL_SHOULDER)
 
 
 @outlined
-def answer(tree, goal, work, form, family, mode):
-    """Solves from work.start, which is the answer if it is at the goal; fills best, status and branches."""
-    if not look(tree, goal, work, form, mode):
+def solve_axes(tree, goal, work, form, family, mode):
+    """Solves from work.start, which is the solution if it is at the goal; fills best, status and branches."""
+    if not measure_start(tree, goal, work, form, mode):
         return
     axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
     lower, upper = form.lower, form.upper
@@ -99,7 +99,7 @@ def answer(tree, goal, work, form, family, mode):
 @kernel
 def closed_form(tree, goals, work, form, family, mode):
     """One solve."""
-    answer(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
+    solve_axes(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
 
 
 @kernel
@@ -108,7 +108,7 @@ def closed_form_many(tree, goals, work, form, family, targets, starts, q, status
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        answer(tree, goal, work, form, family, SOLVE)
+        solve_axes(tree, goal, work, form, family, SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[STATUS]
 
@@ -118,9 +118,9 @@ def closed_form_many(tree, goals, work, form, family, targets, starts, q, status
 
 
 @outlined
-def answer_limb(tree, goal, work, form, mode):
+def solve_limb(tree, goal, work, form, mode):
     """Solves from work.start; fills best and status, and the branches if they are asked for."""
-    if not look(tree, goal, work, form, mode):
+    if not measure_start(tree, goal, work, form, mode):
         return
     if mode == EVERY:
         branches = form.branches
@@ -138,7 +138,7 @@ def answer_limb(tree, goal, work, form, mode):
 @kernel
 def closed_limb(tree, goals, work, form, _family, mode):
     """One solve."""
-    answer_limb(open_tree(tree), open_goals(goals), open_work(work), open_form(form), mode)
+    solve_limb(open_tree(tree), open_goals(goals), open_work(work), open_form(form), mode)
 
 
 @kernel
@@ -147,7 +147,7 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
     tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        answer_limb(tree, goal, work, form, SOLVE)
+        solve_limb(tree, goal, work, form, SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[STATUS]
 
@@ -296,12 +296,12 @@ class Analytic(Solver):
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
-        mode = LOOK if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
+        mode = START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
         if mode == SOLVE and state[STATUS] != CONVERGED and _is_out_of_reach(prepared):
             state[STATUS] = UNREACHABLE
-        if mode == LOOK and state[STATUS] != CONVERGED:
+        if mode == START_ONLY and state[STATUS] != CONVERGED:
             state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
         number, iterations = state[: ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
@@ -314,25 +314,25 @@ class Analytic(Solver):
         )  # fmt: skip
 
     def attempt_many(
-        self, problem: Problem, targets: Array, starts: Array, answers: BatchResult, budget: Budget
+        self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         prepared = self._require(problem)
         if budget.iterations < 1 or budget.seconds is not None:
-            super().attempt_many(problem, targets, starts, answers, budget)
+            super().attempt_many(problem, targets, starts, results, budget)
             return
         jit.announce(prepared.batch, f"batches of solver {self.name!r}")
         prepared.batch(
             *prepared.addresses, prepared.family, targets, starts,
-            answers.q, answers.status, answers.miss, answers.iterations,
+            results.q, results.status, results.miss, results.iterations,
         )  # fmt: skip
-        missed = np.flatnonzero(answers.status != CONVERGED)
+        missed = np.flatnonzero(results.status != CONVERGED)
         if not len(missed):
             return
         for row in missed:
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
-                answers.status[row] = UNREACHABLE
-        answers.status[(answers.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
+                results.status[row] = UNREACHABLE
+        results.status[(results.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
@@ -353,7 +353,7 @@ class Analytic(Solver):
             if np.isnan(angles[0]):
                 continue
             q = problem.arrays["start"].copy()
-            q[prepared.arrays["place"]] = angles
+            q[prepared.arrays["qadr"]] = angles
             bits = [(row >> (len(names) - 1 - k)) & 1 for k in range(len(names))]
             found.append(
                 (" ".join(f"{n}{'+' if b == 0 else '-'}" for n, b in zip(names, bits, strict=True)), q)
@@ -408,21 +408,21 @@ def _form_of(problem: Problem) -> Form | None:
 
 def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
     """What the kernels work on, by their names in ``FORM``."""
-    place: list[int] = []
+    qadr: list[int] = []
     limits: list[tuple[float, float]] = []
     for node in form.nodes:
         width, v = Q_WIDTH[int(tree.kind[node])], int(tree.vadr[node])
-        place += range(int(tree.qadr[node]), int(tree.qadr[node]) + width)
+        qadr += range(int(tree.qadr[node]), int(tree.qadr[node]) + width)
         limits += [(float(tree.lower[v]), float(tree.upper[v]))] * width
-    n = len(place)
+    n = len(qadr)
     lower, upper = (np.array(side) for side in zip(*limits, strict=True))
     return {
-        "place": np.array(place, dtype=np.int64),
+        "qadr": np.array(qadr, dtype=np.int64),
         "axes": form.axes, "extra": form.extra, "groups": form.groups,
         "lower": lower, "upper": upper, "least": np.full(n, -np.inf), "most": np.full(n, np.inf),
         "start": np.zeros(n), "best": np.zeros(n), "branches": np.zeros((8, n)),
         "target": target, "inverse": np.zeros((1, 12)),
-        "turns": middle_turns(form), "edges": limit_edges(form, lower, upper),
+        "middle_rotations": middle_rotations(form), "edges": limit_edges(form, lower, upper),
         "matrices": np.zeros((7, 9)), "parts": np.zeros((2, 27)), "cuts": np.zeros(64),
         "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)), "scores": np.zeros(6),
         "spin": np.zeros((2, 3)), "speeds": np.zeros(2),

@@ -2,7 +2,7 @@
 
 After Tolani, Goswami & Badler (Real-time inverse kinematics techniques for anthropomorphic limbs,
 Graphical Models 62, 2000): the elbow's angle follows from the distance of shoulder and wrist, and each
-joint limit cuts the circle of swivel angles at places that are known in closed form (``recognise.py``).
+joint limit cuts the circle of swivel angles at points that are known in closed form (``recognise.py``).
 Between two cuts either all or none of the angles are inside the limits, so that no such interval is
 missed, however narrow; inside them the angle nearest to the start is searched for.
 """
@@ -17,7 +17,7 @@ from numba import types
 from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
-from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, turn
+from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, rotate
 from robot_ik.solvers.analytic.swivel import (
     WHOLE,
     add_slope,
@@ -33,11 +33,11 @@ from robot_ik.solvers.analytic.swivel import (
 # The search for the swivel angle nearest to the start, inside the joint limits.
 
 
-# Places at which a range of swivel angles is looked at, besides its cuts: a wide one, and one near the start.
+# Angles at which a range of swivel angles is evaluated, besides its cuts: a wide one, and one near the start.
 _WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3
 # Cuts nearer than this (rad) are one.
 SAME = 1e-12
-# Cosine from which two axes are so nearly in line that the very place is looked at.
+# Cosine from which two axes are so nearly in line that this very angle is evaluated.
 _IN_LINE = 1.0 - 1e-12
 # Columns of the tally.
 VALUE, ANGLE, LOW, HIGH = 0, 1, 2, 3
@@ -85,10 +85,10 @@ def smallest(tally):
 
 
 @outlined
-def weigh(form, lower, upper, angle, low, high, nearest):
+def evaluate_angle(form, lower, upper, angle, low, high, nearest):
     """Looks at one swivel angle: notes in the tally where a combination of flips is nearer; whether any fits.
 
-    What cannot come nearer than the squared distance ``nearest`` is not looked at to the end.
+    What cannot come nearer than the squared distance ``nearest`` is not evaluated to the end.
     """
     noinline()
     tally, scores = form.tally, form.scores
@@ -145,7 +145,7 @@ def find_cuts(form, lower, upper, widest):
         for end in range(2):  # where axes 1 and 3 are most nearly in line
             if abs(a + amplitude * (1 - 2 * end)) > _IN_LINE:  # an angle more is free, just there
                 angle = math.atan2(c, b) + math.pi * end
-                weigh(form, lower, upper, angle, angle, angle, math.inf)
+                evaluate_angle(form, lower, upper, angle, angle, angle, math.inf)
     return count
 
 
@@ -172,7 +172,7 @@ def value_at(form, lower, upper, angle, row):
 def refine(form, lower, upper, row, nearest):
     """Improves the angle of a row of the tally inside its cell: secants on the slope of the distance.
 
-    Gives up where the distance does not look as if it could fall below ``nearest``.
+    Gives up where the distance is not likely to fall below ``nearest``.
     """
     noinline()
     tally, scores = form.tally, form.scores
@@ -242,7 +242,7 @@ def scan(form, lower, upper, every, nearest):
     tally, cuts = form.tally, form.cuts
     for i in range(4):
         tally[i, VALUE] = math.inf
-    weigh(form, lower, upper, 0.0, 0.0, 0.0, math.inf)
+    evaluate_angle(form, lower, upper, 0.0, 0.0, 0.0, math.inf)
     widest = math.pi
     if not every:
         nearest = min(nearest, smallest(tally))
@@ -266,20 +266,20 @@ def scan(form, lower, upper, every, nearest):
         step = (high - low) / samples
         for k in range(samples):
             angle = low + (k + 0.5) * step
-            fits = weigh(
+            fits = evaluate_angle(
                 form, lower, upper, angle, max(low, angle - step), min(high, angle + step),
                 math.inf if every else min(nearest, smallest(tally)),
             )  # fmt: skip
             if not fits:
                 break  # nor will any other in this cell
-    # A goal at the very corner of the limits may have a single angle, which is a cut: looked for near the
+    # A goal at the very corner of the limits may have a single angle, which is a cut: searched for near the
     # start, so that a path along the limits does not leap, and everywhere where nothing else was found.
     alone = every or smallest(tally) == math.inf
     for j in range(count):
         if alone or abs(cuts[j]) < _NEAR_RANGE:
             low = max(cuts[max(j - 1, 0)], cuts[j] - spacing)
             high = min(cuts[min(j + 1, count - 1)], cuts[j] + spacing)
-            weigh(form, lower, upper, cuts[j], low, high, math.inf)
+            evaluate_angle(form, lower, upper, cuts[j], low, high, math.inf)
 
 
 # Metres by which the reach may be missed through rounding.
@@ -296,8 +296,8 @@ def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
     tally, best, trial, branches = form.tally, form.best, form.trial, form.branches
     column = form.groups[1, 1] - 1
     end = trial.shape[1]
-    for turn_of in range(4):
-        row = types.int64(turn_of)
+    for attempt in range(4):
+        row = types.int64(attempt)
         if not every:
             for i in range(4):
                 if tally[i, VALUE] < tally[row, VALUE]:
@@ -359,12 +359,12 @@ def limb(form, lower, upper, mode):
         if not fits or (not every and (moved >= nearest or (k == 1 and half < SAME))):
             continue
         c, s = math.cos(angle), math.sin(angle)
-        vx, vy, vz = turn(ux, uy, uz, c, s, ex, ey, ez)
+        vx, vy, vz = rotate(ux, uy, uz, c, s, ex, ey, ez)
         vx, vy, vz = vx - fx, vy - fy, vz - fz  # shoulder -> wrist, as the elbow makes it
         size = math.sqrt(vx * vx + vy * vy + vz * vz)
         if r > 1e-12 and size > 1e-12:
             make_parts(form, angle, vx / size, vy / size, vz / size, dx / r, dy / r, dz / r)
-        else:  # folded onto the shoulder: it may turn as it likes
+        else:  # folded onto the shoulder: it may rotate freely
             vx, vy, vz = apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
             make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
         scan(form, lower, upper, every, nearest - moved)

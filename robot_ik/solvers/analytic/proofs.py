@@ -13,7 +13,7 @@ import math
 
 from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.six_axes import back, centre, relative_back, relative_rotation
-from robot_ik.solvers.analytic.subproblems import angle_between, turn
+from robot_ik.solvers.analytic.subproblems import angle_between, rotate
 
 # ------------------------------------------------------------------------------------------
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
@@ -28,13 +28,13 @@ _ANGLE_PAD, PAD = 1e-6, 1e-9
 
 @pure
 def may_fit(middle, radius, lower, upper):
-    """Whether an angle of the interval, whole turns aside, may lie inside the limits."""
+    """Whether an angle of the interval, up to multiples of 2π, may lie inside the limits."""
     radius += _ANGLE_PAD
     whole = 2.0 * math.pi
     if radius >= math.pi or upper - lower >= whole:
         return True
-    turns = math.ceil((lower - middle - radius) / whole)
-    return middle - radius + whole * turns <= upper
+    revolutions = math.ceil((lower - middle - radius) / whole)
+    return middle - radius + whole * revolutions <= upper
 
 
 @pure
@@ -51,7 +51,7 @@ def arc(low, high, amplitude):
 
 @pure
 def chord(angle, radius):
-    """How far a turn by at most ``angle`` moves a point at ``radius`` from its axis."""
+    """How far a rotation by at most ``angle`` moves a point at ``radius`` from its axis."""
     return 2.0 * radius * math.sin(0.5 * min(angle, math.pi))
 
 
@@ -143,7 +143,7 @@ def two_links_may_fit(
         a = middle + half if elbow == 0 else middle - half
         if not may_fit(along * a, radius, lower_b, upper_b):
             continue
-        vx, vy, vz = turn(ux, uy, uz, math.cos(a), math.sin(a), ex, ey, ez)
+        vx, vy, vz = rotate(ux, uy, uz, math.cos(a), math.sin(a), ex, ey, ez)
         vx, vy, vz = vx - fx, vy - fy, vz - fz
         first, _ = angle_between(ux, uy, uz, vx, vy, vz, gx, gy, gz)
         wide = spread(error, far) + spread(chord(radius, le), across(ux, uy, uz, vx, vy, vz))
@@ -186,9 +186,9 @@ def wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, s3, err
     x, y, z = back(axes, 0, c1, s1, x, y, z)
     x, y, z = back(axes, 1, c2, s2, x, y, z)
     x, y, z = back(axes, 2, c3, s3, x, y, z)  # Q h6
-    bx, by, bz = turn(axes[2, 0], axes[2, 1], axes[2, 2], c3, s3, hx, hy, hz)
-    bx, by, bz = turn(axes[1, 0], axes[1, 1], axes[1, 2], c2, s2, bx, by, bz)
-    bx, by, bz = turn(axes[0, 0], axes[0, 1], axes[0, 2], c1, s1, bx, by, bz)
+    bx, by, bz = rotate(axes[2, 0], axes[2, 1], axes[2, 2], c3, s3, hx, hy, hz)
+    bx, by, bz = rotate(axes[1, 0], axes[1, 1], axes[1, 2], c2, s2, bx, by, bz)
+    bx, by, bz = rotate(axes[0, 0], axes[0, 1], axes[0, 2], c1, s1, bx, by, bz)
     bx, by, bz = relative_back(target, extra, bx, by, bz)  # Q^T h4
     polar = polar_angle(hx, hy, hz, x, y, z)
     constant, amplitude, middle = height_terms(hx, hy, hz, kx, ky, kz, ex, ey, ez)
@@ -204,12 +204,12 @@ def wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, s3, err
         if not may_fit(q5, radius, lower[4], upper[4]):
             continue
         c5, s5 = math.cos(q5), math.sin(q5)
-        ax, ay, az = turn(kx, ky, kz, c5, s5, ex, ey, ez)  # R5 h6
+        ax, ay, az = rotate(kx, ky, kz, c5, s5, ex, ey, ez)  # R5 h6
         q4, _ = angle_between(hx, hy, hz, ax, ay, az, x, y, z)
         wide = cap(error, polar) + cap(radius, polar_angle(hx, hy, hz, ax, ay, az))
         if not may_fit(q4, wide, lower[3], upper[3]):
             continue
-        gx, gy, gz = turn(kx, ky, kz, c5, -s5, hx, hy, hz)  # R5^T h4
+        gx, gy, gz = rotate(kx, ky, kz, c5, -s5, hx, hy, hz)  # R5^T h4
         q6, _ = angle_between(ex, ey, ez, gx, gy, gz, bx, by, bz)
         wide = cap(error, polar) + cap(radius, polar_angle(ex, ey, ez, gx, gy, gz))
         if may_fit(-q6, wide, lower[5], upper[5]):
@@ -236,13 +236,13 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
         return True
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
     sides = lf * lf + le * le
-    _, reach, bend = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
+    _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
     for shoulder in range(2):
         q1 = middle + half if shoulder == 0 else middle - half
         if not may_fit(q1, radius, lower[0], upper[0]):
             continue
         c1, s1 = math.cos(q1), math.sin(q1)
-        gx, gy, gz = turn(hx, hy, hz, c1, -s1, dx, dy, dz)
+        gx, gy, gz = rotate(hx, hy, hz, c1, -s1, dx, dy, dz)
         gx, gy, gz = gx + px, gy + py, gz + pz
         far = across(ux, uy, uz, gx, gy, gz)
         off = error + chord(radius, across(hx, hy, hz, dx, dy, dz))
@@ -253,19 +253,19 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
         if not some:
             continue
         for elbow in range(2):
-            a3 = bend + half3 if elbow == 0 else bend - half3
+            a3 = middle3 + half3 if elbow == 0 else middle3 - half3
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
                 continue
             c3, s3 = math.cos(a3), math.sin(a3)
-            vx, vy, vz = turn(ux, uy, uz, c3, s3, ex, ey, ez)
+            vx, vy, vz = rotate(ux, uy, uz, c3, s3, ex, ey, ez)
             vx, vy, vz = vx - fx, vy - fy, vz - fz
             q2, _ = angle_between(ux, uy, uz, vx, vy, vz, gx, gy, gz)
             wide = spread(off, far) + spread(chord(radius3, le), across(ux, uy, uz, vx, vy, vz))
             if not may_fit(q2, wide, lower[1], upper[1]):
                 continue
-            turned = tolerance[0, 1] + radius + radius3 + wide + PAD
+            tilt = tolerance[0, 1] + radius + radius3 + wide + PAD
             c2, s2 = math.cos(q2), math.sin(q2)
-            if wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, along * s3, turned):
+            if wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, along * s3, tilt):
                 return False
     return True
 
@@ -298,16 +298,16 @@ def parallel_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
             continue
         c1, s1 = math.cos(q1), math.sin(q1)
         x, y, z = back(axes, 0, c1, s1, rx, ry, rz)  # Q1 h6
-        gx, gy, gz = turn(hx, hy, hz, c1, -s1, dx, dy, dz)
+        gx, gy, gz = rotate(hx, hy, hz, c1, -s1, dx, dy, dz)
         gx, gy, gz = gx + p1x - axes[1, 3], gy + p1y - axes[1, 4], gz + p1z - axes[1, 5]
-        bx, by, bz = turn(hx, hy, hz, c1, s1, ux, uy, uz)
+        bx, by, bz = rotate(hx, hy, hz, c1, s1, ux, uy, uz)
         bx, by, bz = relative_back(target, extra, bx, by, bz)  # Q1^T u
         off = error + chord(radius, across(hx, hy, hz, dx, dy, dz))
-        turned = min(math.pi, tolerance[0, 1] + radius + PAD)
+        tilt = min(math.pi, tolerance[0, 1] + radius + PAD)
         polar = polar_angle(ux, uy, uz, x, y, z)
         half5, radius5, some = arc(
-            math.cos(min(math.pi, polar + turned)) - constant5 - PAD,
-            math.cos(max(0.0, polar - turned)) - constant5 + PAD,
+            math.cos(min(math.pi, polar + tilt)) - constant5 - PAD,
+            math.cos(max(0.0, polar - tilt)) - constant5 + PAD,
             amplitude5,
         )
         if not some:
@@ -318,7 +318,7 @@ def parallel_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
                 continue
             if three_may_fit(
                 axes, extra, lower, upper, math.cos(q5), math.sin(q5), radius5,
-                x, y, z, bx, by, bz, gx, gy, gz, off, turned, polar,
+                x, y, z, bx, by, bz, gx, gy, gz, off, tilt, polar,
             ):  # fmt: skip
                 return False
     return True
@@ -326,7 +326,7 @@ def parallel_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
 
 @outlined
 def three_may_fit(
-    axes, extra, lower, upper, c5, s5, radius5, x, y, z, bx, by, bz, gx, gy, gz, off, turned, polar
+    axes, extra, lower, upper, c5, s5, radius5, x, y, z, bx, by, bz, gx, gy, gz, off, tilt, polar
 ):  # fmt: skip
     """Whether joints 6 and 2 to 4 of three parallel axes may follow joints 1 and 5."""
     noinline()
@@ -335,23 +335,23 @@ def three_may_fit(
     along4 = 1.0 if ux * axes[3, 0] + uy * axes[3, 1] + uz * axes[3, 2] > 0.0 else -1.0
     kx, ky, kz = axes[4, 0], axes[4, 1], axes[4, 2]
     ox, oy, oz = axes[5, 0], axes[5, 1], axes[5, 2]
-    tx, ty, tz = turn(kx, ky, kz, c5, -s5, ux, uy, uz)  # R5^T u
+    tx, ty, tz = rotate(kx, ky, kz, c5, -s5, ux, uy, uz)  # R5^T u
     q6, _ = angle_between(ox, oy, oz, tx, ty, tz, bx, by, bz)
-    wide = cap(turned, polar) + cap(radius5, polar_angle(ox, oy, oz, tx, ty, tz))
+    wide = cap(tilt, polar) + cap(radius5, polar_angle(ox, oy, oz, tx, ty, tz))
     if not may_fit(-q6, wide, lower[5], upper[5]):
         return False
-    ax, ay, az = turn(kx, ky, kz, c5, s5, ox, oy, oz)  # R5 h6
+    ax, ay, az = rotate(kx, ky, kz, c5, s5, ox, oy, oz)  # R5 h6
     theta, _ = angle_between(ux, uy, uz, ax, ay, az, x, y, z)
-    around = cap(turned, polar) + cap(radius5, polar_angle(ux, uy, uz, ax, ay, az))
+    around = cap(tilt, polar) + cap(radius5, polar_angle(ux, uy, uz, ax, ay, az))
     lx, ly, lz = extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5]
     off += chord(around, across(ux, uy, uz, lx, ly, lz))
-    lx, ly, lz = turn(ux, uy, uz, math.cos(theta), math.sin(theta), lx, ly, lz)
+    lx, ly, lz = rotate(ux, uy, uz, math.cos(theta), math.sin(theta), lx, ly, lz)
     vx, vy, vz = gx - lx, gy - ly, gz - lz
     far = across(ux, uy, uz, vx, vy, vz)
     ex, ey, ez = axes[3, 3] - axes[2, 3], axes[3, 4] - axes[2, 4], axes[3, 5] - axes[2, 5]
     fx, fy, fz = axes[1, 3] - axes[2, 3], axes[1, 4] - axes[2, 4], axes[1, 5] - axes[2, 5]
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
-    _, reach, bend = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
+    _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
     near_side, far_side = max(0.0, far - off), far + off
     sides = lf * lf + le * le
     half, radius, some = arc(
@@ -360,10 +360,10 @@ def three_may_fit(
     if not some:
         return False
     for elbow in range(2):
-        a3 = bend + half if elbow == 0 else bend - half
+        a3 = middle3 + half if elbow == 0 else middle3 - half
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):
             continue
-        mx, my, mz = turn(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
+        mx, my, mz = rotate(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
         mx, my, mz = mx - fx, my - fy, mz - fz
         q2, _ = angle_between(ux, uy, uz, mx, my, mz, vx, vy, vz)
         wide = spread(off, far) + spread(chord(radius, le), across(ux, uy, uz, mx, my, mz))

@@ -228,7 +228,7 @@ def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> b
 COLUMNS = 8
 
 
-def middle_turns(form: Form) -> Array:
+def middle_rotations(form: Form) -> Array:
     """(2, 3) for shoulder and wrist of hinges: h₁ᵀ R₂(q) h₃ = constant + amplitude · cos(q - middle)."""
     rows = np.zeros((2, 3))
     if form.family < Family.LIMB:
@@ -245,7 +245,7 @@ def middle_turns(form: Form) -> Array:
 def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
     """(m, 8) all limits ``lower``, ``upper`` (by column of the form) as equations of the swivel angle."""
     rows: list[Array] = []
-    turns = middle_turns(form)
+    rotations = middle_rotations(form)
     for g in range(2 if form.family >= Family.LIMB else 0):
         first = int(form.groups[g, 1])
         if form.groups[g, 0] == BALL_JOINT and upper[first] < np.pi:
@@ -253,7 +253,7 @@ def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
         if form.groups[g, 0] != HINGES:
             continue
         a, b, c = form.axes[4 * g : 4 * g + 3, :3]
-        constant, amplitude, _ = turns[g]
+        constant, amplitude, _ = rotations[g]
         rows += [np.array([g, *a, *c, constant + sign * amplitude]) for sign in (-1.0, 1.0)]
         for j in range(3):
             if upper[first + j] - lower[first + j] >= 2.0 * np.pi:
@@ -264,9 +264,9 @@ def limit_edges(form: Form, lower: Array, upper: Array) -> Array:
 
 
 def _edge(g: int, joint: int, a: Array, b: Array, c: Array, limit: float) -> Array:
-    turned = quat_to_matrix(rotation_exp((a, b, c)[joint] * limit))
+    rotated = quat_to_matrix(rotation_exp((a, b, c)[joint] * limit))
     if joint == 0:
-        return np.array([g, *(turned @ b), *c, b @ c])
+        return np.array([g, *(rotated @ b), *c, b @ c])
     if joint == 1:
-        return np.array([g, *a, *c, a @ turned @ c])
-    return np.array([g, *a, *(turned.T @ b), a @ b])
+        return np.array([g, *a, *c, a @ rotated @ c])
+    return np.array([g, *a, *(rotated.T @ b), a @ b])

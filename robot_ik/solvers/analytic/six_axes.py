@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import noinline, outlined, pure
-from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside, turn
+from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, rotate, split_inside
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7
@@ -61,8 +61,8 @@ def centre(target, extra):
 
 @pure
 def back(axes, j, c, s, x, y, z):
-    """v turned about axis j by minus the angle with cosine c and sine s."""
-    return turn(axes[j, 0], axes[j, 1], axes[j, 2], c, -s, x, y, z)
+    """v rotated about axis j by minus the angle with cosine c and sine s."""
+    return rotate(axes[j, 0], axes[j, 1], axes[j, 2], c, -s, x, y, z)
 
 
 @pure
@@ -86,21 +86,21 @@ def wrist_angles(axes, target, extra, start, lower, upper, flip, c1, s1, c2, s2,
         return 0.0, 0.0, 0.0, False
     q5 = mid + half if flip == 0 else mid - half
     c5, s5 = math.cos(q5), math.sin(q5)
-    ax, ay, az = turn(k5x, k5y, k5z, c5, s5, h6x, h6y, h6z)  # R5 h6
+    ax, ay, az = rotate(k5x, k5y, k5z, c5, s5, h6x, h6y, h6z)  # R5 h6
     # Qᵀ h4, for q6.
-    bx, by, bz = turn(axes[2, 0], axes[2, 1], axes[2, 2], c3, s3, h4x, h4y, h4z)
-    bx, by, bz = turn(axes[1, 0], axes[1, 1], axes[1, 2], c2, s2, bx, by, bz)
-    bx, by, bz = turn(axes[0, 0], axes[0, 1], axes[0, 2], c1, s1, bx, by, bz)
+    bx, by, bz = rotate(axes[2, 0], axes[2, 1], axes[2, 2], c3, s3, h4x, h4y, h4z)
+    bx, by, bz = rotate(axes[1, 0], axes[1, 1], axes[1, 2], c2, s2, bx, by, bz)
+    bx, by, bz = rotate(axes[0, 0], axes[0, 1], axes[0, 2], c1, s1, bx, by, bz)
     bx, by, bz = relative_back(target, extra, bx, by, bz)
-    gx, gy, gz = turn(k5x, k5y, k5z, c5, -s5, h4x, h4y, h4z)  # R5ᵀ h4
+    gx, gy, gz = rotate(k5x, k5y, k5z, c5, -s5, h4x, h4y, h4z)  # R5ᵀ h4
     q4, weight = angle_between(h4x, h4y, h4z, ax, ay, az, x, y, z)
     if weight > ALIGNED * ALIGNED:
         q6, _ = angle_between(h6x, h6y, h6z, gx, gy, gz, bx, by, bz)
         return q4, q5, -q6, True
-    # Axes 4 and 6 in line: only q4 ± q6 counts.  The turn of any vector across them tells it.
+    # Axes 4 and 6 in line: only q4 ± q6 counts.  The rotation of any vector across them gives it.
     sign = 1.0 if ax * h4x + ay * h4y + az * h4z > 0.0 else -1.0
     px, py, pz = h4y * k5z - h4z * k5y, h4z * k5x - h4x * k5z, h4x * k5y - h4y * k5x
-    tx, ty, tz = turn(k5x, k5y, k5z, c5, -s5, px, py, pz)  # R5ᵀ p: what p was before joint 5
+    tx, ty, tz = rotate(k5x, k5y, k5z, c5, -s5, px, py, pz)  # R5ᵀ p: what p was before joint 5
     vx, vy, vz = relative_rotation(target, extra, tx, ty, tz)
     vx, vy, vz = back(axes, 0, c1, s1, vx, vy, vz)
     vx, vy, vz = back(axes, 1, c2, s2, vx, vy, vz)
@@ -145,7 +145,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
         # On axis 1 every q1 will do: keep it.
         q1 = start[0] if amplitude1 < 1e-12 else (mid1 + half1 if shoulder == 0 else mid1 - half1)
         c1, s1 = math.cos(q1), math.sin(q1)
-        gx, gy, gz = turn(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
+        gx, gy, gz = rotate(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
         gx, gy, gz = gx + axes[0, 3] - p2x, gy + axes[0, 4] - p2y, gz + axes[0, 5] - p2z  # p2 -> centre
         gu = gx * ux + gy * uy + gz * uz
         far = gx * gx + gy * gy + gz * gz - gu * gu
@@ -158,7 +158,7 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
         for elbow in range(2):
             a3 = along3 * start[2] if amplitude3 < 1e-12 else (mid3 + half3 if elbow == 0 else mid3 - half3)
             c3, s3 = math.cos(a3), math.sin(a3)
-            vx, vy, vz = turn(ux, uy, uz, c3, s3, ex, ey, ez)
+            vx, vy, vz = rotate(ux, uy, uz, c3, s3, ex, ey, ez)
             q2, weight = angle_between(ux, uy, uz, vx - fx, vy - fy, vz - fz, gx, gy, gz)
             if weight < 1e-14:
                 q2 = start[1]  # folded onto axis 2: every q2 will do
@@ -217,15 +217,15 @@ def three_parallel(axes, extra, target, start, branches):
         )
         if not possible or amplitude5 < 1e-12:
             continue
-        gx, gy, gz = turn(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
+        gx, gy, gz = rotate(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
         gx, gy, gz = gx + p1x - axes[1, 3], gy + p1y - axes[1, 4], gz + p1z - axes[1, 5]  # p2 -> centre
-        ox, oy, oz = turn(h1x, h1y, h1z, c1, s1, ux, uy, uz)
+        ox, oy, oz = rotate(h1x, h1y, h1z, c1, s1, ux, uy, uz)
         ox, oy, oz = relative_back(target, extra, ox, oy, oz)  # Q1ᵀ u
         for flip in range(2):
             q5 = mid5 + half5 if flip == 0 else mid5 - half5
             c5, s5 = math.cos(q5), math.sin(q5)
-            bx, by, bz = turn(h5x, h5y, h5z, c5, s5, h6x, h6y, h6z)  # R5 h6
-            tx, ty, tz = turn(h5x, h5y, h5z, c5, -s5, ux, uy, uz)  # R5ᵀ u
+            bx, by, bz = rotate(h5x, h5y, h5z, c5, s5, h6x, h6y, h6z)  # R5 h6
+            tx, ty, tz = rotate(h5x, h5y, h5z, c5, -s5, ux, uy, uz)  # R5ᵀ u
             theta, weight = angle_between(ux, uy, uz, bx, by, bz, ax, ay, az)
             q6, _ = angle_between(h6x, h6y, h6z, tx, ty, tz, ox, oy, oz)
             q6 = -q6
@@ -240,11 +240,11 @@ def three_parallel(axes, extra, target, start, branches):
                         1.0 if k % 2 == 1 else -1.0
                     )
                     # Across u lies h5; what the joints before 6 make of it tells θ.
-                    mx, my, mz = turn(h6x, h6y, h6z, math.cos(q6), -math.sin(q6), h5x, h5y, h5z)
+                    mx, my, mz = rotate(h6x, h6y, h6z, math.cos(q6), -math.sin(q6), h5x, h5y, h5z)
                     mx, my, mz = relative_rotation(target, extra, mx, my, mz)
                     mx, my, mz = back(axes, 0, c1, s1, mx, my, mz)
                     theta, _ = angle_between(ux, uy, uz, h5x, h5y, h5z, mx, my, mz)
-                lx, ly, lz = turn(
+                lx, ly, lz = rotate(
                     ux, uy, uz, math.cos(theta), math.sin(theta),
                     extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5],
                 )  # fmt: skip
@@ -264,7 +264,7 @@ def three_parallel(axes, extra, target, start, branches):
                     if amplitude3 < 1e-12
                     else (mid3 + half3 if elbow == 0 else mid3 - half3)
                 )
-                kx, ky, kz = turn(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
+                kx, ky, kz = rotate(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
                 q2, weight = angle_between(ux, uy, uz, kx - fx, ky - fy, kz - fz, vx, vy, vz)
                 if weight < 1e-14:
                     q2 = start[1]
@@ -276,7 +276,7 @@ def three_parallel(axes, extra, target, start, branches):
 
 
 # ------------------------------------------------------------------------------------------
-# Closed form of two parallel hinges that bring a point to a place: the law of cosines.
+# Closed form of two parallel hinges that bring a point to a position: the law of cosines.
 
 
 # Metres off the plane of motion, or beyond the reach, that still are rounding.
@@ -312,7 +312,7 @@ def planar_two_link(axes, extra, target, start, slack, branches):
         return 0
     for elbow in range(2):
         a2 = along * start[1] if amplitude < 1e-12 else (mid + half if elbow == 0 else mid - half)
-        vx, vy, vz = turn(ux, uy, uz, math.cos(a2), math.sin(a2), ex, ey, ez)
+        vx, vy, vz = rotate(ux, uy, uz, math.cos(a2), math.sin(a2), ex, ey, ez)
         q1, weight = angle_between(ux, uy, uz, vx - fx, vy - fy, vz - fz, gx, gy, gz)
         if weight < 1e-14:
             q1 = start[0]  # folded onto the first axis: every angle will do

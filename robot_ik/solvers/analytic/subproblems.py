@@ -17,8 +17,8 @@ from robot_ik.kernels.workspace import BEST_COST, BLOCKED, CONVERGED, COST, ITER
 
 
 @pure
-def turn(kx, ky, kz, c, s, x, y, z):
-    """(x, y, z) turned about the unit axis k by the angle with cosine c and sine s (Rodrigues)."""
+def rotate(kx, ky, kz, c, s, x, y, z):
+    """(x, y, z) rotated about the unit axis k by the angle with cosine c and sine s (Rodrigues)."""
     d = (kx * x + ky * y + kz * z) * (1.0 - c)
     return (
         c * x + s * (ky * z - kz * y) + d * kx,
@@ -29,7 +29,7 @@ def turn(kx, ky, kz, c, s, x, y, z):
 
 @pure
 def angle_between(kx, ky, kz, px, py, pz, qx, qy, qz):
-    """Subproblem 1: the angle about k that turns p towards q, and the product of their distances from k.
+    """Subproblem 1: the angle about k that rotates p towards q, and the product of their distances from k.
 
     Where that product vanishes every angle does.
     """
@@ -64,7 +64,7 @@ def angles_to_height(hx, hy, hz, kx, ky, kz, px, py, pz, height, slack):
 
 @pure
 def image(angle, start, lower, upper):
-    """The angle plus whole turns that is nearest to ``start`` inside the limits; and whether there is one."""
+    """The angle, modulo 2π, that is nearest to ``start`` inside the limits; and whether there is one."""
     whole = 2.0 * math.pi
     found = angle + whole * math.floor((start - angle) / whole + 0.5)
     if found > upper + 1e-9:
@@ -86,15 +86,15 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     rest -= whole * math.floor(rest / whole + 0.5)
     best_a, best_b, closest = a + 0.5 * rest, b + 0.5 * sign * rest, math.inf
     for k in range(-2, 3):
-        turned = rest + whole * k
+        difference = rest + whole * k
         # β = b + sign·(turned - (α - a)) inside its limits, as limits of α.
-        low = a + turned - sign * ((upper_b if sign > 0.0 else lower_b) - b)
-        high = a + turned - sign * ((lower_b if sign > 0.0 else upper_b) - b)
+        low = a + difference - sign * ((upper_b if sign > 0.0 else lower_b) - b)
+        high = a + difference - sign * ((lower_b if sign > 0.0 else upper_b) - b)
         low, high = max(low, lower_a), min(high, upper_a)
         if low > high + 1e-9:
             continue
-        alpha = min(max(a + 0.5 * turned, low), high)
-        beta = b + sign * (turned - (alpha - a))
+        alpha = min(max(a + 0.5 * difference, low), high)
+        beta = b + sign * (difference - (alpha - a))
         distance = (alpha - a) * (alpha - a) + (beta - b) * (beta - b)
         if distance < closest:
             best_a, best_b, closest = alpha, beta, distance
@@ -102,13 +102,13 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
 
 
 # ------------------------------------------------------------------------------------------
-# The arrays that a closed form works on, and what all of them share: the look at the start, the answer.
+# The arrays of a closed form, and what all of them share: measuring the start, taking the solution.
 
 
 # n numbers of q belong to the chain: one for a hinge, four for a ball.
 FORM = Layout(
     "Form",
-    place="ints",  # (n,) where they stand in q
+    qadr="ints",  # (n,) where they stand in q
     axes="table",  # (joints, 6)
     extra="table",  # (5, 3)
     lower="floats",  # (n,) limits; of a ball joint the cone angle stands in ``upper`` of its first number
@@ -120,7 +120,7 @@ FORM = Layout(
     inverse="table",  # (1, 12) its inverse, for arms that are solved from the tool
     # Of limbs only:
     groups="int_table",  # (2, 2) how shoulder and wrist are joined, column of their first number
-    turns="table",  # (2, 3) ``edges.middle_turns``
+    middle_rotations="table",  # (2, 3) ``recognise.middle_rotations``
     edges="table",  # (m, 8) ``edges.limit_edges``
     least="floats",  # (n,) -inf: no limits at all
     most="floats",  # (n,) inf
@@ -131,17 +131,17 @@ FORM = Layout(
     trial="table",  # (2, n) angles by flip
     scores="floats",  # (6,) squared distances: shoulder's two flips, wrist's two; their slope and speed
     spin="table",  # (2, 3) by the swivel angle: angular velocity of shoulder and wrist
-    speeds="floats",  # (2,) of ball joints: growth of their turn
+    speeds="floats",  # (2,) of ball joints: growth of their rotation
 )
 open_form = FORM.open
 
-# What a run is for: the answer; every branch, even for a start at the goal; only a look at the start.
-SOLVE, EVERY, LOOK = range(3)
+# What a run is for: the solution; every branch, even for a start at the goal; only measuring the start.
+SOLVE, EVERY, START_ONLY = range(3)
 
 
 @outlined
-def look(tree, goal, work, form, mode):
-    """Measures the start, which is the answer if it is at the goal; whether there is more to do."""
+def measure_start(tree, goal, work, form, mode):
+    """Measures the start, which is the solution if it is at the goal; returns whether there is more to do."""
     state, q = work.state, work.q
     state[ITERATIONS] = 0
     copy(work.start, q)
@@ -149,31 +149,31 @@ def look(tree, goal, work, form, mode):
     within = measure(tree, goal, work)
     keep_best(work)
     state[STATUS] = CONVERGED if within else STALLED
-    if mode == LOOK or (within and mode == SOLVE):
+    if mode == START_ONLY or (within and mode == SOLVE):
         return False
-    place, start = form.place, form.start
-    for j in range(place.shape[0]):
-        start[j] = q[place[j]]
+    qadr, start = form.qadr, form.start
+    for j in range(qadr.shape[0]):
+        start[j] = q[qadr[j]]
     state[ITERATIONS] = 1
     return True
 
 
 @outlined
 def settle(tree, goal, work, form, row, found):
-    """Takes ``form.best`` for the answer, where some branch ``row`` is inside the limits."""
-    state, q, place, best = work.state, work.q, form.place, form.best
+    """Takes ``form.best`` as the solution, where some branch ``row`` is inside the limits."""
+    state, q, qadr, best = work.state, work.q, form.qadr, form.best
     if row < 0:
         state[STATUS] = BLOCKED if found > 0 else STALLED
         return
-    for j in range(place.shape[0]):
-        q[place[j]] = best[j]
+    for j in range(qadr.shape[0]):
+        q[qadr[j]] = best[j]
     clip(tree, work.nodes, q)
     state[STATUS] = CONVERGED if measure(tree, goal, work) else STALLED
     if state[STATUS] == CONVERGED or work.value[COST] < work.value[BEST_COST]:
         keep_best(work)
     else:
         copy(work.best, q)
-        measure(tree, goal, work)  # so that the miss is the answer's
+        measure(tree, goal, work)  # so that the miss is the solution's
 
 
 @outlined
@@ -197,7 +197,7 @@ def invert(target, inverse):
 def nearest(branches, start, lower, upper, best):
     """The branch inside the limits nearest to ``start`` (least squares of the angles), into ``best``.
 
-    Each angle is first moved by whole turns.  Rewrites ``branches`` so; returns the row, or -1.
+    Each angle is first moved by multiples of 2π.  Rewrites ``branches`` so; returns the row, or -1.
     """
     chosen = -1
     closest = math.inf

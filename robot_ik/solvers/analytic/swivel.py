@@ -1,8 +1,8 @@
 """Shoulder and wrist of a limb as functions of its swivel angle.
 
 With the shoulder at p, the wrist's centre at w and n the unit vector between them, the elbow's angle is
-known and what is left is a turn about n: S(φ) = R(n, φ) S₀.  S₀ is the start's own rotation brought to
-the goal by the smallest turn, so that φ = 0 is the swivel of the start.
+known and what is left is a rotation about n: S(φ) = R(n, φ) S₀.  S₀ is the start's own rotation brought to
+the goal by the smallest rotation, so that φ = 0 is the swivel of the start.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -14,11 +14,11 @@ from numba import types
 
 from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
-from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside, turn
+from robot_ik.solvers.analytic.subproblems import angle_between, image, rotate, split_inside
 
 # Rows of form.matrices: the start's shoulder, S₀, the goal's rotation of all joints, S₀ with the elbow's
-# turn, then the rotations of shoulder and wrist at the swivel angle of the moment.
-START, ORIGIN, WHOLE, BENT, TURNED = 0, 1, 2, 3, 4
+# rotation, then the rotations of shoulder and wrist at the swivel angle of the moment.
+START, ORIGIN, WHOLE, BENT, ROTATED = 0, 1, 2, 3, 4
 
 
 @pure
@@ -73,7 +73,7 @@ def start_rotation(form):
     noinline()
     m, axes, start = form.matrices, form.axes, form.start
     if form.groups[0, 0] == BALL_JOINT:
-        # A ball joint turns in its own frame; its axes stand in the table.
+        # A ball joint rotates in its own frame; its axes stand in the table.
         w = start[0]
         x, y, z = from_frame(axes, types.int64(0), start[1], start[2], start[3])
         s = 2.0 / max(w * w + x * x + y * y + z * z, 1e-30)
@@ -85,7 +85,7 @@ def start_rotation(form):
         x, y, z = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
         for k in range(2, -1, -1):
             c, s = math.cos(start[k]), math.sin(start[k])
-            x, y, z = turn(axes[k, 0], axes[k, 1], axes[k, 2], c, s, x, y, z)
+            x, y, z = rotate(axes[k, 0], axes[k, 1], axes[k, 2], c, s, x, y, z)
         put_column(m, START, j, x, y, z)
 
 
@@ -101,7 +101,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
     kx, ky, kz = ay * nz - az * ny, az * nx - ax * nz, ax * ny - ay * nx
     c = ax * nx + ay * ny + az * nz
     scale = 1.0
-    if c < -1.0 + 1e-12:  # half a turn, about any axis across n
+    if c < -1.0 + 1e-12:  # by π, about any axis across n
         if abs(nx) < 0.6:
             kx, ky, kz = 0.0, nz, -ny
         else:
@@ -109,13 +109,13 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
         c, scale = -1.0, 2.0 / (kx * kx + ky * ky + kz * kz)
     else:
         scale = 1.0 / (1.0 + c)
-    half_turn = c == -1.0
+    opposite = c == -1.0
     ux, uy, uz = axes[3, 0], axes[3, 1], axes[3, 2]
     ce, se = math.cos(angle), math.sin(angle)
     for j in range(3):
         x, y, z = m[START, j], m[START, 3 + j], m[START, 6 + j]
         d = (kx * x + ky * y + kz * z) * scale
-        sx, sy, sz = (0.0, 0.0, 0.0) if half_turn else (ky * z - kz * y, kz * x - kx * z, kx * y - ky * x)
+        sx, sy, sz = (0.0, 0.0, 0.0) if opposite else (ky * z - kz * y, kz * x - kx * z, kx * y - ky * x)
         put_column(m, ORIGIN, j, c * x + sx + d * kx, c * y + sy + d * ky, c * z + sz + d * kz)
     for j in range(3):
         x, y, z = m[ORIGIN, j], m[ORIGIN, 3 + j], m[ORIGIN, 6 + j]
@@ -127,7 +127,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
         parts[0, 18 + j], parts[0, 21 + j] = ny * z - nz * y, nz * x - nx * z
         parts[0, 24 + j] = nx * y - ny * x
         x, y, z = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
-        x, y, z = turn(ux, uy, uz, ce, se, x, y, z)
+        x, y, z = rotate(ux, uy, uz, ce, se, x, y, z)
         x, y, z = apply(m, ORIGIN, x, y, z)
         put_column(m, BENT, j, x, y, z)
     # Wrist: W(φ) = BENTᵀ R(n, -φ) WHOLE.
@@ -153,7 +153,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
 def swing(form, g, c, s):
     """The rotation of shoulder (g = 0) or wrist (1) at the swivel angle of this cosine and sine."""
     parts, m = form.parts, form.matrices
-    row = TURNED + g
+    row = ROTATED + g
     for i in range(9):
         m[row, i] = parts[g, i] + c * parts[g, 9 + i] + s * parts[g, 18 + i]
 
@@ -192,22 +192,22 @@ def three_hinges(form, g, first_flip, last_flip, lower, upper):
     """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[TURNED + g]."""
     noinline()
     axes, m, start, trial, scores = form.axes, form.matrices, form.start, form.trial, form.scores
-    k, row, j = 4 * g, TURNED + g, form.groups[g, 1]
+    k, row, j = 4 * g, ROTATED + g, form.groups[g, 1]
     hx, hy, hz = axes[k, 0], axes[k, 1], axes[k, 2]
     kx, ky, kz = axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
     ex, ey, ez = axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2]
     x, y, z = apply(m, row, ex, ey, ez)
-    amplitude, middle = form.turns[g, 1], form.turns[g, 2]
-    rest = hx * x + hy * y + hz * z - form.turns[g, 0]
+    amplitude, middle = form.middle_rotations[g, 1], form.middle_rotations[g, 2]
+    rest = hx * x + hy * y + hz * z - form.middle_rotations[g, 0]
     if abs(rest) > amplitude + 1e-9:
         return
     # 1 - cos is exact only by way of the sine, and counts where axes 1 and 3 come in line.
-    above, below, cosine = amplitude - rest, amplitude + rest, rest + form.turns[g, 0]
+    above, below, cosine = amplitude - rest, amplitude + rest, rest + form.middle_rotations[g, 0]
     sx, sy, sz = hy * z - hz * y, hz * x - hx * z, hx * y - hy * x
     sine2 = sx * sx + sy * sy + sz * sz
-    if cosine > 0.0 and abs(form.turns[g, 0] + amplitude - 1.0) < 1e-12:
+    if cosine > 0.0 and abs(form.middle_rotations[g, 0] + amplitude - 1.0) < 1e-12:
         above = sine2 / (1.0 + cosine)
-    elif cosine < 0.0 and abs(form.turns[g, 0] - amplitude + 1.0) < 1e-12:
+    elif cosine < 0.0 and abs(form.middle_rotations[g, 0] - amplitude + 1.0) < 1e-12:
         below = sine2 / (1.0 - cosine)
     side = math.sqrt(max(0.0, above * below))
     half = math.atan2(side, rest)
@@ -218,23 +218,23 @@ def three_hinges(form, g, first_flip, last_flip, lower, upper):
         if not inside:
             continue
         c, s = math.cos(second), math.sin(second)
-        ax, ay, az = turn(kx, ky, kz, c, s, ex, ey, ez)  # R₂ h₃
+        ax, ay, az = rotate(kx, ky, kz, c, s, ex, ey, ez)  # R₂ h₃
         one, weight = angle_between(hx, hy, hz, ax, ay, az, x, y, z)
         if weight > ALIGNED * ALIGNED:
             one, inside = image(one, start[j], lower[j], upper[j])
             if not inside:
                 continue
-            cx, cy, cz = turn(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
+            cx, cy, cz = rotate(kx, ky, kz, c, -s, hx, hy, hz)  # R₂ᵀ h₁
             three, _ = angle_between(ex, ey, ez, bx, by, bz, cx, cy, cz)
             if weight < _NEARLY * _NEARLY:  # what q₁ lacks in digits q₃ must make up for
                 px, py, pz = ey * kz - ez * ky, ez * kx - ex * kz, ex * ky - ey * kx
                 cx, cy, cz = apply(m, row, px, py, pz)
-                cx, cy, cz = turn(hx, hy, hz, math.cos(one), -math.sin(one), cx, cy, cz)
-                cx, cy, cz = turn(kx, ky, kz, c, -s, cx, cy, cz)
+                cx, cy, cz = rotate(hx, hy, hz, math.cos(one), -math.sin(one), cx, cy, cz)
+                cx, cy, cz = rotate(kx, ky, kz, c, -s, cx, cy, cz)
                 three, _ = angle_between(ex, ey, ez, px, py, pz, cx, cy, cz)
-        else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the turn of a vector across them tells it
+        else:  # axes 1 and 3 in line: only q₁ ± q₃ counts; the rotation of a vector across them gives it
             px, py, pz = hy * kz - hz * ky, hz * kx - hx * kz, hx * ky - hy * kx
-            cx, cy, cz = turn(kx, ky, kz, c, -s, px, py, pz)
+            cx, cy, cz = rotate(kx, ky, kz, c, -s, px, py, pz)
             cx, cy, cz = apply(m, row, cx, cy, cz)
             total, _ = angle_between(hx, hy, hz, px, py, pz, cx, cy, cz)
             one, three = split_inside(
@@ -257,7 +257,7 @@ def ball(form, g, upper):
     """``score`` of a ball joint: its quaternion, of the two the one nearer to the start's."""
     noinline()
     m, start, trial = form.matrices, form.start, form.trial
-    row, first, t = TURNED + g, form.groups[g, 1], types.int64(0)
+    row, first, t = ROTATED + g, form.groups[g, 1], types.int64(0)
     trace = m[row, 0] + m[row, 4] + m[row, 8]
     xx, yy, zz = m[row, 0], m[row, 4], m[row, 8]
     wx, wy, wz = m[row, 7] - m[row, 5], m[row, 2] - m[row, 6], m[row, 3] - m[row, 1]
@@ -281,7 +281,7 @@ def ball(form, g, upper):
     if angle > upper[first] + 1e-9:
         return math.inf
     trial[t, first], trial[t, first + 1], trial[t, first + 2], trial[t, first + 3] = w, x, y, z
-    # The turn from the start to here, and how it grows with the swivel.
+    # The rotation from the start to here, and how it grows with the swivel.
     px, py, pz = a * x - b * w - d * y + c * z, a * y - c * w - b * z + d * x, a * z - d * w - c * x + b * y
     px, py, pz = from_frame(form.axes, 4 * g, px, py, pz)
     sine = math.sqrt(px * px + py * py + pz * pz)
@@ -309,10 +309,10 @@ def add_slope(form, g, flip):
     k, j = 4 * g, form.groups[g, 1]
     ax, ay, az = axes[k, 0], axes[k, 1], axes[k, 2]
     one = trial[flip, j]
-    bx, by, bz = turn(
+    bx, by, bz = rotate(
         ax, ay, az, math.cos(one), math.sin(one), axes[k + 1, 0], axes[k + 1, 1], axes[k + 1, 2]
     )
-    cx, cy, cz = apply(form.matrices, TURNED + g, axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2])
+    cx, cy, cz = apply(form.matrices, ROTATED + g, axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2])
     nx, ny, nz = spin[g, 0], spin[g, 1], spin[g, 2]
     ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     volume = ax * ux + ay * uy + az * uz

@@ -97,8 +97,8 @@ def test_near_limit_ones_are_near_limits() -> None:
     assert near.any(axis=1).all()
     assert 0.3 < near.mean() < 0.7
     cone = robot("balls")
-    turn = 2 * np.arccos(np.abs(some("limits", "balls", count=40).witnesses[:, 0]))
-    assert (turn <= cone.upper[0] + 1e-12).all() and (turn >= (1 - NEAR_LIMIT) * cone.upper[0]).any()
+    rotation = 2 * np.arccos(np.abs(some("limits", "balls", count=40).witnesses[:, 0]))
+    assert (rotation <= cone.upper[0] + 1e-12).all() and (rotation >= (1 - NEAR_LIMIT) * cone.upper[0]).any()
 
 
 def test_unreachable_ones_are_beyond() -> None:
@@ -118,9 +118,16 @@ def test_a_warm_path_takes_small_steps(name: str) -> None:
     problems = some("warm", name, count=40)
     before = mujoco_pose(robot(name), problems.first)
     for target in problems.targets:
-        turn = before[:3, :3].T @ target[:3, :3]
+        rotation = before[:3, :3].T @ target[:3, :3]
         angle = (
-            np.linalg.norm([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
+            np.linalg.norm(
+                [
+                    rotation[2, 1] - rotation[1, 2],
+                    rotation[0, 2] - rotation[2, 0],
+                    rotation[1, 0] - rotation[0, 1],
+                ]
+            )
+            / 2
         )
         assert np.linalg.norm(target[:3, 3] - before[:3, 3]) <= WARM_METRES * (1 + 1e-9)
         assert np.arcsin(min(1.0, angle)) <= WARM_RADIANS * (1 + 1e-6)
@@ -140,10 +147,10 @@ def test_a_judge_is_not_fooled() -> None:
     target = judge.pose(q)
     assert judge.miss(q, target) == (0.0, 0.0) and judge.inside(q)
     target[:3, 3] += (3e-4, 0, 4e-4)
-    turned = target.copy()
-    turned[:3, :3] = target[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    rotated = target.copy()
+    rotated[:3, :3] = target[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
     assert judge.miss(q, target) == pytest.approx((5e-4, 0.0))
-    assert judge.miss(q, turned)[1] == pytest.approx(np.pi / 2)
+    assert judge.miss(q, rotated)[1] == pytest.approx(np.pi / 2)
     past = q.copy()
     past[0] = arm.upper[0] + 1e-6
     assert not judge.inside(past)

@@ -27,7 +27,7 @@ SETTINGS = Settings(
 class Scripted(Solver):
     """Says that it converged, whatever it answers: the next of some joint angles."""
 
-    answers: tuple[tuple[float, ...], ...] = ()
+    solutions: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
 
     def load(self, problem: Problem) -> None:
@@ -35,7 +35,7 @@ class Scripted(Solver):
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         calls.append(np.array(start))
-        q = np.array(self.answers[(len(calls) - 1) % len(self.answers)])
+        q = np.array(self.solutions[(len(calls) - 1) % len(self.solutions)])
         goals, targets = tuple(problem.goals), problem.target.copy()
         return Solution(q, Status.CONVERGED, 3, 1, 1e-6, self.name, problem.robot, goals, targets)
 
@@ -43,9 +43,9 @@ class Scripted(Solver):
 calls: list[np.ndarray] = []
 
 
-def bench(kind: str, answers: np.ndarray, count: int = 12) -> Bench:
+def bench(kind: str, solutions: np.ndarray, count: int = 12) -> Bench:
     arm = load_robot("puma560")
-    made = prepare(Scripted(tuple(map(tuple, answers))), arm, make_set(kind, arm, count), SETTINGS)
+    made = prepare(Scripted(tuple(map(tuple, solutions))), arm, make_set(kind, arm, count), SETTINGS)
     calls.clear()  # what warmed up does not count
     return made
 
@@ -58,8 +58,8 @@ def test_a_solver_that_lies_is_found_out() -> None:
     # Whole turns more: the pose is met, the limits are not.
     beyond = right.copy()
     beyond[5, 0] += 2 * np.pi
-    for answers, missed in ((right, []), (wrong, [3]), (beyond, [5])):
-        one = bench("cold", answers)
+    for solutions, missed in ((right, []), (wrong, [3]), (beyond, [5])):
+        one = bench("cold", solutions)
         one.run(SETTINGS)
         assert np.flatnonzero(~np.array(one.cell.success)).tolist() == missed
         assert set(one.cell.status) == {"CONVERGED"}
@@ -69,17 +69,17 @@ def test_a_solver_that_lies_is_found_out() -> None:
 
 def test_tracking_starts_at_the_last_answer_and_counts_jumps() -> None:
     problems = make_set("warm", load_robot("puma560"), 12)
-    answers = problems.witnesses.copy()
-    answers[4] += 0.5  # a miss: the next start is back on the path
-    wrist = answers[8, 3:]  # the same pose with the wrist flipped
+    solutions = problems.witnesses.copy()
+    solutions[4] += 0.5  # a miss: the next start is back on the path
+    wrist = solutions[8, 3:]  # the same pose with the wrist flipped
     wrist[:] = wrist[0] - np.pi * np.sign(wrist[0]), -wrist[1], wrist[2] - np.pi * np.sign(wrist[2])
-    one = bench("warm", answers)
+    one = bench("warm", solutions)
     one.run(SETTINGS)
     assert np.flatnonzero(~np.array(one.cell.success)).tolist() == [4]
     np.testing.assert_array_equal(calls[0], problems.first)
-    np.testing.assert_array_equal(calls[4], answers[3])
+    np.testing.assert_array_equal(calls[4], solutions[3])
     np.testing.assert_array_equal(calls[5], problems.witnesses[4])
-    np.testing.assert_array_equal(calls[9], answers[8])
+    np.testing.assert_array_equal(calls[9], solutions[8])
     assert one.cell.jumps == 2  # there and back
     assert one.cell.largest_step == pytest.approx(np.pi, abs=0.1)
 

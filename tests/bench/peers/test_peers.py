@@ -101,16 +101,19 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
             root = mujoco.MjData(plain)
             root.qpos[:] = q
             mujoco.mj_kinematics(plain, root)
-            turn, place = root.xmat[1].reshape(3, 3), root.xpos[1]
-            there = [np.block([[turn.T @ t[:3, :3], turn.T @ (t[:3, 3:] - place[:, None])]]) for t in there]
+            rotation, position = root.xmat[1].reshape(3, 3), root.xpos[1]
+            there = [
+                np.block([[rotation.T @ t[:3, :3], rotation.T @ (t[:3, 3:] - position[:, None])]])
+                for t in there
+            ]
         for site, pose in zip(task.sites, there, strict=True):
             np.testing.assert_allclose(data.body(site).xpos, np.asarray(pose)[:3, 3], atol=1e-9)
         if not task.free_base:
             pose = task.frames[0]
             for angle, frame in zip(q, task.frames[1:], strict=True):
-                turn = np.eye(4)
-                turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
-                pose = pose @ turn @ frame
+                rotation = np.eye(4)
+                rotation[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+                pose = pose @ rotation @ frame
             np.testing.assert_allclose(pose, there[0], atol=1e-12)
     if not task.free_base:
         np.testing.assert_allclose(frames_of(plain), task.frames)

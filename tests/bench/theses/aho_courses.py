@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, turn
+from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, rotation_matrix
 
-from robot_ik.bench.theses.a00 import arc_bend
+from robot_ik.bench.theses.a00 import arc_joint_angle
 
 
 @dataclass(eq=False)
@@ -51,9 +51,16 @@ def bent(joints: int, link: Array, tip: Array, normal: Array) -> list[Array]:
     along = tip / np.linalg.norm(tip)
     across = np.cross(link, along)
     sine = float(np.linalg.norm(across))
-    first = turn(across / sine, math.degrees(math.atan2(sine, link @ along))) if sine > 1e-12 else np.eye(3)
-    bend = math.degrees(arc_bend(joints, float(np.linalg.norm(tip))))
-    worlds = [np.eye(3), *(turn(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first for k in range(joints))]
+    first = (
+        rotation_matrix(across / sine, math.degrees(math.atan2(sine, link @ along)))
+        if sine > 1e-12
+        else np.eye(3)
+    )
+    bend = math.degrees(arc_joint_angle(joints, float(np.linalg.norm(tip))))
+    worlds = [
+        np.eye(3),
+        *(rotation_matrix(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first for k in range(joints)),
+    ]
     return [before.T @ after for before, after in pairwise(worlds)]
 
 
@@ -63,15 +70,18 @@ def circle(
     middle: Array | None = None,
 ) -> Course:  # fmt: skip
     """A goal that goes round ``axis`` once; its orientation turns ``spin`` times as fast."""
-    turns = bent(joints, link, start, axis if normal is None else normal)
-    tip = np.linalg.multi_dot([np.eye(3), *turns])
+    rotations = bent(joints, link, start, axis if normal is None else normal)
+    tip = np.linalg.multi_dot([np.eye(3), *rotations])
     at = np.arange(0.0, 360.0 + 0.5 * step, step)
     centre = np.zeros(3) if middle is None else middle
     goals = [
-        (start if still else centre + turn(axis, a) @ (start - centre), turn(axis, (spin or 0.0) * a) @ tip)
+        (
+            start if still else centre + rotation_matrix(axis, a) @ (start - centre),
+            rotation_matrix(axis, (spin or 0.0) * a) @ tip,
+        )
         for a in at
     ]
-    return Course(number, link, turns, at, goals, spin is not None)
+    return Course(number, link, rotations, at, goals, spin is not None)
 
 
 def lines(number: int, joints: int) -> Course:
@@ -86,18 +96,18 @@ def lines(number: int, joints: int) -> Course:
     at = np.arange(0.0, far[-1], 0.02)
     path = np.column_stack([np.interp(at, far, np.array(corners)[:, k]) for k in range(3)])
     normal = np.cross(corners[0], Y)
-    turns = bent(joints, Z, corners[0], normal / np.linalg.norm(normal))
-    return Course(number, Z, turns, at, [(point, np.eye(3)) for point in path])
+    rotations = bent(joints, Z, corners[0], normal / np.linalg.norm(normal))
+    return Course(number, Z, rotations, at, [(point, np.eye(3)) for point in path])
 
 
 def square() -> Course:
     """Test 13: poses of two balls that turn about (1,1,0) while the elbow bends from 30° to 90° and back."""
     at, goals, start = np.arange(0.0, 361.0), [], []
     for a in at:
-        elbow = turn(X, 60.0 - 30.0 * math.cos(math.radians(a)))
-        turns = [turn(DIAGONAL, a), elbow]
-        start = start or turns
-        goals.append(((turns[0] + turns[0] @ elbow) @ Z, turns[0] @ elbow))
+        elbow = rotation_matrix(X, 60.0 - 30.0 * math.cos(math.radians(a)))
+        rotations = [rotation_matrix(DIAGONAL, a), elbow]
+        start = start or rotations
+        goals.append(((rotations[0] + rotations[0] @ elbow) @ Z, rotations[0] @ elbow))
     return Course(13, Z, start, at, goals, oriented=True)
 
 

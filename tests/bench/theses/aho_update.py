@@ -27,7 +27,7 @@ DIAGONAL = (X + Y) / math.sqrt(2.0)
 CLOSE = 0.5  # length units, and rad
 
 
-def turn(axis: Array, degrees: float) -> Array:
+def rotation_matrix(axis: Array, degrees: float) -> Array:
     """Rotation matrix about a unit vector."""
     return quat_to_matrix(rotation_exp(np.asarray(axis) * math.radians(degrees)))
 
@@ -35,7 +35,7 @@ def turn(axis: Array, degrees: float) -> Array:
 def euler(angles: Array) -> Array:
     """Rx Ry Rz, angles in rad: the increments of a joint."""
     a, b, c = np.degrees(angles)
-    return turn(X, a) @ turn(Y, b) @ turn(Z, c)
+    return rotation_matrix(X, a) @ rotation_matrix(Y, b) @ rotation_matrix(Z, c)
 
 
 def euler_angles(rotation: Array) -> Array:
@@ -75,48 +75,50 @@ class Chain:
     """Ball joints, one unit apart along ``link``."""
 
     link: Array
-    turns: list[Array]
+    rotations: list[Array]
     angles: list[Array] = field(default_factory=list)
 
     def frames(self) -> tuple[list[Array], list[Array], Array]:
         """World rotation of the base and of each link; each joint's place; the tip."""
-        worlds, places, at = [np.eye(3)], [], np.zeros(3)
-        for local in self.turns:
-            places.append(at)
+        worlds, positions, at = [np.eye(3)], [], np.zeros(3)
+        for local in self.rotations:
+            positions.append(at)
             worlds.append(worlds[-1] @ local)
             at = at + worlds[-1] @ self.link
-        return worlds, places, at
+        return worlds, positions, at
 
     def jacobian(self, columns: str, oriented: bool) -> Array:
         """(3 or 6, 3 joints): v × (s − p) over v."""
-        worlds, places, tip = self.frames()
+        worlds, positions, tip = self.frames()
         blocks = []
-        for k, place in enumerate(places):
+        for k, position in enumerate(positions):
             axes = {"world": np.eye(3), "parent": worlds[k], "body": worlds[k + 1]}.get(columns)
             if axes is None:
-                a, b, _ = np.degrees(euler_angles(self.turns[k]))
-                axes = worlds[k] @ np.column_stack([X, turn(X, a) @ Y, turn(X, a) @ turn(Y, b) @ Z])
-            linear = np.cross(axes.T, tip - place).T
+                a, b, _ = np.degrees(euler_angles(self.rotations[k]))
+                axes = worlds[k] @ np.column_stack(
+                    [X, rotation_matrix(X, a) @ Y, rotation_matrix(X, a) @ rotation_matrix(Y, b) @ Z]
+                )
+            linear = np.cross(axes.T, tip - position).T
             blocks.append(np.vstack([linear, axes]) if oriented else linear)
         return np.hstack(blocks)
 
     def moved(self, update: Update, step: Array) -> Chain:
         """The chain after a step (3 joints,), applied as ``update`` says."""
         worlds, _, _ = self.frames()
-        turns, angles = [], [*self.angles] or [euler_angles(local) for local in self.turns]
-        for k, local in enumerate(self.turns):
+        rotations, angles = [], [*self.angles] or [euler_angles(local) for local in self.rotations]
+        for k, local in enumerate(self.rotations):
             increment = step[3 * k : 3 * k + 3]
             delta = quat_to_matrix(rotation_exp(increment)) if update.exact else euler(increment)
             if update.applied == "body":
-                turns.append(local @ delta)
+                rotations.append(local @ delta)
             elif update.applied == "parent":
-                turns.append(delta @ local)
+                rotations.append(delta @ local)
             elif update.applied == "world":
-                turns.append(worlds[k].T @ delta @ worlds[k] @ local)
+                rotations.append(worlds[k].T @ delta @ worlds[k] @ local)
             else:
                 angles[k] = angles[k] + increment
-                turns.append(euler(angles[k]))
-        return Chain(self.link, turns, angles)
+                rotations.append(euler(angles[k]))
+        return Chain(self.link, rotations, angles)
 
     def off(self, goal: Frame, oriented: bool) -> Array:
         """e: what is wanted less what is, (3,) or (6,)."""

@@ -75,8 +75,8 @@ def test_circles_go_round_the_origin(
     course = courses[number]
     points = positions(course)
     np.testing.assert_allclose(points @ np.asarray(normal), 0.0, atol=1e-12)
-    turned = Rotation.from_rotvec(np.radians(step) * np.asarray(normal)).apply(points[:-1])
-    np.testing.assert_allclose(points[1:], turned, atol=1e-12)
+    rotated = Rotation.from_rotvec(np.radians(step) * np.asarray(normal)).apply(points[:-1])
+    np.testing.assert_allclose(points[1:], rotated, atol=1e-12)
     if step >= 1.0:
         np.testing.assert_allclose(points[-1], points[0], atol=1e-11)  # a whole turn
     assert np.linalg.norm(points[0]) == pytest.approx(0.5 * len(course.robot.joints))
@@ -84,9 +84,9 @@ def test_circles_go_round_the_origin(
 
 def test_orientations_turn_as_stated(courses: dict[int, Course]) -> None:
     for number, share, axis in ((3, 0.25, (0, 0, 1)), (7, 1.0, DIAGONAL), (8, 1.0, DIAGONAL)):
-        turns = rotations(courses[number])
+        orientations = rotations(courses[number])
         step = np.radians(courses[number].at[1]) * share
-        between = (turns[1:] * turns[:-1].inv()).as_rotvec()
+        between = (orientations[1:] * orientations[:-1].inv()).as_rotvec()
         np.testing.assert_allclose(between, np.tile(step * np.asarray(axis), (len(between), 1)), atol=1e-10)
     assert np.ptp(positions(courses[8]), axis=0).max() == 0.0
     one_side = courses[10]

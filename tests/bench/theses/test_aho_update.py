@@ -76,20 +76,20 @@ def test_test_13_needs_more_than_an_inverse(update: Any, courses: Any) -> None:
 def test_the_copy_is_right_where_axes_are_alike(axes: str, update: Any, courses: Any) -> None:
     """J against differences of the copy's own motion: the fault is nowhere but in the mixture."""
     rng = np.random.default_rng(5)
-    turns = [Rotation.random(rng=rng).as_matrix() for _ in range(3)]
-    chain = update.Chain(update.Z, turns)
+    rotations = [Rotation.random(rng=rng).as_matrix() for _ in range(3)]
+    chain = update.Chain(update.Z, rotations)
     same = update.Update(axes, "angles" if axes == "euler" else axes)
     jacobian, h = chain.jacobian(axes, True), 1e-6
     still = (np.zeros(3), np.eye(3))
     for k in range(9):
         step = np.zeros(9)
         step[k] = h
-        ahead, behind = chain.moved(same, step), chain.moved(same, -step)
-        linear = (behind.off(still, False) - ahead.off(still, False)) / (2.0 * h)
+        forward, backward = chain.moved(same, step), chain.moved(same, -step)
+        linear = (backward.off(still, False) - forward.off(still, False)) / (2.0 * h)
         np.testing.assert_allclose(jacobian[:3, k], linear, atol=1e-8)
-        turned = ahead.frames()[0][-1] @ behind.frames()[0][-1].T
+        rotated = forward.frames()[0][-1] @ backward.frames()[0][-1].T
         np.testing.assert_allclose(
-            jacobian[3:, k], Rotation.from_matrix(turned).as_rotvec() / (2.0 * h), atol=1e-6
+            jacobian[3:, k], Rotation.from_matrix(rotated).as_rotvec() / (2.0 * h), atol=1e-6
         )
 
 

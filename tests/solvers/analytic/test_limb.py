@@ -280,8 +280,8 @@ def test_a_point_of_the_hand_and_an_aim_are_met_exactly_by_lm(aimed, near):
     for _ in range(60):
         q = robot.sample(rng)
         pose = robot.forward(q)
-        place = pose.apply((rng.uniform(0.05, 1.5), 0.0, 0.0))
-        goal = AimGoal(None, place, axis="x") if aimed else PositionGoal(None, pose.position)
+        point = pose.apply((rng.uniform(0.05, 1.5), 0.0, 0.0))
+        goal = AimGoal(None, point, axis="x") if aimed else PositionGoal(None, pose.position)
         start = robot.clip(q + 0.1 * rng.normal(size=robot.nv)) if near else robot.home
         solution = solve(robot, goal, start=start, tolerance=EXACT)
         assert solution.converged and solution.solver == "lm" and not robot.outside(solution.q)
@@ -292,11 +292,11 @@ def test_a_point_of_the_hand_and_an_aim_are_met_exactly_by_lm(aimed, near):
 
 def test_what_is_no_pose_nor_the_wrists_place_is_refused():
     robot = load_robot("srs_arm")
-    aim, place = AimGoal(None, (1.0, 0.0, 0.0)), PositionGoal(None, (0.3, 0.3, 0.3))
+    aim, position_goal = AimGoal(None, (1.0, 0.0, 0.0)), PositionGoal(None, (0.3, 0.3, 0.3))
     for goal in (
         aim,
-        place,
-        [aim, place],
+        position_goal,
+        [aim, position_goal],
         PositionGoal(None, (0.3, 0.3, 0.3), axes="xy"),
         PoseGoal(None, (0.3, 0.3, 0.3), free_axis="z"),
         OrientationGoal(None, (1, 0, 0, 0)),
@@ -305,4 +305,4 @@ def test_what_is_no_pose_nor_the_wrists_place_is_refused():
         with pytest.raises(UnsupportedGoalError):
             solve(robot, goal, solver="analytic")
     with pytest.raises(UnsupportedGoalError):
-        solve_all(robot, place)
+        solve_all(robot, position_goal)

@@ -192,11 +192,11 @@ def test_two_links_in_a_plane_have_two_elbows_and_nothing_off_the_plane(seed, tm
         [rng.normal(size=3) * 0.3] * 1 + [rng.normal(size=3)],
     )
     q = rng.uniform(-2, 2, 2)
-    place = robot.forward(q, "tool").position
-    found = solve_all(robot, PositionGoal("tool", place), start=q)
+    position = robot.forward(q, "tool").position
+    found = solve_all(robot, PositionGoal("tool", position), start=q)
     assert len(found) == 2 and np.abs(found[0].q - q).max() < 1e-6
     for branch in found:
-        assert np.linalg.norm(robot.measure(branch.q, "tool").position - place) < 1e-9
+        assert np.linalg.norm(robot.measure(branch.q, "tool").position - position) < 1e-9
     normal = robot.forward(q, "tool")  # any motion of the joints keeps the height over the plane
     axis = np.cross(*(robot.jacobian(a, "tool")[:3, 0] for a in ((0.0, 0.0), (1.0, 0.7))))
     axis /= np.linalg.norm(axis)
@@ -242,6 +242,6 @@ def test_what_is_within_tolerance_of_a_reachable_pose_is_never_called_unreachabl
         luck = rng.random(6)
         q = np.where(luck < 0.2, robot.upper, np.where(luck > 0.8, robot.lower, robot.sample(rng)))
         pose = robot.forward(q)
-        turned = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
-        problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), turned))
+        rotated = quat_multiply(rotation_exp(0.9999 * tolerance.angle * unit(rng)), pose.wxyz)
+        problem.retarget(Pose(pose.position + 0.9999 * tolerance.position * unit(rng), rotated))
         assert solver.solve(problem).status is not Status.UNREACHABLE

@@ -26,7 +26,7 @@ from robot_ik.jobs.script.steps.base import (
     width_mm,
 )
 from robot_ik.solution import Status
-from robot_ik.tables import Place, WrongKey, Wxyz
+from robot_ik.tables import Position, WrongKey, Wxyz
 
 if TYPE_CHECKING:
     from robot_ik.ports import Array
@@ -76,7 +76,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
     anywhere = True
 
     do: Literal["expect"]
-    position: Place | None = None
+    position: Position | None = None
     wxyz: Wxyz | None = None
     keyframe: Word | None = None
     shafts: bool = False

@@ -16,7 +16,7 @@ from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed
 from robot_ik.jobs.script.steps.base import Action, Framed, NotNegative, Positive, Seconds, Share
 from robot_ik.motion.sources import CurveSource
-from robot_ik.tables import Place, WrongKey, Wxyz
+from robot_ik.tables import Position, WrongKey, Wxyz
 
 if TYPE_CHECKING:
     from robot_ik.execution import FollowReport
@@ -39,10 +39,10 @@ class FollowStep(Framed, Action):
     do: Literal["follow"]
     path: Literal["circle", "eight", "marker"]
     seconds: Seconds
-    center: Place | None = None
+    center: Position | None = None
     radius: Positive | None = None
     period: Positive | None = None
-    normal: Place | None = None
+    normal: Position | None = None
     wxyz: Wxyz | None = None
     speed: Share | None = None
     catch_up_s: NotNegative = 1.0

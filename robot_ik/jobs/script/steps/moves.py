@@ -36,7 +36,7 @@ from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
-from robot_ik.tables import Place, WrongKey, Wxyz
+from robot_ik.tables import Position, WrongKey, Wxyz
 
 if TYPE_CHECKING:
     from robot_ik.hardware.joint_map import JointMap
@@ -142,7 +142,7 @@ class PositionStep(Framed, Move):
     words = ("position",)
 
     do: Literal["position"]
-    position: Place
+    position: Position
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
         goal = PositionGoal(self.frame or now.robot.tool, self.position)
@@ -155,7 +155,7 @@ class PoseStep(Framed, Move):
     words = ("position",)
 
     do: Literal["pose"]
-    position: Place
+    position: Position
     wxyz: Wxyz
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -194,8 +194,8 @@ class LineStep(Framed, Move):
     words = ("position", "by")
 
     do: Literal["line"]
-    position: Place | None = None
-    by: Place | None = None
+    position: Position | None = None
+    by: Position | None = None
     wxyz: Wxyz | None = None
     linear_speed: Positive = 0.25
 
