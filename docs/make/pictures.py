@@ -110,7 +110,7 @@ def draw(scene: Scene) -> Image:
 def calibration() -> Image:
     """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
     board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
-    shown = list(pattern_set(board, camera, 20, seed=2, look=SensorModel(noise=1.0)))
+    shown = list(pattern_set(board, camera, 20, seed=2, sensor=SensorModel(noise=1.0)))
     found = [view for view in (board.find(v.image) for v in shown) if view is not None]
     tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
     tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
@@ -165,7 +165,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
         quality="full",
         noise=0.3,
         eye=(0.12, -0.66, 0.46),
-        look=(0.0, 0.05, 0.13),
+        target=(0.0, 0.05, 0.13),
     )
     clock.ticks = 30
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)

@@ -106,8 +106,8 @@ def grid_body(
     markers = {}
     for k in range(columns * rows):
         row, column = divmod(k, columns)
-        place = ((column - 0.5 * (columns - 1)) * pitch, (0.5 * (rows - 1) - row) * pitch, 0.0)
-        markers[first_id + k] = (size, Pose(place))
+        position = ((column - 0.5 * (columns - 1)) * pitch, (0.5 * (rows - 1) - row) * pitch, 0.0)
+        markers[first_id + k] = (size, Pose(position))
     return MarkerBody(name, markers)
 
 
@@ -134,8 +134,8 @@ def cube_body(ids: Sequence[int], size: float, edge: float) -> MarkerBody:
             hint="leave white round them: a fifth at least",
         )
     quarter = np.pi / 2
-    turns = [(0.0, k * quarter, 0.0) for k in range(4)] + [(-quarter, 0.0, 0.0), (quarter, 0.0, 0.0)]
-    sides = [Pose.exp((0.0, 0.0, 0.0, *turn)) for turn in turns]
+    rotations = [(0.0, k * quarter, 0.0) for k in range(4)] + [(-quarter, 0.0, 0.0), (quarter, 0.0, 0.0)]
+    sides = [Pose.exp((0.0, 0.0, 0.0, *rotation)) for rotation in rotations]
     out = Pose((0.0, 0.0, 0.5 * edge))
     return MarkerBody("cube", {i: (size, side.compose(out)) for i, side in zip(ids, sides, strict=False)})
 

@@ -155,8 +155,8 @@ def sides_ok(corners, gray):
         i, j = (k + 1) % 4, (k + 2) % 4
         ux, uy = corners[i, 0] - corners[k, 0], corners[i, 1] - corners[k, 1]
         vx, vy = corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1]
-        turn = ux * vy - uy * vx
-        left, right = left and turn > 0.0, right and turn < 0.0
+        cross = ux * vy - uy * vx
+        left, right = left and cross > 0.0, right and cross < 0.0
         long = ux * ux + uy * uy > (2.0 * CORNER_GAP + 4.0) ** 2
         inside = 0.0 <= corners[k, 0] <= width - 1.0 and 0.0 <= corners[k, 1] <= height - 1.0
         if not (long and inside):
@@ -212,23 +212,23 @@ def rough_offsets(pixels, columns, table, n, x):
     The rises and their places are kept in the table's rows USE and MAIN, which nobody needs any more.
     """
     for i in range(n):
-        total, place = 0.0, 0.0
+        total, position = 0.0, 0.0
         for p in range(columns[i], columns[i + 1] - 1):
             step = pixels[DISTANCE, p + 1] - pixels[DISTANCE, p]
             rise = max((pixels[VALUE, p + 1] - pixels[VALUE, p]) / step, 0.0) ** 2
             total += rise
-            place += rise * 0.5 * (pixels[DISTANCE, p + 1] + pixels[DISTANCE, p])
-        table[MAIN, i] = place / max(total, 1e-9)
+            position += rise * 0.5 * (pixels[DISTANCE, p + 1] + pixels[DISTANCE, p])
+        table[MAIN, i] = position / max(total, 1e-9)
         table[USE, i] *= math.sqrt(total)
     a, b = 0.0, 0.0
-    for turn in range(4):
+    for iteration in range(4):
         uu = tt = 1e-9
         ut = ur = tr = 0.0
         for i in range(n):
             t, edge = table[ALONG, i], table[MAIN, i]
             u = 1.0 - t
             miss = edge - a * u - b * t
-            w = table[USE, i] / (1.0 + miss * miss) if turn > 0 else table[USE, i]
+            w = table[USE, i] / (1.0 + miss * miss) if iteration > 0 else table[USE, i]
             uu, ut, tt = uu + w * u * u, ut + w * u * t, tt + w * t * t
             ur, tr = ur + w * u * edge, tr + w * t * edge
         determinant = uu * tt - ut * ut

@@ -341,19 +341,19 @@ def cross_columns(curve, side, most, table):
     first, length = math.ceil(low), math.floor(high) - math.ceil(low)
     n, i, previous = 0, 1, first - 1.0
     for column in range(most):
-        place = np.rint(first + column * length / (most - 1))
+        position = np.rint(first + column * length / (most - 1))
         # Columns at the ends, and pixels at the border of the band, fade in over one pixel: with a hard
         # border the fit can jump between two sets of pixels for ever.
-        use = min(place - low, high - place, 1.0)
-        if not (place > previous and use > 0.0):
+        use = min(position - low, high - position, 1.0)
+        if not (position > previous and use > 0.0):
             continue
-        previous = place
-        while i < last - 1 and curve[i, 0] < place:
+        previous = position
+        while i < last - 1 and curve[i, 0] < position:
             i += 1
         step = max(curve[i, 0] - curve[i - 1, 0], 1e-9)
-        part = (place - curve[i - 1, 0]) / step
+        part = (position - curve[i - 1, 0]) / step
         slope = (curve[i, 1] - curve[i - 1, 1]) / step
-        table[MAIN, n] = place
+        table[MAIN, n] = position
         table[ALONG, n] = curve[i - 1, 2] + part * (curve[i, 2] - curve[i - 1, 2])
         table[CROSS, n] = curve[i - 1, 1] + part * (curve[i, 1] - curve[i - 1, 1])
         table[COSINE, n] = 1.0 / math.sqrt(1.0 + slope * slope)
@@ -368,7 +368,7 @@ def take_pixels(gray, side, table, n, pixels, columns):
     height, width = gray.shape
     steep = side[STEEP] > 0.0
     across, wide = (width, height) if steep else (height, width)
-    count, room = 0, pixels.shape[1]
+    count, capacity = 0, pixels.shape[1]
     columns[0] = 0
     for i in range(n):
         main, cross = int(table[MAIN, i]), table[CROSS, i]
@@ -379,7 +379,7 @@ def take_pixels(gray, side, table, n, pixels, columns):
             for j in range(first, last + 1):
                 distance = (j - cross) * table[COSINE, i]
                 weight = min(side[BAND] + 0.5 - abs(distance), 1.0) * table[USE, i]
-                if weight > 0.0 and count < room:
+                if weight > 0.0 and count < capacity:
                     pixels[DISTANCE, count] = distance * side[SIGN]
                     pixels[VALUE, count] = gray[main, j] if steep else gray[j, main]
                     pixels[WEIGHT, count] = weight

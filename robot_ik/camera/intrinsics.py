@@ -269,7 +269,7 @@ class CameraIntrinsics:
 logger = logging.getLogger("robot_ik.camera")
 
 
-# Ours refuses to calibrate so badly; files of others are read, with a word.
+# Ours refuses to calibrate so badly; files of others are read, with a warning.
 _POOR_RMS_PX = 1.0
 _MATRIX_KEYS = ("camera_matrix", "K", "M1", "cameraMatrix", "intrinsic_matrix")
 _DISTORTION_KEYS = ("distortion_coefficients", "D", "D1", "dist", "distCoeffs", "dist_coeffs")

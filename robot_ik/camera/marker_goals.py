@@ -84,7 +84,7 @@ class DelayMeter:
             self._count += 1
         return max(delay, 0.0)
 
-    def figures(self) -> Delays:
+    def summary(self) -> Delays:
         """What was measured until now."""
         with self._lock:
             kept, count = list(self._kept), self._count
@@ -110,11 +110,11 @@ class LatestGoals:
     """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
 
     Taking a picture and finding a marker in it takes several periods of a control loop.  A source with
-    ``look`` and ``goal_at`` (``MarkerGoalSource``) looks there and is asked for the goal at each tick's own
-    time; any other is polled there, and its newest goal given.
+    ``observe`` and ``goal_at`` (``MarkerGoalSource``) observes there and is asked for the goal at each tick's
+    own time; any other is polled there, and its newest goal given.
 
     Args:
-        goals: What looks.
+        goals: The source that is asked.
         clock: The run's clock.
         rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
             have a rate of their own.
@@ -125,7 +125,7 @@ class LatestGoals:
 
     def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
         self._goals, self._clock = goals, clock
-        self._look_at = getattr(goals, "look", None)
+        self._observe_source = getattr(goals, "observe", None)
         self._goal_at = getattr(goals, "goal_at", None)
         self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
         self._virtual = isinstance(clock, VirtualClock)
@@ -164,7 +164,7 @@ class LatestGoals:
         """
         if self._virtual and now >= self._due and not self.ended:
             self._due = now + self._period
-            self._look(now)
+            self._observe(now)
         with self._lock:
             if self._failure is not None:
                 raise self._failure
@@ -172,11 +172,11 @@ class LatestGoals:
             latest = self._latest if fresh else None
         return latest if self._goal_at is None else self._goal_at(now)
 
-    def _look(self, now: float) -> None:
+    def _observe(self, now: float) -> None:
         goal = None
         try:
-            if self._look_at is not None:
-                self._look_at(now, wait=not self._virtual)
+            if self._observe_source is not None:
+                self._observe_source(now, wait=not self._virtual)
             else:
                 goal = self._goals.poll(now)
         except FrameTimeoutError as error:
@@ -190,7 +190,7 @@ class LatestGoals:
         while not self._stop.is_set() and not self.ended:
             begin = self._clock.now()
             try:
-                self._look(begin)
+                self._observe(begin)
             except Exception as error:  # handed to whoever asks next
                 with self._lock:
                     self._failure = error
@@ -247,9 +247,9 @@ class WhenLost:
 # trials (low contrast, 1.5 m) had 0.63 or more.
 AMBIGUITY_LIMIT = 0.6
 # Both branches may still agree on where the tool should be, to this distance.
-_SAME_PLACE = 0.002
+_SAME_POSITION = 0.002
 # Standard deviation of an orientation that says nothing, rad.
-_ANY_TURN = 10.0
+_ANY_ROTATION = 10.0
 # However uncertain, a goal weighs at least this: it was seen.
 LEAST_WEIGHT = 0.05
 
@@ -261,13 +261,13 @@ class PlacedObservation:
     Attributes:
         pose: Of the marker or body.
         covariance: (6, 6) of it, along the world's axes.
-        place: (3,) the tool seen from the origin of ``pose``, along the world's axes, where only that is
-            sure; None where the orientation is.
+        tool_offset: (3,) the tool seen from the origin of ``pose``, along the world's axes, where only that
+            is sure; None where the orientation is.
     """
 
     pose: Pose
     covariance: Array
-    place: Array | None = None
+    tool_offset: Array | None = None
 
 
 class FlatMarkerChoice:
@@ -288,8 +288,8 @@ class FlatMarkerChoice:
         """The observation in the world, or None when it is unknown where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
-        turn = np.kron(np.eye(2), pose_world_camera.rotation)
-        covariance = turn @ seen.covariance @ turn.T
+        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
+        covariance = rotation @ seen.covariance @ rotation.T
         if seen.alternative is None:
             return PlacedObservation(pose, covariance)
         other = pose_world_camera.compose(seen.alternative)
@@ -298,11 +298,11 @@ class FlatMarkerChoice:
         if seen.ambiguity <= AMBIGUITY_LIMIT:
             return PlacedObservation(pose, covariance)
         one, two = (branch.apply(self._tool.position) for branch in (pose, other))
-        if np.linalg.norm(one - two) > _SAME_PLACE:
+        if np.linalg.norm(one - two) > _SAME_POSITION:
             return None
         unsure = np.zeros((6, 6))
         unsure[:3, :3] = covariance[:3, :3]
-        unsure[3:, 3:] = _ANY_TURN**2 * np.eye(3)
+        unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
         return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
 
     def _tilt(self, pose: Pose) -> float:
@@ -315,7 +315,7 @@ class FlatMarkerChoice:
 def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
     """Standard deviations (m, rad) in the worst direction of a point ``lever`` (3,) away from the origin.
 
-    A small turn ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
+    A small rotation ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
     """
     x, y, z = np.asarray(lever, dtype=float)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -346,8 +346,8 @@ class MarkerGoalSource:
     What comes out:
 
     * seen, orientation certain: a ``PoseGoal``;
-    * orientation uncertain (``ambiguity`` above 0.6), but both possible poses put the tool in the same
-      place to 2 mm: a ``PositionGoal`` there;
+    * orientation uncertain (``ambiguity`` above 0.6), but both possible poses put the tool at the same
+      position to 2 mm: a ``PositionGoal`` there;
     * orientation uncertain otherwise, not seen, seen twice, or no new picture for half a second: None,
       which means hold where you are; after a while what ``when_lost`` says.
 
@@ -356,8 +356,8 @@ class MarkerGoalSource:
     is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
     metres and for the radians, at least 0.05.
 
-    ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``look`` may be
-    called by a thread of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
+    ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``observe`` may
+    be called by a thread of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
 
     Args:
         source: Gives the frames; their truth is removed before anything looks at them.
@@ -432,10 +432,10 @@ class MarkerGoalSource:
             CalibrationError: The frames have not the size of the calibration.
             MarkerNotFoundError: No goal for as long as ``when_lost`` allows, and it says stop.
         """
-        self.look(now)
+        self.observe(now)
         return self.goal_at(now)
 
-    def look(self, now: float, *, wait: bool = False) -> None:
+    def observe(self, now: float, *, wait: bool = False) -> None:
         """Looks at the newest picture, if there is a new one; ``wait``: when there is.
 
         Raises:
@@ -530,10 +530,10 @@ class MarkerGoalSource:
         # Imported at the first goal: looking needs no robot.
         from robot_ik.goals import PoseGoal, PositionGoal
 
-        if observation.place is not None:
+        if observation.tool_offset is not None:
             sigma = sigmas_at(covariance, np.zeros(3))[0]
             return PositionGoal(
-                self.tool, pose.position + observation.place, weight=goal_weight(sigma, self.trusted[0])
+                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, self.trusted[0])
             )
         target = pose.compose(self.pose_marker_tool)
         metres, radians = sigmas_at(covariance, target.position - pose.position)

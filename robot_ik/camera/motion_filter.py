@@ -1,4 +1,4 @@
-"""Where a thing seen by a camera is now: a filter over time-stamped poses, and prediction that knows rest.
+"""Where an object seen by a camera is now: a filter over time-stamped poses, and prediction that knows rest.
 
 ``MotionFilter`` is a Kalman filter with constant velocity, on position and (as error state) on orientation.
 It estimates where the object is at any time near the last picture.  The horizon of the prediction fades to
@@ -36,7 +36,7 @@ class Prediction(NamedTuple):
     """A pose at one time.
 
     Attributes:
-        pose: Where the thing is.
+        pose: Where the object is.
         covariance: (6, 6): position (m) over rotation (rad), axes of the observations, about the origin.
         velocity: (6,): m/s over rad/s, same axes; zero while it counts as resting.
     """
@@ -104,7 +104,7 @@ class MotionFilter:
         self._pose = Pose()
         self._rate = np.zeros(6)
         self._covariance = np.zeros((12, 12))
-        # What the state of a thing at rest is shaken by the noise of its observations alone.
+        # What the state of an object at rest is shaken by the noise of its observations alone.
         self._shaking = np.zeros((12, 12))
         # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
         self._misses = np.zeros((2, 2))
@@ -256,8 +256,8 @@ class MotionFilter:
 def difference(pose: Pose, other: Pose) -> Array:
     """(6,) from ``other`` to ``pose``: shift, and rotation vector in the outer axes."""
     inverse = other.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
-    turn = rotation_log(quat_multiply(pose.wxyz, inverse))
-    return np.concatenate([pose.position - other.position, turn])
+    rotation_vector = rotation_log(quat_multiply(pose.wxyz, inverse))
+    return np.concatenate([pose.position - other.position, rotation_vector])
 
 
 def moved(pose: Pose, change: Array) -> Pose:

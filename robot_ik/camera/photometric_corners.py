@@ -6,7 +6,7 @@ That is right for a camera whose grey values are proportional to light.  Webcams
 have a tone curve; bloom and ink that bleeds do the same: the half way moves, mostly into the black, by a part
 of the blur, and every marker looks smaller than it is.  Since the print has black cells in white and white
 cells in black, it says by how much: the shift is one more unknown of the fit
-(``print_equations`` has the model).
+(``photometric_equations`` has the model).
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from robot_ik.camera.detection import Image, correctable, to_gray
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, lens_vector
-from robot_ik.camera.print_equations import (
+from robot_ik.camera.photometric_equations import (
     BLOCK,
     BLUR,
     EXPECTED,
     HALO,
     HELD,
-    MISS_ROWS,
     PIXEL_ROWS,
+    RESIDUAL_ROWS,
     SHIFT,
     TRUST,
 )
-from robot_ik.camera.print_fit import (
+from robot_ik.camera.photometric_fit import (
     CORNERS,
     COVARIANCE,
     EDGE_BLUR,
@@ -51,7 +51,7 @@ from robot_ik.camera.print_fit import (
     REPORT,
     REPORT_NUMBERS,
     SEEN,
-    fit_print,
+    fit_photometric,
 )
 from robot_ik.kernels.jit import announce
 
@@ -137,7 +137,7 @@ def refine_prints(
     """
     if not len(sides):
         return []
-    announce(fit_print, "the fit of the markers' prints")
+    announce(fit_photometric, "the fit of the markers' prints")
     gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[CX] -= origin[0]
@@ -176,8 +176,8 @@ def moved_outwards(sides: RefinedCorners, shift: EdgeShift, intrinsics: CameraIn
     """Corners whose side lines lie where the edges are: outwards by the edge shift."""
     along = np.roll(sides.corners, -1, axis=0) - sides.corners
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    turn = np.sign(along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
-    normals = turn * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    orientation = np.sign(along[0, 0] * along[1, 1] - along[0, 1] * along[1, 0])
+    normals = orientation * np.stack([along[:, 1], -along[:, 0]], axis=1)
     both = np.stack([normals, np.roll(normals, 1, axis=0)], axis=1)
     by_push = np.linalg.solve(both, np.ones((4, 2, 1)))[..., 0]
     corners = sides.corners + shift.value * sides.blur * by_push
@@ -212,11 +212,11 @@ def _fitted(
     found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, effort.looked_at)
     if found is None:
         return replace(start, explained=math.nan, misread=0)
-    box, room = found
-    fit, pixels, misses = (
+    box, capacity = found
+    fit, pixels, residuals = (
         np.zeros((FIT_ROWS, BLOCK)),
-        np.empty((PIXEL_ROWS, room)),
-        np.empty((MISS_ROWS, room)),
+        np.empty((PIXEL_ROWS, capacity)),
+        np.empty((RESIDUAL_ROWS, capacity)),
     )
     fit[FROM_PRINT, :9], fit[SEEN, :9] = from_print, seen
     fit[CORNERS : CORNERS + 4, :2] = start.corners - origin
@@ -230,7 +230,7 @@ def _fitted(
         push = before.blur * before.edge_shift if start.refined else push
         fit[MODEL, :MODEL_NUMBERS] = before.model
         fit[REPORT, EDGE_BLUR:REPORT_NUMBERS] = before.blur, before.edge_shift, before.edge_shift_sigma
-    state = fit_print(gray, lens, box, reach, push, black, fit, pixels, misses, effort.fitted)
+    state = fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals, effort.fitted)
     if state == NO_PRINT:
         return replace(start, explained=math.nan, misread=0)
     explained, misread, *edges = fit[REPORT, :REPORT_NUMBERS].tolist()

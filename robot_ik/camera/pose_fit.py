@@ -455,15 +455,19 @@ def _angle(one: Array, other: Array) -> float:
 
 def square_branches(points: Array, data: CornerData) -> Branches | None:
     """Both poses of one square; ``points`` (4, 3) in the square's own frame, which is that of the result."""
-    starts = [p + _quaternion(turn) for turn, p in square_poses(points, data.normalized) if p[2] > 0]
+    starts = [
+        p + _quaternion(rotation_vector)
+        for rotation_vector, p in square_poses(points, data.normalized)
+        if p[2] > 0
+    ]
     return fitted(data, np.array(starts)) if starts else None
 
 
-def _quaternion(turn: list[float]) -> list[float]:
+def _quaternion(rotation_vector: list[float]) -> list[float]:
     """(4,) wxyz of a rotation vector."""
-    half = 0.5 * math.hypot(*turn)
+    half = 0.5 * math.hypot(*rotation_vector)
     scale = math.sin(half) / (2.0 * half) if half > 0.0 else 0.5
-    return [math.cos(half), *(scale * v for v in turn)]
+    return [math.cos(half), *(scale * v for v in rotation_vector)]
 
 
 def with_mirror_image(data: CornerData, pose: Pose) -> Branches | None:

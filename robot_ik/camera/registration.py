@@ -1,6 +1,6 @@
 """The virtual robot in the camera's picture, in time: kept on a board from picture to picture.
 
-``LatencyOptions`` are the remedies against delay; who draws it is in ``camera/drawing/renderers.py``.
+``LatencyOptions`` are the measures against delay; who draws it is in ``camera/drawing/renderers.py``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 
 # ------------------------------------------------------------------------------------------
-# The robot registered on a board that a camera sees, picture by picture, with Azuma's remedies for delay.
+# The robot registered on a board that a camera sees, picture by picture, with Azuma's measures against delay.
 #
 # Drawn on the very picture that was tracked, a robot has no delay at all: that is ``sync="tracked"``.  With
 # ``"latest"`` the newest picture is shown and the robot is of an older one; then prediction or image shifting
@@ -48,9 +48,9 @@ class Seen:
     Attributes:
         pose_camera_board: Its middle: x right, y up, z out of the print.
         covariance: (6, 6) of it, as in ``BodyObservation``.
-        points: Pixels (2,) where its corners were seen, by their names; ``places`` (3,) where they are on
-            the board, metres.
-        places: See ``points``.
+        points: Pixels (2,) where its corners were seen, by their names; ``board_points`` (3,) where they are
+            on the board, metres.
+        board_points: See ``points``.
         marker: The other marker, when it was asked for and seen.
         error: RMS reprojection error, px.
         time: Of the picture.
@@ -59,7 +59,7 @@ class Seen:
     pose_camera_board: Pose
     covariance: Array
     points: Points
-    places: Points
+    board_points: Points
     marker: MarkerObservation | None
     error: float
     time: float
@@ -72,7 +72,7 @@ class BoardWatcher:
         board: See ``parse_board``.
         intrinsics: Of the pictures' size.
         other: Id and side in metres of a marker that is not on the board.
-        window: Search only near the last find (Azuma's first remedy: less delay).
+        window: Search only near the last find (Azuma's first measure: less delay).
     """
 
     def __init__(
@@ -110,12 +110,12 @@ class BoardWatcher:
             return None
         found = tracker.corners(frame)
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
-        places = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
+        board_points = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
         return Seen(
             body.pose_camera_body,
             body.covariance,
             points,
-            places,
+            board_points,
             marker,
             body.reprojection_error,
             frame.time,
@@ -133,9 +133,9 @@ class BoardWatcher:
         error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
         keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
         points = dict(zip(keys, view.pixels, strict=True))
-        places = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
+        board_points = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
         pose = view.pose_camera_board.compose(middle)
-        return Seen(pose, np.diag(sigma), points, places, marker, error, frame.time)
+        return Seen(pose, np.diag(sigma), points, board_points, marker, error, frame.time)
 
 
 def _corners(square: tuple[float, Pose]) -> Array:
@@ -144,7 +144,7 @@ def _corners(square: tuple[float, Pose]) -> Array:
 
 
 def optical_motion(before: Points, after: Points) -> Array:
-    """Shift, turn and zoom (2, 3) in the picture that carry the corners of one look to those of the next.
+    """Shift, rotation and zoom (2, 3) in the picture from the corners of one observation to the next.
 
     Least squares over the corners seen twice: z' = a z + b with complex pixels; only a shift for one corner.
     """
@@ -224,7 +224,7 @@ class Registrar:
         self._last: Seen | None = None
 
     def track(self, frame: Frame) -> Seen | None:
-        """Looks for the board; the last look counts a quarter of a second longer."""
+        """Looks for the board; the last observation counts a quarter of a second longer."""
         if self._watcher is None:
             return None
         seen = self._watcher.see(frame)
@@ -259,7 +259,7 @@ class Registrar:
         if self._filter is None:
             return pose, optical_motion(seen.points, now.points)
         # the drawing is of the predicted board already: only what the prediction lacks is left
-        where = self._intrinsics.project(pose.apply(np.array([now.places[k] for k in now.points])))
+        where = self._intrinsics.project(pose.apply(np.array([now.board_points[k] for k in now.points])))
         return pose, optical_motion(dict(zip(now.points, where, strict=True)), now.points)
 
     def _pose(self, seen: Seen | None, time: float) -> Pose | None:

@@ -228,17 +228,17 @@ class VideoSource(ClosingSource):
         self._start = time.monotonic()
         self._count = 0
         # One picture is read ahead: only so is the end known before it is asked for.
-        self._ahead: Image | None = np.asarray(image, dtype=np.uint8)
+        self._lookahead: Image | None = np.asarray(image, dtype=np.uint8)
         self.size = (int(image.shape[1]), int(image.shape[0]))
 
     @property
     def exhausted(self) -> bool:
-        return self._ahead is None
+        return self._lookahead is None
 
     def read(self) -> Frame:
         if self._real_time:
             self._keep_pace()
-        image = self._ahead
+        image = self._lookahead
         if image is None:
             raise FrameTimeoutError(f"the film {self.path} ended after {self._count} pictures")
         frame = Frame(image, self._start + self._count / self.rate_hz, self._count)
@@ -249,7 +249,7 @@ class VideoSource(ClosingSource):
         self._count += 1
         with quiet():
             good, following = self._capture.read()
-        self._ahead = np.asarray(following, dtype=np.uint8) if good else None
+        self._lookahead = np.asarray(following, dtype=np.uint8) if good else None
 
     def _keep_pace(self) -> None:
         early = self._start + self._count / self.rate_hz - time.monotonic()
@@ -257,14 +257,14 @@ class VideoSource(ClosingSource):
             time.sleep(early)
         # The last picture is never skipped: a late reader still sees how the film ends.
         while self._start + (self._count + 1) / self.rate_hz < time.monotonic():
-            last = self._ahead
+            last = self._lookahead
             self._advance()
-            if self._ahead is None:
-                self._ahead, self._count = last, self._count - 1
+            if self._lookahead is None:
+                self._lookahead, self._count = last, self._count - 1
                 return
 
     def close(self) -> None:
-        self._ahead = None
+        self._lookahead = None
         self._capture.release()
 
 

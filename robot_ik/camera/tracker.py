@@ -49,7 +49,7 @@ _KEPT = 0.85
 # A hand turns a marker by this much, rad/s.
 _TURN_RATE = 2.0
 # No single turn and no single picture says more than this (log odds): either may be an accident.
-_MOST_BY_TURN, _MOST_BY_PICTURE = 4.0, 8.0
+_MOST_BY_ROTATION, _MOST_BY_PICTURE = 4.0, 8.0
 # The other branch must be better by this (log odds) before it is taken.
 _HYSTERESIS = 0.5
 # A marker not seen for so long is a new one; pictures without a time are taken to come at 30 Hz.
@@ -103,8 +103,10 @@ class BranchMemory:
                 for p, a in zip(self._poses, self._spread, strict=True)
             ]
             for k in range(len(odds)):
-                ways = [_KEPT * old + row[k] for old, row in zip(self._odds, plausible, strict=True)]
-                odds[k] += max(ways) + math.log(sum(math.exp(way - max(ways)) for way in ways))
+                transitions = [_KEPT * old + row[k] for old, row in zip(self._odds, plausible, strict=True)]
+                odds[k] += max(transitions) + math.log(
+                    sum(math.exp(transition - max(transitions)) for transition in transitions)
+                )
             index = self._stay(odds, plausible[self._chosen])
         odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
@@ -134,8 +136,8 @@ class BranchMemory:
 
 def _plausible(one: Pose, other: Pose, variance: float) -> float:
     """How well (log odds) the turn from one pose to the other fits what is expected of it, rad^2."""
-    turn = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
-    return max(-0.5 * turn * turn / variance, -_MOST_BY_TURN)
+    angle = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
+    return max(-0.5 * angle * angle / variance, -_MOST_BY_ROTATION)
 
 
 # ------------------------------------------------------------------------------------------
@@ -413,7 +415,7 @@ class MarkerFinder:
             sizes = {i: known.get(i, size) for i in every if known.get(i, size) is not None}  # type: ignore[misc]
         self._tracker = MarkerTracker(intrinsics, dictionary, sizes, wanted, window=film)
 
-    def look(self, frame: Frame) -> Sighting:
+    def observe(self, frame: Frame) -> Sighting:
         """Everything in one picture.
 
         Raises:
@@ -504,9 +506,9 @@ def drawn(sighting: Sighting, intrinsics: CameraIntrinsics | None) -> Image:
         cv2.polylines(image, [outline], True, _OUTLINE, 2, cv2.LINE_AA, _SHIFT)
         first = (int(outline[0, 0]), int(outline[0, 1]))
         cv2.circle(image, first, 4 * 2**_SHIFT, _FIRST_CORNER, -1, cv2.LINE_AA, _SHIFT)
-        place = (int(corners[:, 0].min()), int(corners[:, 1].min()) - 6)
-        cv2.putText(image, str(marker.id), place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.putText(image, str(marker.id), place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _OUTLINE, 2, cv2.LINE_AA)
+        position = (int(corners[:, 0].min()), int(corners[:, 1].min()) - 6)
+        cv2.putText(image, str(marker.id), position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA)
+        cv2.putText(image, str(marker.id), position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _OUTLINE, 2, cv2.LINE_AA)
         if isinstance(marker, MarkerObservation) and intrinsics is not None:
             side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
             length = _AXES * side * marker.pose.position[2] / intrinsics.fx

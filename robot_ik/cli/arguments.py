@@ -1,4 +1,4 @@
-"""From words to a dataclass of options: tyro reads, help is folded, a mistake becomes one sentence."""
+"""Command-line arguments to a dataclass of options by tyro; help is folded, a mistake is one sentence."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def require_share(option: str, value: float, of: str = "speed limits") -> None:
 
 
 # ------------------------------------------------------------------------------------------
-# Words that are read here.
+# Values that are parsed here.
 
 
 def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigError:
@@ -121,7 +121,7 @@ def wrong(key: str, problem: str, allowed: str = "", hint: str = "") -> ConfigEr
 
 
 def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) -> dict[str, float]:
-    """Joint -> degrees of ``JOINT=DEGREES`` words, up to ``largest`` to either side.
+    """Joint -> degrees of ``JOINT=DEGREES`` arguments, up to ``largest`` to either side.
 
     Raises:
         ConfigError: Another form, or no such number.
@@ -138,68 +138,68 @@ def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) 
     return found
 
 
-def parse(kind: Any, prog: str, words: Sequence[str]) -> Any:
-    """Options from words.
+def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
+    """Options from command-line arguments.
 
     Args:
         kind: Frozen dataclass of options.
         prog: What the user typed to get here, ``robot-ik servo scan``.
-        words: What came after it.
+        tokens: What came after it.
 
     Raises:
-        ConfigError: A word that does not belong there.
+        ConfigError: An argument that does not belong there.
         SystemExit: With 0, after help was asked for and given.
     """
-    if any(word in HELP_FLAGS for word in words):
+    if any(token in HELP_FLAGS for token in tokens):
         width = max(shutil.get_terminal_size().columns, NARROWEST)
-        _, shown = _tyro(kind, prog, words, width)
+        _, shown = _tyro(kind, prog, tokens, width)
         if shown:
             sys.stdout.write(fold(shown, width) + "\n")
             raise SystemExit(0)
-    _refuse_nothing(prog, words)
-    gathered = gather(kind, words)
+    _refuse_nothing(prog, tokens)
+    gathered = gather(kind, tokens)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
         raise _Mistake(kind, prog, gathered, said).error()
     return options
 
 
-def _refuse_nothing(prog: str, words: Sequence[str]) -> None:
-    """Raises ``ConfigError`` for a word of no letters: what a shell makes of a variable that is not set."""
+def _refuse_nothing(prog: str, tokens: Sequence[str]) -> None:
+    """Raises ``ConfigError`` for an empty argument: what a shell makes of a variable that is not set."""
     before = ""
-    for word in words:
-        flag, given, value = word.partition("=")
-        if not word.strip() or (flag.startswith("--") and given and not value.strip()):
+    for token in tokens:
+        flag, given, value = token.partition("=")
+        if not token.strip() or (flag.startswith("--") and given and not value.strip()):
             name = flag if given else before
             key = name if name.startswith("-") else ""
             raise wrong(key, "nothing is given", hint=f"all options: {prog} --help")
-        before = word
+        before = token
 
 
-def gather(kind: Any, words: Sequence[str]) -> list[str]:
-    """Words in which an option of any number of values (``RATE …``) stands once, with all its values.
+def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
+    """The arguments; an option of any number of values (``RATE …``) stands once in them, with all its values.
 
     ``--baud 57600 --baud 1000000`` is ``--baud 57600 1000000``; tyro would take the last one alone.
     """
-    flags = [_flag(word) for word in words]
+    flags = [_flag(token) for token in tokens]
     repeated = {flag for flag in flags if flag and flags.count(flag) > 1} & set(_endless_options(kind))
     kept: list[str] = []
     values: dict[str, list[str]] = {flag: [] for flag in flags if flag in repeated}
     into = kept
-    for flag, word in zip(flags, words, strict=True):
+    for flag, token in zip(flags, tokens, strict=True):
         if flag in repeated:
             into = values[flag]
-            into += [word.partition("=")[2]] if "=" in word else []
+            into += [token.partition("=")[2]] if "=" in token else []
             continue
-        if word.startswith("-") and not _is_number(word):
+        if token.startswith("-") and not _is_number(token):
             into = kept
-        into.append(word)
-    return kept + [word for flag, row in values.items() for word in (flag, *row)]
+        into.append(token)
+    return kept + [token for flag, row in values.items() for token in (flag, *row)]
 
 
-def _flag(word: str) -> str:
-    """The option that a word names, as tyro understands it; empty: it is none."""
-    return word.partition("=")[0].replace("_", "-") if word.startswith("--") else ""
+def _flag(token: str) -> str:
+    """The option that an argument names, as tyro understands it; empty: it is none."""
+    return token.partition("=")[0].replace("_", "-") if token.startswith("--") else ""
 
 
 def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
@@ -213,9 +213,9 @@ def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
             yield flag
 
 
-def _is_number(word: str) -> bool:
+def _is_number(token: str) -> bool:
     try:
-        float(word)
+        float(token)
     except ValueError:
         return False
     return True
@@ -236,14 +236,14 @@ class _Stream(io.StringIO):
         return self._like.isatty()
 
 
-def _tyro(kind: Any, prog: str, words: Sequence[str], columns: int | None) -> tuple[Any, str]:
+def _tyro(kind: Any, prog: str, tokens: Sequence[str], columns: int | None) -> tuple[Any, str]:
     """Options or None, and what was shown (help) or complained of."""
     import tyro
 
     out, err = _Stream(sys.stdout), _Stream(sys.stderr)
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), _columns(columns):
         try:
-            return tyro.cli(kind, prog=prog, args=list(words)), ""
+            return tyro.cli(kind, prog=prog, args=list(tokens)), ""
         except SystemExit as stop:
             return None, out.getvalue() if stop.code in (0, None) else _ANSI.sub("", err.getvalue())
 
@@ -316,13 +316,13 @@ def _fold_prose(paragraph: str, width: int) -> str:
 
 
 class _Mistake:
-    """What tyro says about wrong words, said again in one sentence.
+    """What tyro says about wrong arguments, as one sentence.
 
     Its text is for people and differs between versions: what is not recognized is passed on as it is.
     """
 
-    def __init__(self, kind: Any, prog: str, words: Sequence[str], said: str) -> None:
-        self._words = list(words)
+    def __init__(self, kind: Any, prog: str, tokens: Sequence[str], said: str) -> None:
+        self._tokens = list(tokens)
         self._hint = f"all options: {prog} --help"
         self._help = _ANSI.sub("", _tyro(kind, prog, ["--help"], _ENDLESS)[1])
         # The box without its frame: a title, then parts between rules.
@@ -340,18 +340,18 @@ class _Mistake:
         return wrong("", self._said, hint=self._hint)
 
     def _takes(self, flag: str) -> str:
-        """What stands behind an option in the help, in words."""
+        """What stands behind an option in the help, as text."""
         found = re.search(rf"(?:^|, |│ |  ){re.escape(flag)} (\S.*?)(?:  |\s*│|$)", self._help, re.MULTILINE)
-        return " ".join(_KINDS.get(word, word) for word in found[1].split()) if found else ""
+        return " ".join(_KINDS.get(token, token) for token in found[1].split()) if found else ""
 
     def _unknown(self) -> ConfigError | None:
         found = re.search(r"Unrecognized (?:or misplaced )?options: (.*?)(?:[─-]{8}|$)", self._all)
         if found is None:
             return None
-        words = [word for word in self._words if word in re.split(r"[,\s]+", found[1])]
-        flag = next((word for word in words if word.startswith("-")), None)
+        tokens = [token for token in self._tokens if token in re.split(r"[,\s]+", found[1])]
+        flag = next((token for token in tokens if token.startswith("-")), None)
         if flag is None:
-            return wrong("", f"{' '.join(words) or found[1]!r}: nothing more is taken here", hint=self._hint)
+            return wrong("", f"{' '.join(tokens) or found[1]!r}: nothing more is taken here", hint=self._hint)
         flags = re.findall(r"--[a-z][\w.-]*", self._help)
         if (now := FORMER.get(flag)) in flags:
             return wrong(flag, f"this option is called {now} now", hint=self._hint)
@@ -384,24 +384,24 @@ class _Mistake:
         if found is None:
             return None
         value, name, listed = found.groups()
-        choices = [word for word in re.findall(r"'([^']*)'", listed) if word]  # the empty one: not asked
+        choices = [token for token in re.findall(r"'([^']*)'", listed) if token]  # the empty one: not asked
         close = close_matches(value, choices, 1)
         meant = f" (did you mean {close[0]!r}?)" if close else ""
         key = name if name.startswith("-") else ""
-        return wrong(key, f"{value!r} is none of its words{meant}", ", ".join(choices), self._hint)
+        return wrong(key, f"{value!r} is not a valid choice{meant}", ", ".join(choices), self._hint)
 
     def _unreadable(self) -> ConfigError | None:
         if not (found := re.search(r"Error parsing ([^\s:/]+)[^:]*: ", self._all)):
             return None
         flag = found[1]
         given: list[str] = []
-        if flag in self._words:
-            for word in self._words[self._words.index(flag) + 1 :]:
-                if word.startswith("--"):
+        if flag in self._tokens:
+            for token in self._tokens[self._tokens.index(flag) + 1 :]:
+                if token.startswith("--"):
                     break
-                given.append(word)
+                given.append(token)
         bad = re.findall(r"(?:to float|base 10): '([^']*)'", self._all)[-1:] or [
-            word for word in given if not re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|[-+]?inf", word)
+            token for token in given if not re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|[-+]?inf", token)
         ]
         whole = " whole" if "base 10" in self._all else ""
         problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
@@ -431,7 +431,7 @@ def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
         raise InvalidGoalError(f"{key}: {error}") from error
 
 
-def pose_words(pose: Pose) -> str:
+def pose_text(pose: Pose) -> str:
     """Millimetres and quaternion, for tables."""
     x, y, z = (1e3 * pose.position).tolist()
     w = " ".join(f"{v:.5f}" for v in pose.wxyz)

@@ -17,7 +17,7 @@ from robot_ik.cli.arguments import (
     Dictionary,
     optional_path,
     pose_option,
-    pose_words,
+    pose_text,
     require_share,
     robot_argument,
     wrong,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Report = TypeVar("Report", covariant=True)
 
-#: Fewer views tell nothing, so there is nothing to go on with.
+#: Fewer views determine nothing, so there is nothing to go on with.
 LEAST_VIEWS = 4
 #: Behind the help of an option.
 NEEDED = "(needed for a real camera)"
@@ -145,7 +145,7 @@ def measured(job: Job[Report], file: Path, command: str) -> Report | None:
         if views >= LEAST_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
-            console.say(f"they are kept in {file}, but {LEAST_VIEWS} are the least that tell anything")
+            console.say(f"they are kept in {file}, but {LEAST_VIEWS} are the least that determine anything")
         return None
 
 
@@ -181,7 +181,7 @@ class CameraHandeyeOptions(ArmCameraOptions):
     ] = ()
     """Where the board is, roughly, seen from the frame that carries it (eye-to-hand) or from the world."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
-    """Where the camera's place goes; the samples go beside it."""
+    """Where the camera's pose goes; the samples go beside it."""
     overwrite: bool = False
     """Replace both."""
     samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
@@ -189,7 +189,7 @@ class CameraHandeyeOptions(ArmCameraOptions):
 
 
 def run_handeye(options: CameraHandeyeOptions) -> int:
-    """Runs the job; 0 when a place was found."""
+    """Runs the job; 0 when a pose was found."""
     import_mujoco()
     from robot_ik.jobs.arm_camera.handeye import samples_path
 
@@ -216,7 +216,7 @@ def _measure_and_solve(options: CameraHandeyeOptions, request: HandEyeRequest | 
             return console.INTERRUPTED
         report = made
     if report.result is not None:
-        report.place().save(options.out)
+        report.extrinsics().save(options.out)
     if options.json:
         console.print_json(_as_json(report, options))
     else:
@@ -270,9 +270,9 @@ def _print(report: HandEyeReport) -> None:
         )  # fmt: skip
     screen.print(rows)
     facts = console.facts()
-    facts.add_row(f"camera seen from {report.parent}", pose_words(result.pose_parent_camera))
+    facts.add_row(f"camera seen from {report.parent}", pose_text(result.pose_parent_camera))
     board = "world" if report.parent != "world" else report.samples.frame
-    facts.add_row(f"board seen from {board}", pose_words(result.pose_other_board))
+    facts.add_row(f"board seen from {board}", pose_text(result.pose_other_board))
     facts.add_row(
         "stated uncertainty",
         f"{1e3 * result.sigma_position:.3f} mm, {math.degrees(result.sigma_angle):.4f} deg (one sigma)",

@@ -16,7 +16,7 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import BoardName, Dictionary, pose_option, pose_words, several, wrong
+from robot_ik.cli.arguments import BoardName, Dictionary, pose_option, pose_text, several, wrong
 from robot_ik.errors import MarkerNotFoundError, OutputError
 from robot_ik.files import claimed, claimed_folder, write_atomically
 from robot_ik.geometry import Pose
@@ -250,7 +250,7 @@ def _print_markers(rows: Sequence[PictureMarkers], *, posed: bool) -> None:
         for marker in row.values["markers"]:
             centre = " ".join(f"{x:.2f}" for x in np.mean(marker["corners"], axis=0))
             cells = _pose_cells(marker) if posed else [Text(centre)]
-            shown.add_row(_place(row), str(marker["id"]), *cells)
+            shown.add_row(_picture_label(row), str(marker["id"]), *cells)
     _show(shown, posed=posed)
 
 
@@ -260,10 +260,12 @@ def _print_bodies(rows: Sequence[PictureMarkers]) -> None:
     odd = []
     for row in rows:
         for body in row.values["bodies"]:
-            shown.add_row(_place(row), body["name"], *_pose_cells(body))
+            shown.add_row(_picture_label(row), body["name"], *_pose_cells(body))
             if body["rejected"]:
                 ids = ", ".join(map(str, body["rejected"]))
-                odd.append(f"{_place(row)}: {body['name']} without {ids}, at odds with its other markers")
+                odd.append(
+                    f"{_picture_label(row)}: {body['name']} without {ids}, at odds with its other markers"
+                )
     _show(shown, posed=True)
     for line in odd:
         console.out().print(Text(line, style="yellow"))
@@ -277,7 +279,7 @@ def _show(shown: Table, *, posed: bool) -> None:
         console.out().print(shown)
 
 
-def _place(row: PictureMarkers) -> str:
+def _picture_label(row: PictureMarkers) -> str:
     return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
 
 
@@ -297,7 +299,7 @@ def _pose_cells(values: dict[str, Any]) -> list[Text]:
 
 
 # ------------------------------------------------------------------------------------------
-# ``robot-ik camera locate``: where a camera stands, from a board at a known place.
+# ``robot-ik camera locate``: where a camera stands, from a board at a known pose.
 
 
 # Corners of a good calibration and a flat board miss by a few tenths of a pixel.
@@ -306,7 +308,7 @@ _DOUBTFUL_PX = 1.0
 
 @dataclass(frozen=True)
 class CameraLocateOptions:
-    """Finds where a camera stands from a board whose place is known, and writes it to a file.
+    """Finds where a camera stands from a board whose pose is known, and writes it to a file.
 
     Neither camera nor board may move meanwhile. Exit code 1, and no file, when no picture shows the board or
     none agrees with the others. The board's frame: markers and grids have their origin in
@@ -324,11 +326,11 @@ class CameraLocateOptions:
     """Where the board's frame is: metres, and an orientation as a quaternion."""
     dictionary: Dictionary = ""
     parent: str = "world"
-    """Name of the frame that the board's place is given in."""
+    """Name of the frame that the board's pose is given in."""
     frames: Annotated[int, arg(metavar="N")] = 20
     """How many pictures to average, where the source has more than one."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("place.toml")
-    """Where the place goes."""
+    """Where the extrinsics go."""
     overwrite: bool = False
     """Replace that file."""
     json: bool = False
@@ -353,28 +355,28 @@ def run_locate(options: CameraLocateOptions) -> int:
 def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
     from robot_ik.camera.calibration.extrinsics import locate_camera
 
-    views, looked = _look(options, board, intrinsics)
+    views, searched = _board_views(options, board, intrinsics)
     if not views:
         raise MarkerNotFoundError(
-            f"the board {options.board} is in none of {looked} pictures of {options.source}",
+            f"the board {options.board} is in none of {searched} pictures of {options.source}",
             hint="check its sizes and dictionary, light and focus; the whole board should be in view",
         )
-    place = locate_camera(views, pose, intrinsics, parent=options.parent)
-    doubtful = _doubtful(views, place.pose_parent_camera.inverse() @ pose, intrinsics)
+    extrinsics = locate_camera(views, pose, intrinsics, parent=options.parent)
+    doubtful = _doubtful(views, extrinsics.pose_parent_camera.inverse() @ pose, intrinsics)
     if doubtful == len(views):
         console.say(f"no picture is believed: {options.out} is not written", "yellow")
         return console.NOT_ACHIEVED
-    place.save(options.out)
+    extrinsics.save(options.out)
     if options.json:
-        console.print_json(_as_json(place, options, len(views), looked))
+        console.print_json(_as_json(extrinsics, options, len(views), searched))
         return console.DONE
-    sigma = f"{1e3 * place.sigma_position:.2f} mm, {math.degrees(place.sigma_angle):.3f} deg"
+    sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
     console.out().print(
         console.facts(
-            (f"camera seen from {place.parent}", pose_words(place.pose_parent_camera)),
-            ("stated uncertainty", f"{sigma} (one sigma; the board's place is taken for exact)"),
-            ("corners miss by", f"{place.residual_px:.3f} px, {place.residual_mm:.3f} mm (RMS)"),
-            ("pictures", f"{len(views)} of {looked} show the board"),
+            (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
+            ("stated uncertainty", f"{sigma} (one sigma; the board's pose is taken for exact)"),
+            ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
+            ("pictures", f"{len(views)} of {searched} show the board"),
         )
     )
     console.say(f"wrote {options.out}", "green")
@@ -399,7 +401,7 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
     return count
 
 
-def _look(
+def _board_views(
     options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics
 ) -> tuple[list[BoardView], int]:
     """The views of the board, and how many pictures were searched."""
@@ -410,24 +412,26 @@ def _look(
         task = bar.add_task("looking", total=options.frames, note="")
         return board_views(
             source, board, intrinsics, options.frames,
-            progress=lambda looked: bar.update(task, completed=looked),
+            progress=lambda searched: bar.update(task, completed=searched),
             left_out=lambda why: console.say(f"left out: {why}", "yellow"),
         )  # fmt: skip
 
 
-def _as_json(place: CameraExtrinsics, options: CameraLocateOptions, used: int, looked: int) -> dict[str, Any]:
-    camera = place.pose_parent_camera
+def _as_json(
+    extrinsics: CameraExtrinsics, options: CameraLocateOptions, used: int, searched: int
+) -> dict[str, Any]:
+    camera = extrinsics.pose_parent_camera
     return {
         "schema": 1,
         "job": "locate",
         "file": str(options.out),
-        "parent": place.parent,
+        "parent": extrinsics.parent,
         "camera": {"position": camera.position, "wxyz": camera.wxyz},
-        "sigma_position_m": place.sigma_position,
-        "sigma_angle_rad": place.sigma_angle,
-        "residual_px": place.residual_px,
-        "residual_mm": place.residual_mm,
-        "pictures": looked,
+        "sigma_position_m": extrinsics.sigma_position,
+        "sigma_angle_rad": extrinsics.sigma_angle,
+        "residual_px": extrinsics.residual_px,
+        "residual_mm": extrinsics.residual_mm,
+        "pictures": searched,
         "used": used,
     }
 

@@ -113,8 +113,8 @@ def _named_on_failure(options: CameraCalibrateOptions, kept: ViewFolder) -> Iter
     except (CalibrationError, KeyboardInterrupt):
         if kept.count:
             sources = [text for text in options.sources if Path(text) != kept.folder]
-            words = " ".join([str(kept.folder), *sources])
-            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {words} …")
+            arguments = " ".join([str(kept.folder), *sources])
+            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …")
         raise
 
 

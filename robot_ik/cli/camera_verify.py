@@ -148,8 +148,8 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     if not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
         return False
-    words = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
-    console.say(f"zero_ticks: {words}")
+    text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
+    console.say(f"zero_ticks: {text}")
     if not options.yes and not console.agreed(f"write them to {options.arm}?"):
         console.say(f"{options.arm} stays as it is", "yellow")
         return False
@@ -207,21 +207,21 @@ def print_report(report: VerifyReport, allowed_mm: float) -> None:
     screen.print(_regions("the arm as it is", report.judged(corrected=False)))
     if report.known.by_arm:
         screen.print(
-            "The camera's place was found by moving this arm: what all poses are off by alike is in it.\n"
+            "The camera's pose was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
         )
     if report.fit is not None:
         screen.print(_offset_table(report))
         for one in report.fit.unobservable:
-            screen.print(f"{one.words}: {one.joint} is held", soft_wrap=True)
+            screen.print(f"{one.text}: {one.joint} is held", soft_wrap=True)
         title = "with these zeros: each pose by the fit to all others"
         screen.print(_regions(title, report.judged(corrected=True)))
     if report.unseen:
         screen.print("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
-    for corrected, words in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
+    for corrected, label in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
         largest = 1e3 * max(one.distance for one in report.judged(corrected=corrected))
         verdict = "within" if largest <= allowed_mm else "beyond"
-        screen.print(f"largest error {words}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
+        screen.print(f"largest error {label}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
 
 
 def _poses(report: VerifyReport) -> Any:
@@ -230,7 +230,7 @@ def _poses(report: VerifyReport) -> Any:
     rows = console.table(*columns, *(("then: mm", "sigma") if after else ()), "", title="poses, mm")
     numbers = numbers_of_seen(len(report.errors), report.unseen)
     for number, one in enumerate(report.errors):
-        cells = [str(numbers[number]), *(f"{1e3 * x:.0f}" for x in one.place)]
+        cells = [str(numbers[number]), *(f"{1e3 * x:.0f}" for x in one.position)]
         cells += [f"{1e3 * one.distance:.2f}", f"{1e3 * one.sigma:.2f}"]
         cells += [f"{math.degrees(one.angle):.3f}", f"{math.degrees(one.sigma_angle):.3f}"]
         if after:
@@ -298,7 +298,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
             "offsets_rad": fit.offsets,
             "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
             "true_rad": report.known.true_offsets,
-            "held": [{"joint": one.joint, "why": one.words} for one in fit.unobservable],
+            "held": [{"joint": one.joint, "why": one.text} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,
@@ -316,7 +316,7 @@ def _named(report: VerifyReport) -> list[tuple[str, float]]:
 
 def _error(one: PoseError) -> dict[str, Any]:
     return {
-        "position_m": one.place, "off_m": one.vector, "off_rad": one.angle,
+        "position_m": one.position, "off_m": one.vector, "off_rad": one.angle,
         "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
     }  # fmt: skip
 

@@ -260,8 +260,8 @@ def driving(arm: Arm) -> Iterator[None]:
         with arm, stop_on_space(arm):
             yield
     finally:
-        if words := left(arm):
-            console.say(words, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
+        if text := left(arm):
+            console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
 
 
 Limits = dict[str, tuple[float, float]]
@@ -300,5 +300,5 @@ def model_limits(config: ArmConfig) -> Limits:
 
 
 def left(arm: Arm) -> str:
-    """How an arm was left, in words; empty where it was never connected."""
+    """How an arm was left, as text; empty where it was never connected."""
     return arm.exit_report.text if arm.exit_report is not None else ""

@@ -172,16 +172,20 @@ class _FoldedTable(Table):
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         texts = [[_plain(cell) for cell in (column.header, *column.cells)] for column in self.columns]
-        words = [max(len(word) for text in column for word in text.split() or [""]) for column in texts]
+        longest_words = [
+            max(len(word) for text in column for word in text.split() or [""]) for column in texts
+        ]
         lines = [max(len(line) for text in column for line in text.splitlines() or [""]) for column in texts]
-        words[0] = lines[0]  # the first column is never broken
+        longest_words[0] = lines[0]  # the first column is never broken
         space = options.max_width - _GAP * (len(texts) - 1)
-        if sum(lines) > space >= sum(words):
-            spare = space - sum(words)
-            widths = sorted((line - word, k) for k, (word, line) in enumerate(zip(words, lines, strict=True)))
+        if sum(lines) > space >= sum(longest_words):
+            spare = space - sum(longest_words)
+            widths = sorted(
+                (line - word, k) for k, (word, line) in enumerate(zip(longest_words, lines, strict=True))
+            )
             for done, (width, k) in enumerate(widths):  # the smallest first: long lines fold, not headers
                 more = min(width, spare // (len(widths) - done))
-                self.columns[k].width = words[k] + more
+                self.columns[k].width = longest_words[k] + more
                 spare -= more
         elif sum(lines) > space and len(texts) > 2:
             yield from self._rows_as_lists()

@@ -194,7 +194,7 @@ def _abilities(robot: Robot) -> Abilities:
         return load_abilities(load_figure(robot), progress=progress)
 
 
-def _place(options: FigureOptions) -> tuple[float, float, float]:
+def _pose(options: FigureOptions) -> tuple[float, float, float]:
     from math import radians
 
     return options.place[0], options.place[1], radians(options.place[2])
@@ -205,14 +205,14 @@ def _request(options: FigureOptions) -> FigureRequest:
 
     balls = (options.ball,) if options.ball is not None else () if options.path else _SHOWN
     path = "" if options.path == "marker" else options.path
-    return FigureRequest(balls, path, options.seconds, _place(options), options.mode, seed=options.seed)
+    return FigureRequest(balls, path, options.seconds, _pose(options), options.mode, seed=options.seed)
 
 
 def _decisions(abilities: Abilities, options: FigureOptions) -> int:
     from robot_ik.jobs.figure import decide_balls, read_balls
 
     assert options.balls is not None
-    for row in decide_balls(abilities, read_balls(options.balls), _place(options)):
+    for row in decide_balls(abilities, read_balls(options.balls), _pose(options)):
         console.print_json_line(row)
     return console.DONE
 
@@ -283,7 +283,7 @@ def _watch(
     from robot_ik.testbed.frontends.window import Solid, WindowSink
 
     instead = "run it without --viewer, or film it with --record"
-    floor = [Solid(Pose(place), half, rgba) for place, half, rgba in TILES]
+    floor = [Solid(Pose(position), half, rgba) for position, half, rgba in TILES]
     see = _in_view(options)
     with WindowSink(robot, ball=BALL_RADIUS, see=see, solids=floor, instead=instead) as window:
         began = time.monotonic()

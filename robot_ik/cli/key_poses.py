@@ -49,13 +49,13 @@ class PosesListOptions:
 class PosesRecordOptions:
     """Adds a pose to a file, which is made where there is none.
 
-    It starts from another pose, changes joints, and brings frames to places by inverse kinematics while the
-    feet, if there are any, stay where they are.
+    It starts from another pose, changes joints, and brings frames to positions by inverse kinematics while
+    the feet, if there are any, stay where they are.
 
         robot-ik poses record my.toml wave --set left_elbow_pitch=90
         robot-ik poses record my.toml up --reach right_hand 0.3 -0.3 1.6
 
-    Exit code 0: recorded. 1: a place is out of reach, and nothing is recorded. 2: wrong input.
+    Exit code 0: recorded. 1: a position is out of reach, and nothing is recorded. 2: wrong input.
     """
 
     file: Annotated[Positional[str], arg(metavar="FILE")]
@@ -73,7 +73,7 @@ class PosesRecordOptions:
     set: Annotated[tuple[str, ...], several("JOINT=DEGREES")] = ()
     """Joints at other angles (metres for slides)."""
     reach: Annotated[tuple[str, ...], several("FRAME X Y Z")] = ()
-    """Frames at places, metres, world."""
+    """Frames at positions, metres, world."""
     replace: bool = False
     """Replace a pose of that name."""
 
@@ -169,7 +169,7 @@ def run_list(options: PosesListOptions) -> int:
 
 
 def run_record(options: PosesRecordOptions) -> int:
-    """Records it; 1 when a place is out of reach."""
+    """Records it; 1 when a position is out of reach."""
     from robot_ik.motion import KeyPoses
 
     robot = _load(options.robot)
@@ -307,24 +307,24 @@ def _close(name: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else ""
 
 
-def _reached(robot: Robot, q: Array, words: Sequence[str]) -> Array | None:
-    """The pose that brings frames to the places of ``FRAME X Y Z`` words; None: out of reach."""
+def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
+    """The pose that brings frames to the positions of ``FRAME X Y Z`` arguments; None: out of reach."""
     from robot_ik.jobs.posing import pose_reaching
 
-    if not words or len(words) % 4:
-        raise wrong("--reach", f"{len(words)} words", "FRAME X Y Z, once or more")
-    places = {}
-    for first in range(0, len(words), 4):
+    if not arguments or len(arguments) % 4:
+        raise wrong("--reach", f"{len(arguments)} arguments", "FRAME X Y Z, once or more")
+    positions = {}
+    for first in range(0, len(arguments), 4):
         try:
-            x, y, z = (float(word) for word in words[first + 1 : first + 4])
+            x, y, z = (float(number) for number in arguments[first + 1 : first + 4])
         except ValueError:
-            raise wrong("--reach", " ".join(words[first : first + 4]), "FRAME X Y Z, metres") from None
-        places[words[first]] = (x, y, z)
-    return pose_reaching(robot, q, places)
+            raise wrong("--reach", " ".join(arguments[first : first + 4]), "FRAME X Y Z, metres") from None
+        positions[arguments[first]] = (x, y, z)
+    return pose_reaching(robot, q, positions)
 
 
 def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
-    """The pose with the joints of ``JOINT=DEGREES`` words."""
+    """The pose with the joints of ``JOINT=DEGREES`` arguments."""
     from robot_ik.errors import UnknownJointError
     from robot_ik.jobs.posing import with_joint
 

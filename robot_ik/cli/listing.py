@@ -168,22 +168,22 @@ def _print_robot(robot: Robot) -> None:
     shown = console.table("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
     at_q = at_v = 0
     for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
-        turns = kind in ("hinge", "ball")
-        limits = [_number(values[at_v], turns) for values in (robot.lower, robot.upper)]
-        speeds = [_number(values[at_v], turns) for values in (robot.velocity, robot.acceleration)]
+        rotary = kind in ("hinge", "ball")
+        limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
+        speeds = [_number(values[at_v], rotary) for values in (robot.velocity, robot.acceleration)]
         # A quaternion does not fit a column; --json has it.
-        home = _number(robot.home[at_q], turns) if kind in ("hinge", "slide") else "…"
-        shown.add_row(name, kind, *limits, home, *speeds, "deg" if turns else "m")
+        home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
+        shown.add_row(name, kind, *limits, home, *speeds, "deg" if rotary else "m")
         at_q += {"free": 7, "ball": 4}.get(kind, 1)
         at_v += {"free": 6, "ball": 3}.get(kind, 1)
     screen.print(shown)
     console.say("in SI units and with every digit: --json", "dim")
 
 
-def _number(value: float, turns: bool) -> str:
+def _number(value: float, rotary: bool) -> str:
     if not math.isfinite(value):
         return UNBOUNDED
-    return f"{math.degrees(value):.1f}" if turns else f"{value:.4g}"
+    return f"{math.degrees(value):.1f}" if rotary else f"{value:.4g}"
 
 
 # ---------------------------------------------------------------------------------- solvers
@@ -241,7 +241,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
 
 
 def goals_text(facts: dict[str, Any]) -> str:
-    """Which goals a method serves, in few words."""
+    """Which goals a method serves, in short."""
     if facts["every_goal"]:
         return "every kind"
     return ", ".join(goal.removesuffix(" goal") for goal in facts["goals"])
@@ -270,34 +270,36 @@ def _print_solver(facts: dict[str, Any]) -> None:
 # ``robot-ik robots --gallery``: pictures of the robots.
 
 
-def gallery_folder(words: Sequence[str]) -> str:
+def gallery_folder(arguments: Sequence[str]) -> str:
     """Where the pictures go; empty: to a new folder.
 
     Args:
-        words: What stood after ``--gallery``: nothing, or a folder.
+        arguments: What stood after ``--gallery``: nothing, or a folder.
 
     Raises:
-        ConfigError: More than one word, or a robot's name, which belongs before the option.
+        ConfigError: More than one argument, or a robot's name, which belongs before the option.
     """
     from robot_ik.robot_file import catalogue
 
-    if len(words) > 1:
+    if len(arguments) > 1:
         raise ConfigError(
-            f"{len(words)} words after --gallery: {' '.join(words)}", file="robot-ik robots", key="--gallery",
-            allowed="one folder, or nothing", hint="one robot alone: robot-ik robots NAME --gallery [FOLDER]",
+            f"{len(arguments)} arguments after --gallery: {' '.join(arguments)}",
+            file="robot-ik robots", key="--gallery", allowed="one folder, or nothing",
+            hint="one robot alone: robot-ik robots NAME --gallery [FOLDER]",
         )  # fmt: skip
-    if words and words[0] in catalogue() and not Path(words[0]).exists():
+    if arguments and arguments[0] in catalogue() and not Path(arguments[0]).exists():
         raise ConfigError(
-            f"{words[0]!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
+            f"{arguments[0]!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
             allowed="a folder, or nothing",
-            hint=f"this robot alone: robot-ik robots {words[0]} --gallery; a folder so named: ./{words[0]}",
+            hint=f"this robot alone: robot-ik robots {arguments[0]} --gallery; "
+            f"a folder so named: ./{arguments[0]}",
         )  # fmt: skip
-    return words[0] if words else ""
+    return arguments[0] if arguments else ""
 
 
-def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
+def run_gallery(robot: str, arguments: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
     """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
-    folder = gallery_folder(words)
+    folder = gallery_folder(arguments)
     from robot_ik.jobs.gallery import draw_gallery
     from robot_ik.jobs.results import results_folder
     from robot_ik.robot import load_robot
@@ -305,10 +307,10 @@ def run_gallery(robot: str, words: Sequence[str], seed: int, *, json: bool, over
 
     robots = [load_robot(name) for name in ([robot] if robot else catalogue())]
     own = [f"{one.name}.png" for one in robots] + ["gallery.png"]
-    with results_folder(folder, "gallery", own, overwrite=overwrite) as place, console.progress() as bar:
+    with results_folder(folder, "gallery", own, overwrite=overwrite) as path, console.progress() as bar:
         task = bar.add_task("drawing", total=len(robots), note="")
         portraits, files = draw_gallery(
-            robots, place, seed, progress=lambda name, k: bar.update(task, completed=k, note=name)
+            robots, path, seed, progress=lambda name, k: bar.update(task, completed=k, note=name)
         )
     if json:
         rows = [_facts(portrait, file) for portrait, file in zip(portraits, files, strict=False)]

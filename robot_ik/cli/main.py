@@ -30,7 +30,7 @@ class CommandRow:
         about: One line for ``robot-ik --help``.
         run: Name of its function ``run(options) -> exit code``.
         mujoco: It loads models, so a broken MuJoCo is reported before anything else.
-        subcommands: Rows of the same kind, by the word behind the command's name.
+        subcommands: Rows of the same kind, by the name that follows the command's name.
     """
 
     module: str
@@ -89,7 +89,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera print": ("camera", "a sheet of markers, a board, a cube or a pattern to print"),
     "camera calibrate": ("camera_calibrate", "lens and focal length from views of a printed pattern"),
     "camera detect": ("camera", "markers in pictures: ids, corners, poses"),
-    "camera locate": ("camera", "where the camera stands, from a board whose place is known"),
+    "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
     "video": ("video", "a film of the testbed without a screen, from its command log"),
@@ -104,11 +104,11 @@ def _row(name: str, file: str, about: str) -> CommandRow:
 
     A file that has the command's name has one command, whose function is ``run``.
     """
-    words = name.replace("-", " ").split()
-    own = file == "_".join(words)
+    parts = name.replace("-", " ").split()
+    own = file == "_".join(parts)
     return CommandRow(
         f"robot_ik.cli.{file}" if file else "",
-        "".join(word.title() for word in words) + "Options" if file else "",
+        "".join(part.title() for part in parts) + "Options" if file else "",
         about,
         "run" if own else "run_" + name.split()[-1].replace("-", "_"),
         name.split()[0] not in _WITHOUT_MUJOCO,
@@ -119,19 +119,19 @@ def _row(name: str, file: str, about: str) -> CommandRow:
 COMMANDS = {name: _row(name, *row) for name, row in ROWS.items() if " " not in name}
 
 
-def find_command(words: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
-    """The row that a command line means, as deep as its words lead.
+def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
+    """The row that a command line means, as deep as its arguments lead.
 
     Args:
-        words: Command line without ``robot-ik``; the first word is a name of ``COMMANDS``.
+        arguments: Command line without ``robot-ik``; the first argument is a name of ``COMMANDS``.
 
     Returns:
-        Its name ("servo scan"), its row, and the words that are left for it.
+        Its name ("servo scan"), its row, and the arguments that are left for it.
 
     Raises:
         KeyError: There is no such command.
     """
-    name, command, rest = words[0], COMMANDS[words[0]], list(words[1:])
+    name, command, rest = arguments[0], COMMANDS[arguments[0]], list(arguments[1:])
     while rest and rest[0] in command.subcommands:
         name, command = f"{name} {rest[0]}", command.subcommands[rest[0]]
         del rest[0]
@@ -210,18 +210,18 @@ def _meant_as_subcommand(command: CommandRow, rest: list[str]) -> bool:
 
 def _group(name: str, command: CommandRow, rest: list[str]) -> int:
     """A command that is only the name of its subcommands: its help, or which of them was meant."""
-    if any(word in _HELP_FLAGS for word in rest):
+    if any(argument in _HELP_FLAGS for argument in rest):
         _print_group(name, command)
         return 0
     what = f"subcommand of {name}"
-    word = next((word for word in rest if not word.startswith("-")), "") if rest else ""
-    inner = next((word for word in rest if word in command.subcommands), None)
+    asked = next((argument for argument in rest if not argument.startswith("-")), "") if rest else ""
+    inner = next((argument for argument in rest if argument in command.subcommands), None)
     if not rest:
         text = f"which {what}? There are: {', '.join(command.subcommands)}."
     elif inner:
         text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
     else:
-        text = unknown_name_text(what, word or rest[0], list(command.subcommands))
+        text = unknown_name_text(what, asked or rest[0], list(command.subcommands))
     return _report_wrong(text, f"robot-ik {name} --help")
 
 
@@ -291,8 +291,8 @@ def _print_group(name: str, command: CommandRow) -> None:
     screen.print(f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]", markup=False)
     screen.print(f"\n{command.about[0].upper()}{command.about[1:]}.\n", markup=False)
     rows = console.table("subcommand", "what it does")
-    for word, row in command.subcommands.items():
-        rows.add_row(word, row.about)
+    for subcommand, row in command.subcommands.items():
+        rows.add_row(subcommand, row.about)
     screen.print(rows)
     first = next(iter(command.subcommands))
     screen.print(f"\nEach explains itself:  robot-ik {name} {first} --help", markup=False)

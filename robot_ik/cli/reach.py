@@ -221,14 +221,18 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
     numbers = options.camera_pose
     if options.camera_extrinsics:
         if numbers or not options.intrinsics:
-            what = "a place file and a pose" if numbers else "a place file without its calibration"
+            what = (
+                "an extrinsics file and a pose" if numbers else "an extrinsics file without its calibration"
+            )
             raise wrong("--camera-extrinsics", what, "with --intrinsics FILE and without --camera-pose")
         from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
         from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        place = CameraExtrinsics.load(options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics))
-        place.require_parent("world")
-        return place.pose_parent_camera
+        extrinsics = CameraExtrinsics.load(
+            options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics)
+        )
+        extrinsics.require_parent("world")
+        return extrinsics.pose_parent_camera
     if numbers and len(numbers) != 7:
         raise wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
     return pose_option(numbers, "--camera-pose")
@@ -237,11 +241,13 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
     from robot_ik.jobs.reach import Rehearsal
 
-    place = options.marker_at
-    if place and len(place) not in (3, 4):
+    numbers = options.marker_at
+    if numbers and len(numbers) not in (3, 4):
         allowed = "3 or 4: x y z in metres, yaw in degrees"
-        raise wrong("--rehearse.marker-at", f"{len(place)} numbers", allowed)
-    marker_at = (place[0], place[1], place[2], place[3] if len(place) == 4 else 0.0) if place else None
+        raise wrong("--rehearse.marker-at", f"{len(numbers)} numbers", allowed)
+    marker_at = (
+        (numbers[0], numbers[1], numbers[2], numbers[3] if len(numbers) == 4 else 0.0) if numbers else None
+    )
     return Rehearsal(
         zero_offset_deg=joint_degrees("--rehearse.zero-offset", options.zero_offset),
         stuck=options.stuck,
@@ -263,8 +269,8 @@ def print_report(report: ReachReport) -> None:
     for name, text in _rows(report):
         rows.add_row(name, Text(text))
     verdict = report.decision
-    word = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
-    rows.add_row("result", Text.assemble(word, f"  {verdict.text}" if verdict.text else ""))
+    outcome = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
+    rows.add_row("result", Text.assemble(outcome, f"  {verdict.text}" if verdict.text else ""))
     screen.print(rows)
 
 

@@ -349,8 +349,8 @@ def states_table(states: Sequence[ServoState]) -> Table:
     return shown
 
 
-def _either(turn: float | None, turns: str, way: float | None, ways: str, digits: int) -> str:
-    return _number(turn, turns, digits) if way is None else _number(way, ways, digits)
+def _either(angle: float | None, angle_unit: str, travel: float | None, travel_unit: str, digits: int) -> str:
+    return _number(angle, angle_unit, digits) if travel is None else _number(travel, travel_unit, digits)
 
 
 def _number(value: float | None, unit: str, digits: int) -> str:

@@ -66,8 +66,8 @@ def run_move(options: ServoMoveOptions) -> int:
         here = arm.positions()
         goal = {name: q + here[name] for name, q in angles.items()} if options.by else angles
         require_inside(goal, config)
-        way = {name: abs(q - here[name]) for name, q in goal.items()}
-        takes = max((far / config.joint(name).velocity for name, far in way.items()), default=0.0)
+        travel = {name: abs(q - here[name]) for name, q in goal.items()}
+        takes = max((far / config.joint(name).velocity for name, far in travel.items()), default=0.0)
         with console.busy("moving", takes):
             arm.park(goal)
         _show(arm, here, goal)
@@ -77,25 +77,25 @@ def run_move(options: ServoMoveOptions) -> int:
         return tried(move)
 
 
-def parse_angles(words: Sequence[str], config: ArmConfig) -> dict[str, float]:
+def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float]:
     """Joint name -> rad (m) from ``joint1=30`` or from one number for every joint, in degrees (slides: mm).
 
     Raises:
         ConfigError: Neither form, or no finite number.
         UnknownJointError: No such joint; close ones are named.
     """
-    word = (
+    pair = (
         "JOINT=DEG"
         if not any(joint.slides for joint in (*config.joints, *config.auxiliary))
         else "JOINT=DEG|MM"
     )
-    form = f"{word}, or {len(config.names)} numbers for {', '.join(config.names)}"
-    if all("=" in word for word in words) and words:
-        pairs = [(word.partition("=")[0], word.partition("=")[2]) for word in words]
-    elif len(words) == len(config.names) and not any("=" in word for word in words):
-        pairs = list(zip(config.names, words, strict=True))
+    form = f"{pair}, or {len(config.names)} numbers for {', '.join(config.names)}"
+    if all("=" in argument for argument in arguments) and arguments:
+        pairs = [(argument.partition("=")[0], argument.partition("=")[2]) for argument in arguments]
+    elif len(arguments) == len(config.names) and not any("=" in argument for argument in arguments):
+        pairs = list(zip(config.names, arguments, strict=True))
     else:
-        raise wrong(word, " ".join(words) or "nothing to do", form)
+        raise wrong(pair, " ".join(arguments) or "nothing to do", form)
     angles: dict[str, float] = {}
     for name, text in pairs:
         try:

@@ -117,7 +117,7 @@ def make_goal(numbers: Sequence[float], frame: str = "") -> PositionGoal | PoseG
 
 
 def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool | str]:
-    """Options of a method from ``NAME=VALUE`` words, with the types of its fields.
+    """Options of a method from ``NAME=VALUE`` arguments, with the types of its fields.
 
     Raises:
         ConfigError: No ``=``, or a value that is not of the option's type.  Names and ranges are

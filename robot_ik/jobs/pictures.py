@@ -14,7 +14,7 @@ from robot_ik.camera import sources
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.bodies import MarkerBody
-from robot_ik.camera.calibration.views import ViewGatherer, missing_words
+from robot_ik.camera.calibration.views import ViewGatherer, missing_text
 from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
@@ -129,7 +129,7 @@ def find_markers(
             yield PictureMarkers(file, number, None, nothing, error=frame)
             continue
         try:
-            observation = finder.look(frame)
+            observation = finder.observe(frame)
         except CalibrationError as error:  # of another size
             yield PictureMarkers(file, number, frame.size, nothing, error=error)
             if in_film:
@@ -293,6 +293,6 @@ def _gather_moving(
         if live:
             folder.keep(frame)
         missing = gatherer.coverage.missing
-        say(f"view {len(gatherer.views)} of {count}: {missing_words(missing)}")
+        say(f"view {len(gatherer.views)} of {count}: {missing_text(missing)}")
         if len(gatherer.views) >= count and not missing:
             return

@@ -279,24 +279,24 @@ def run_reach(
 def _run_phases(report: ReachReport, phases: _ReachPhases, compiling: Precompilation) -> None:
     """One phase after the other; the report keeps those that ended, whatever becomes of the next."""
     try:
-        looked = report.keep(phases.look())
+        found = report.keep(phases.find_goal())
     finally:
         if phases.vision is not None:
             report.before = phases.vision.last_image
     compiling.wait()
     if phases.window is not None:
-        phases.window.show_goal(looked.target)
-    solved = report.keep(phases.solve(looked))
-    report.tolerance = phases.accept(looked, solved)
-    phases.setup.energise()
-    report.keep(phases.move(report.keep(phases.plan(looked, solved))))
+        phases.window.show_goal(found.target)
+    solved = report.keep(phases.solve(found))
+    report.tolerance = phases.accept(found, solved)
+    phases.setup.enable_torque()
+    report.keep(phases.move(report.keep(phases.plan(found, solved))))
     if phases.request.follow > 0.0:
         report.keep(phases.follow())
-        looked = report.keep(phases.look_again())
+        found = report.keep(phases.find_goal_again())
         # Two measurements of the marker: the one that was followed last, no better than this, and this one.
-        report.goal_sigma = phases.known(looked).combined(phases.known(looked))
-    arrived = report.keep(phases.read_back(looked, report.tolerance, report.goal_sigma))
-    report.keep(phases.judge_by_camera(looked, arrived, report.goal_sigma))
+        report.goal_sigma = phases.known(found).combined(phases.known(found))
+    arrived = report.keep(phases.read_back(found, report.tolerance, report.goal_sigma))
+    report.keep(phases.judge_by_camera(found, arrived, report.goal_sigma))
 
 
 def _window(
@@ -316,7 +316,7 @@ def _window(
 
 
 @dataclass(frozen=True, eq=False)
-class Looked:
+class ReachGoal:
     """What is wanted.
 
     Attributes:
@@ -391,41 +391,41 @@ class _ReachPhases:
     progress: Progress
 
     @property
-    def eye(self) -> Vision:
+    def camera(self) -> Vision:
         """The camera, which there is wherever no goal was given."""
         assert self.vision is not None
         return self.vision
 
-    def look(self) -> Looked:
+    def find_goal(self) -> ReachGoal:
         """Finds the goal, by eye or as given."""
         goal = self.request.goal
         if goal is not None:
             if self.vision is not None:
                 self.vision.picture()
-            return Looked(goal, goal.target, None)
+            return ReachGoal(goal, goal.target, None)
         self.progress("looking", 0.0)
-        seen = self.eye.find_target()
+        seen = self.camera.find_target()
         if self.request.follow > 0.0:
-            self.eye.get_ready_to_follow()
-        return Looked(seen.goal, seen.goal.target, seen)
+            self.camera.get_ready_to_follow()
+        return ReachGoal(seen.goal, seen.goal.target, seen)
 
-    def look_again(self) -> Looked:
+    def find_goal_again(self) -> ReachGoal:
         """What counts after following is where the marker is now."""
-        seen = self.eye.find_target_again()
-        return Looked(seen.goal, seen.goal.target, seen)
+        seen = self.camera.find_target_again()
+        return ReachGoal(seen.goal, seen.goal.target, seen)
 
-    def solve(self, looked: Looked) -> Solved:
+    def solve(self, found: ReachGoal) -> Solved:
         """Finds joint angles for the goal.  Nothing moves."""
         q = self.setup.q.copy()
         self.progress("solving", 0.0)
         solver = make_solver(self.method)
         robot, seed = self.setup.robot, self.request.seed
-        problem = Problem(robot, looked.goal, tolerance=SOLVE_TOLERANCE, seed=seed)
+        problem = Problem(robot, found.goal, tolerance=SOLVE_TOLERANCE, seed=seed)
         solution = solver.solve(problem, q)
         # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
         return Solved(q, solution, 1e6 * solver.solve(problem, q).seconds)
 
-    def accept(self, looked: Looked, solved: Solved) -> Tolerance:
+    def accept(self, found: ReachGoal, solved: Solved) -> Tolerance:
         """What the solution's miss may be: the tolerance, or as much as is not known of a seen goal.
 
         An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
@@ -433,8 +433,8 @@ class _ReachPhases:
         Raises:
             NotConvergedError: It misses both.
         """
-        if looked.seen is not None and not solved.solution.converged:
-            known, miss = self.known(looked), solved.solution.miss
+        if found.seen is not None and not solved.solution.converged:
+            known, miss = self.known(found), solved.solution.miss
             if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
                 return Tolerance(
                     position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
@@ -443,14 +443,14 @@ class _ReachPhases:
         solved.solution.require()
         return SOLVE_TOLERANCE
 
-    def known(self, looked: Looked) -> Bound:
-        """Standard deviation of a seen goal, as the last look at the marker says it."""
-        assert looked.seen is not None
-        return looked.seen.uncertainty(self.eye.scene.pose_marker_tool.position)
+    def known(self, found: ReachGoal) -> Bound:
+        """Standard deviation of a seen goal, as the last picture of the marker says it."""
+        assert found.seen is not None
+        return found.seen.uncertainty(self.camera.scene.pose_marker_tool.position)
 
-    def plan(self, looked: Looked, solved: Solved) -> Planned:
+    def plan(self, found: ReachGoal, solved: Solved) -> Planned:
         """The way from where the arm stands now."""
-        setup, robot, frame, goal = self.setup, self.setup.robot, self.setup.frame, looked.goal
+        setup, robot, frame, goal = self.setup, self.setup.robot, self.setup.frame, found.goal
         start, end = setup.q.copy(), solved.solution.q
         caps: dict[str, Any] = {
             "velocity": setup.velocity,
@@ -460,7 +460,7 @@ class _ReachPhases:
         }
         if not self.request.line:
             return Planned(start, joint_move(robot, start, end, **caps))
-        target = looked.target
+        target = found.target
         if not goal.has_angle:  # a position says nothing of the rotation on the way: the tool keeps its own
             target = Pose(target.position, robot.forward(start, frame).wxyz)
         elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
@@ -500,11 +500,11 @@ class _ReachPhases:
             q = tick.q if tick.measured is None else tick.measured
             self.show(q, tick.time)
             if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
-                place = robot.forward(q, setup.frame).position
-                behind.append(float(np.linalg.norm(place - tick.goal.target.position)))
+                position = robot.forward(q, setup.frame).position
+                behind.append(float(np.linalg.norm(position - tick.goal.target.position)))
             self.progress("following", min(1.0, tick.time / request.follow))
 
-        with self.eye.following(setup.clock, request.follow) as goals:
+        with self.camera.following(setup.clock, request.follow) as goals:
             following = follow(
                 goals, robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
@@ -513,15 +513,15 @@ class _ReachPhases:
         setup.settle(_SETTLE_SECONDS)
         return Followed(following, (float(np.median(behind)), max(behind)) if behind else None)
 
-    def read_back(self, looked: Looked, tolerance: Tolerance, goal_sigma: Bound) -> Arrived:
+    def read_back(self, found: ReachGoal, tolerance: Tolerance, goal_sigma: Bound) -> Arrived:
         """Judges by the servos' own account."""
         robot, frame, q = self.setup.robot, self.setup.frame, self.setup.q.copy()
         bound = quantisation(robot, q, self.setup.resolution, frame, tolerance)
-        judged = judge_read_back(robot, q, looked.goal, looked.target, frame, bound, goal_sigma)
+        judged = judge_read_back(robot, q, found.goal, found.target, frame, bound, goal_sigma)
         return Arrived(q, bound, judged)
 
-    def judge_by_camera(self, looked: Looked, arrived: Arrived, goal_sigma: Bound) -> SeenArrived:
-        """The camera's look at the gripper."""
+    def judge_by_camera(self, found: ReachGoal, arrived: Arrived, goal_sigma: Bound) -> SeenArrived:
+        """The camera's view of the gripper."""
         self.progress("looking again", 0.0)
         vision = self.vision
         if vision is None or not vision.sees_arm:
@@ -530,8 +530,8 @@ class _ReachPhases:
         if body is None:
             return SeenArrived(after=vision.last_image)
         judged = judge_by_camera(
-            body, vision.pose_world_camera, vision.pose_body_tool(self.setup.scene.q), looked.goal,
-            looked.target, arrived.bound, goal_sigma,
+            body, vision.pose_world_camera, vision.pose_body_tool(self.setup.scene.q), found.goal,
+            found.target, arrived.bound, goal_sigma,
         )  # fmt: skip
         return SeenArrived(judged, vision.last_image)
 

@@ -71,7 +71,7 @@ def reach_picture(report: ReachReport) -> Any:
     if report.seen is not None:
         label = f"marker {report.seen.observation.id}"
         before = draw_marker_outline(before, report.seen.observation.corners, label=label)
-    captions = ["Before: " + _seen_in_words(report)]
+    captions = ["Before: " + _seen_text(report)]
     end = report.q_end
     if end is None and report.solution is not None:
         end = report.solution.q
@@ -106,7 +106,7 @@ def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
     return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.scene.hover, vision.intrinsics, label="goal")
 
 
-def _seen_in_words(report: ReachReport) -> str:
+def _seen_text(report: ReachReport) -> str:
     if report.seen is None:
         return "the marker was not found" if report.goal is None else "the goal was given"
     text = f"marker {report.seen.observation.id} seen"

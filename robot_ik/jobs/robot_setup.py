@@ -82,7 +82,7 @@ class RobotSetup:
     Attributes:
         robot: Inside the intersection of model, servo mode and joint map.
         frame: What shall be moved.
-        freedoms: How many joints move it.
+        dof: How many joints move it.
         limits: How that intersection came about.
         recorder: Writes what is commanded and measured; empty: nothing does.
         config, arm: None without a bus.
@@ -101,7 +101,7 @@ class RobotSetup:
     ) -> None:
         self.robot, self.limits, self.config, self.arm, self.clock = robot, limits, config, arm, clock
         self.frame = frame
-        self.freedoms = len(joints_that_move(robot, frame))
+        self.dof = len(joints_that_move(robot, frame))
         self.scene = KinematicScene(robot)
         self._command = LastCommand(robot.home)
         self.recorder: list[JointSink] = []
@@ -175,7 +175,7 @@ class RobotSetup:
             self._command.q = self.q.copy()
             yield
 
-    def energise(self) -> None:
+    def enable_torque(self) -> None:
         """Torque on, where the arm stands."""
         if self.arm is not None:
             self.arm.enable()

@@ -35,7 +35,7 @@ _MARKER_SIDE, _TOOL_MARKER_SIDE, _HOVER, _CAMERA_DISTANCE = 0.09, 0.07, 0.15, 1.
 _CUBE_PER_MARKER = 1.35  # a white margin of more than a cell round the markers on the cube
 _TOOL_IDS = (20, 21, 22, 23)
 _TRIES = 60
-# Cosine of the view on the worse-seen thing with which the search for a camera's place is content.
+# Cosine of the view on the worse-seen target with which the search for a camera's pose is content.
 _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
 # A view in which the tool's markers lie on the target's is worth so much of one that keeps them apart, and
 # ends the search after so many goals.
@@ -107,10 +107,10 @@ def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) 
         robot: Whose scene.
         frame: What shall reach the marker.
         upright: Generated only: the marker lies flat below the goal, however the tool is turned there; for
-            arms that are asked for a place alone.
+            arms that are asked for a position alone.
 
     Raises:
-        CameraError: No camera place shows a goal.
+        CameraError: No camera pose shows a goal.
     """
     if robot.file.reach is not None:
         return _described(robot)
@@ -120,10 +120,10 @@ def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) 
 def _described(robot: Robot) -> Scene:
     reach = robot.file.reach
     assert reach is not None
-    place, marker, tool = reach.camera, reach.marker, reach.tool_marker
-    centre = ((place.width - 1) / 2, (place.height - 1) / 2)
+    camera, marker, tool = reach.camera, reach.marker, reach.tool_marker
+    centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
     intrinsics = CameraIntrinsics(
-        place.width, place.height, place.focal, place.focal, *centre, distortion=place.distortion
+        camera.width, camera.height, camera.focal, camera.focal, *centre, distortion=camera.distortion
     )
     yaw = rotation_exp([0.0, 0.0, np.deg2rad(marker.yaw_deg)])
     cube_pose = robot.forward(robot.home, tool.site)
@@ -136,7 +136,7 @@ def _described(robot: Robot) -> Scene:
     table = None if reach.table is None else SceneTable(reach.table.height, reach.table.x, reach.table.y)
     return Scene(
         intrinsics=intrinsics,
-        pose_world_camera=look_at(place.position, place.look_at),
+        pose_world_camera=look_at(camera.position, camera.look_at),
         marker_id=marker.id,
         dictionary=marker.dictionary,
         marker_size=marker.size,
@@ -212,7 +212,7 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
             break
     if best is None:
         raise CameraError(
-            f"no camera place shows a goal of frame {frame!r} of {robot.name}: the robot hides it everywhere",
+            f"no camera pose shows a goal of frame {frame!r} of {robot.name}: the robot hides it everywhere",
             hint="give a goal yourself (--goal X Y Z), or another frame (--frame), "
             "or describe the scene in a robot.toml beside the model ([reach])",
         )
@@ -220,7 +220,7 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
 
 
 def _marker_for(tool: Pose, scene: Scene, upright: bool) -> Pose:
-    """Where the marker lies whose goal is ``tool``, or the place of ``tool`` where that is enough."""
+    """Where the marker lies whose goal is ``tool``, or the position of ``tool`` where that is enough."""
     if upright:
         return Pose(tool.position - [0.0, 0.0, scene.hover])
     return tool.compose(scene.pose_marker_tool.inverse())

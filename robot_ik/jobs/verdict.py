@@ -157,7 +157,7 @@ def judge_by_camera(
 def sigma_at(covariance: Array, lever: Array) -> Bound:
     """Standard deviation in the worst direction, at a point ``lever`` (3,) away from a body's origin.
 
-    A small turn ω of the body moves that point by ω × lever.
+    A small rotation ω of the body moves that point by ω × lever.
 
     Args:
         covariance: (6, 6) of the body's pose, translation over rotation, along camera axes.

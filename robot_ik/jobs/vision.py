@@ -69,7 +69,7 @@ class WithoutTruth(ClosingSource):
 
 
 @dataclass(frozen=True)
-class Wandering:
+class WanderingMarker:
     """Pose of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
 
     home: Pose
@@ -91,9 +91,9 @@ Array = NDArray[np.float64]
 # How often a camera or a film is asked again before a marker counts as not there.
 _LIVE_TRIES = 20
 _SYNTHETIC_TRIES = 2
-# With fewer degrees of freedom a full pose is out of reach in general.  With five the place and the tool's z
-# axis are asked for, its turn about that axis is free; with fewer only the place.
-FREEDOMS_OF_A_POSE, FREEDOMS_OF_AN_AXIS = 6, 5
+# With fewer degrees of freedom a full pose is out of reach in general.  With five the position and the tool's
+# z axis are asked for, its rotation about that axis is free; with fewer only the position.
+POSE_DOF, AXIS_DOF = 6, 5
 # While it is followed the synthetic marker wanders this far, in hovers, and then lies still for a while.
 _WANDER = 0.4
 
@@ -114,10 +114,10 @@ class SeenTarget:
     pose_world_marker: Pose
     true_pose: Pose | None
 
-    def uncertainty(self, place: Array) -> Bound:
-        """Standard deviation of a point ``place`` (3,), seen from the marker, in the worst direction."""
+    def uncertainty(self, point: Array) -> Bound:
+        """Standard deviation of a point ``point`` (3,), seen from the marker, in the worst direction."""
         pose = self.observation.pose
-        return sigma_at(self.observation.covariance, pose.rotation @ place)
+        return sigma_at(self.observation.covariance, pose.rotation @ point)
 
 
 class Vision:
@@ -149,7 +149,7 @@ class Vision:
     ) -> None:
         self._when_lost, self._lead = when_lost, lead
         self.delays: tuple[Delays, Delays] | None = None
-        self.path: Wandering | None = None
+        self.path: WanderingMarker | None = None
         self.scene, self.intrinsics, self.pose_world_camera = scene, intrinsics, pose_world_camera
         self.live = source.live
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
@@ -171,7 +171,7 @@ class Vision:
         return self._source.image
 
     def cover_gripper_later(self) -> None:
-        """From the first look at the gripper on, its markers are hidden (a rehearsal)."""
+        """From the first picture of the gripper on, its markers are hidden (a rehearsal)."""
         self._cover_gripper = True
 
     def picture(self) -> Any:
@@ -200,7 +200,7 @@ class Vision:
         raise self._not_found()
 
     def find_target_again(self) -> SeenTarget:
-        """The target where it is now: after following, the last one of a recording, else a new look.
+        """The target where it is now: after following, the last one of a recording, else in a new picture.
 
         Raises:
             MarkerNotFoundError: As ``find_target``.
@@ -250,7 +250,7 @@ class Vision:
         moving = self._moving
         assert moving is not None
         begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
-        self.path = path = Wandering(home, begin, seconds - REST_SECONDS, size)
+        self.path = path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
         moving.scene = shown.with_marker(self.scene.marker_id, pose=path)
         aimed = _Aimed(self, WithoutTruth(moving))
         with LatestGoals(aimed, clock, self._rate) as latest:
@@ -291,10 +291,10 @@ class Vision:
         return SeenTarget(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
-        """``goal`` as this arm can have it: with five joints its place and axis, with fewer its place."""
-        if not isinstance(goal, PoseGoal) or self._setup.freedoms >= FREEDOMS_OF_A_POSE:
+        """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
+        if not isinstance(goal, PoseGoal) or self._setup.dof >= POSE_DOF:
             return goal
-        if self._setup.freedoms >= FREEDOMS_OF_AN_AXIS:
+        if self._setup.dof >= AXIS_DOF:
             return replace(goal, free_axis="z")
         return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
 
@@ -326,11 +326,11 @@ class _Aimed:
     @property
     def delays(self) -> tuple[Delays, Delays]:
         """From grab to goal, and the age of the picture at each tick."""
-        return self._goals.made.figures(), self._goals.used.figures()
+        return self._goals.made.summary(), self._goals.used.summary()
 
-    def look(self, now: float, *, wait: bool = False) -> None:
+    def observe(self, now: float, *, wait: bool = False) -> None:
         """Looks at the next picture."""
-        self._goals.look(now, wait=wait)
+        self._goals.observe(now, wait=wait)
         goal, last = self._goals.measured, self._goals.last
         if goal is not None and isinstance(last, MarkerObservation):
             self.seen = self._vision.seen(goal, last, self._source.truth)
@@ -341,7 +341,7 @@ class _Aimed:
 
     def poll(self, now: float) -> Any:
         """Looks, and gives the goal at ``now``, or None."""
-        self.look(now)
+        self.observe(now)
         return self.goal_at(now)
 
 
@@ -422,7 +422,7 @@ def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
 
 def _scene(request: ReachRequest, setup: RobotSetup, frame: str) -> Scene:
     """The robot's scene, with what the request says about the target marker."""
-    scene = scene_for(setup.robot, frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+    scene = scene_for(setup.robot, frame, upright=setup.dof < AXIS_DOF)
     changes: dict[str, Any] = {}
     if request.marker_id is not None:
         changes["marker_id"] = request.marker_id

@@ -51,7 +51,7 @@ def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
 
 
 @pytest.mark.parametrize(
-    ("look", "limit"),
+    ("sensor", "limit"),
     [
         (SensorModel(blur=1.5), 0.10),
         (SensorModel(noise=12, gradient=0.8), 0.25),
@@ -59,9 +59,9 @@ def test_it_beats_opencvs_corner_operator(standard: dict) -> None:
     ],
     ids=["soft", "noisy", "pale"],
 )
-def test_bad_pictures_cost_little(look: SensorModel, limit: float) -> None:
+def test_bad_pictures_cost_little(sensor: SensorModel, limit: float) -> None:
     errors = []
-    for view in standard_set(0.5, 8, seed=2, look=look):
+    for view in standard_set(0.5, 8, seed=2, sensor=sensor):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
         corners, sigma = refine_corners(view.image, found.corners, STANDARD_CAMERA, cells=6)
         assert sigma < 0.3

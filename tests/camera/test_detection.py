@@ -94,7 +94,7 @@ def test_nothing_is_found_in_clutter() -> None:
             image[y : y + h, x : x + w] = tile
         assert strict.detect(image) == []
         nearly += len(MarkerDetector("DICT_5X5_50").detect(image))
-        assert finder.look(Frame(image, 0.0, 0)).ids == ()
+        assert finder.observe(Frame(image, 0.0, 0)).ids == ()
     assert nearly > 0  # or this asks nothing of the print
 
 
@@ -173,7 +173,7 @@ def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:
         np.random.default_rng(0),
         marker_id=1,
         dictionary="DICT_5X5_50",
-        look=SensorModel(black=80, white=150),
+        sensor=SensorModel(black=80, white=150),
     )
     assert [d.id for d in MarkerDetector().detect(image)] == [1]
 

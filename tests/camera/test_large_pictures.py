@@ -87,7 +87,7 @@ def test_corners_beside_the_picture_are_given_back(at: tuple[int, int]) -> None:
 def test_a_picture_that_was_sharpened_is_measured_too() -> None:
     # As cameras and programs do: edges of one pixel with a light and a dark seam.
     refined = 0
-    for view in standard_set(0.5, 20, seed=4, look=SensorModel(blur=0.4, noise=1.0)):
+    for view in standard_set(0.5, 20, seed=4, sensor=SensorModel(blur=0.4, noise=1.0)):
         image = view.image.astype(float)
         sharp = np.clip(image + 3.0 * (image - cv2.GaussianBlur(image, (0, 0), 1.0)), 0, 255).astype(np.uint8)
         (rough,) = MarkerDetector("DICT_4X4_50").detect(sharp)

@@ -99,7 +99,7 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
 
 def test_depth_by_rays_is_that_of_the_scaled_robot() -> None:
     figure, qpos = standing(0.25)
-    seen = RayArtist().look(figure, qpos, BENT, EYE)
+    seen = RayArtist().render_depth(figure, qpos, BENT, EYE)
     assert seen.depth[seen.geom >= 0].min() > 0.5
     assert seen.depth[seen.geom >= 0].max() < 1.2
 

@@ -81,7 +81,7 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
     with pytest.raises(CalibrationError, match="another calibration"):
         make_request(dataclasses.replace(options, intrinsics="other.yaml"))
     for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": ""}):
-        with pytest.raises(ConfigError, match="place file"):
+        with pytest.raises(ConfigError, match="extrinsics file"):
             make_request(dataclasses.replace(options, **wrong))  # type: ignore[arg-type]
     dataclasses.replace(found, parent="gripper").save("carried.toml")
     with pytest.raises(CalibrationError, match="'gripper'"):

@@ -33,7 +33,7 @@ def test_a_board_comes_with_its_body(robot_ik: Any, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["marker", "board", "cube", "charuco", "chessboard"])
 def test_the_commands_on_the_sheet_are_commands(kind: SheetKind) -> None:
     page = make_sheet_page(SheetRequest(kind, size_mm=20.0, ids=() if kind.startswith("ch") else (3,)))
-    commands = [w.text.split() for w in page.words if w.text.startswith("robot-ik ")]
+    commands = [w.text.split() for w in page.labels if w.text.startswith("robot-ik ")]
     assert len(commands) == 2 and ["robot-ik", "camera", "print", kind] == commands[0][:4]
     for words in commands:
         name, command, rest = find_command(words[1:])

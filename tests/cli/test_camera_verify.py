@@ -90,7 +90,7 @@ def test_ctrl_c_keeps_what_was_measured_and_it_is_judged_without_moving(robot_ik
     run = robot_ik(*again, "--arm", arm, "--yes")
     run.assert_one_screen_error()
     assert "joint 'joint1' has been changed since the arm was measured" in run.err
-    # its camera's place was found with these intrinsics
+    # its camera's pose was found with these intrinsics
     replace(STANDARD_CAMERA, fx=810.0).save("other.yaml")
     run = robot_ik(*again, "--intrinsics", "other.yaml")
     run.assert_one_screen_error()
@@ -101,7 +101,7 @@ def test_samples_of_something_else_are_reported(robot_ik: Any, arm: Path) -> Non
     SampleSet("tabletop_puma", ("joint1",), "flange", "eye_to_hand", STANDARD_CAMERA).save(Path("hand.json"))
     run = robot_ik("camera", "verify", "--samples", "hand.json")
     run.assert_one_screen_error()
-    assert "which does not know the camera's place" in run.err
+    assert "which does not know the camera's pose" in run.err
     gone = robot_ik("camera", "verify", "--samples", "gone.json")
     assert "gone.json: the file of samples cannot be read: No such file" in gone.err
 
@@ -176,7 +176,7 @@ def test_zeros_that_explain_nothing_new_are_not_written(
 
 def test_what_is_held_is_said(robot_ik: Any, arm: Path) -> None:
     run = robot_ik("camera", "verify", "--fit", "--board-sigma", "1", "3")
-    assert "the offset of joint6 and the turn of the board about z of flange look the same" in run.out
+    assert "the offset of joint6 and the rotation of the board about z of flange look the same" in run.out
     assert "joint6 is held" in run.out and "joint6" not in run.err
 
 

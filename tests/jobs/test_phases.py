@@ -15,7 +15,7 @@ PHASES: list[tuple[type[JobReport], tuple[type[Any], ...]]] = [
     (
         reach.ReachReport,
         (
-            reach.Looked,
+            reach.ReachGoal,
             reach.Solved,
             reach.Planned,
             reach.Moved,

@@ -150,7 +150,7 @@ def test_without_a_camera_there_is_no_picture(
 ) -> None:
     from robot_ik.goals import PositionGoal
 
-    monkeypatch.setattr(scene, "_TRIES", 4)  # the search for a camera's place has a test of its own
+    monkeypatch.setattr(scene, "_TRIES", 4)  # the search for a camera's pose has a test of its own
     box = tmp_path / "hidden.xml"
     box.write_text(
         '<mujoco><worldbody><body><joint name="j" axis="0 0 1" range="-90 90"/>'

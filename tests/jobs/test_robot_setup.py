@@ -48,7 +48,7 @@ def test_fingers_need_no_servo_and_count_for_nothing(arms: dict[str, Path]) -> N
     assert joints_that_move(whole, "turn") == ("waist",)
     for bus in ("sim", "none"):
         setup = prepare_robot(ReachRequest(robot=str(arms["desk"]), bus=bus))
-        assert setup.robot.joints == ("waist", "shoulder", "elbow", "wrist") and setup.freedoms == 4
+        assert setup.robot.joints == ("waist", "shoulder", "elbow", "wrist") and setup.dof == 4
 
 
 def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path]) -> None:
@@ -91,13 +91,13 @@ def test_the_scene_shows_angles_and_no_time_passes() -> None:
     assert scene.data.time == 0.0
 
 
-def test_torque_is_on_from_energise_to_the_end_whatever_ends_it() -> None:
+def test_torque_is_on_from_enable_torque_to_the_end_whatever_ends_it() -> None:
     setup = prepare_robot(ReachRequest(bus="sim"))
     assert setup.arm is not None and setup.arm.virtual_bus is not None
     servos = setup.arm.virtual_bus.servos
     with pytest.raises(RuntimeError), setup.connected():
         assert not any(servo.torque for servo in servos)
-        setup.energise()
+        setup.enable_torque()
         assert all(servo.torque for servo in servos)
         raise RuntimeError
     assert not any(servo.torque for servo in servos)

@@ -70,7 +70,7 @@ def _seen(
     # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {_MARKER: STANDARD_SIZE})
     for number, view in enumerate(
-        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=_MARKER, look=WEBCAM)
+        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=_MARKER, sensor=WEBCAM)
     ):
         seen = tracker.observe(frame_of(view.image, number))
         yield view, seen[0] if len(seen) == 1 else None
@@ -130,7 +130,7 @@ def _boards(
             dictionary=DICTIONARY,
             margin=_GAP / STANDARD_SIZE,
             cover=cover,
-            look=WEBCAM,
+            sensor=WEBCAM,
         )
         yield pose, tracker.observe_body(frame_of(image, number), layout)
 
@@ -363,7 +363,7 @@ def _in_view(pixels: Array) -> NDArray[np.bool_]:
 
 def _photograph(pose: Pose, rng: np.random.Generator, number: int, at: float) -> Frame:
     markers = {id: (side, pose.compose(local)) for id, (side, local) in _BOARD.layout.items()}
-    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=_DICTIONARY, margin=0.12, look=WEBCAM)
+    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=_DICTIONARY, margin=0.12, sensor=WEBCAM)
     return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), at, number)
 
 
@@ -510,7 +510,7 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
         for trial in range(1 if effort.quick else _SETS):
             # Other seeds, other sets: none is measured twice.
             seed = _SETS * (effort.seed - 1) + trial + 1
-            views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed, look=WEBCAM)
+            views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed, sensor=WEBCAM)
             found = [seen for view in views if (seen := pattern.find(view.image)) is not None]
             result = calibrate(found, STANDARD_CAMERA.size)
             lens, true = result.intrinsics, STANDARD_CAMERA

@@ -23,7 +23,7 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
 # ------------------------------------------------------------------------------------------
-# One look at a board: its known points, and where they were seen.
+# One observation of a board: its known points, and where they were seen.
 
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ _KINDS = (
 
 
 class Board(Protocol):
-    """A rigid thing with known points.
+    """A rigid object with known points.
 
     Attributes:
         layout: Squares that should be in the picture when views are planned: number -> (side in metres,
@@ -169,18 +169,18 @@ class PatternBoard:
         if not np.isfinite(normalized).all():
             return None
         with quiet():
-            count, turns, places, _ = cv2.solvePnPGeneric(
+            count, rotations, translations, _ = cv2.solvePnPGeneric(
                 found.points_board, normalized.reshape(-1, 1, 2), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE
             )
         if not count:
             return None
-        rotation, _ = cv2.Rodrigues(turns[0])
-        pose = Pose.from_rotation(rotation, np.asarray(places[0], dtype=float).reshape(3))
+        rotation, _ = cv2.Rodrigues(rotations[0])
+        pose = Pose.from_rotation(rotation, np.asarray(translations[0], dtype=float).reshape(3))
         return BoardView(found.points_board, found.pixels, pose, _PATTERN_SIGMA)
 
 
 def parse_board(text: str, dictionary: str = "") -> MarkerBoard | PatternBoard:
-    """A board from its words, lengths in millimetres.
+    """A board from its text, lengths in millimetres.
 
     Args:
         text: ``marker:7:100``, ``grid:4x3:40:10``, ``charuco:8x6:30:22``, ``chessboard:9x6:25``,
@@ -190,8 +190,8 @@ def parse_board(text: str, dictionary: str = "") -> MarkerBoard | PatternBoard:
     Raises:
         CameraError: It means nothing; says what is possible.
     """
-    words = text.split(":")
-    kind, numbers = words[0], words[1:]
+    fields = text.split(":")
+    kind, numbers = fields[0], fields[1:]
     chosen = dictionary or _DICTIONARY
     if kind.endswith(".toml"):
         return _body(Path(kind), numbers[0] if numbers else "", chosen)

@@ -123,7 +123,7 @@ def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
     """The crossing (n, p), its derivatives (n, p, 5) by the shape, and the way from the corner (n, p, 2)."""
     offset = pixels - shape[:, None, :2]
     width = shape[:, 4, None]
-    across, steps, slopes, normals, turned = [], [], [], [], []
+    across, steps, slopes, normals, by_angle = [], [], [], [], []
     for k in (2, 3):
         c, s = np.cos(shape[:, k, None]), np.sin(shape[:, k, None])
         across.append((c * offset[..., 1] - s * offset[..., 0]) / width)
@@ -131,14 +131,14 @@ def _model(shape: Array, pixels: Array) -> tuple[Array, Array, Array]:
         steps.append(step)
         slopes.append((1.0 - step * step) / width)
         normals.append((-s, c))
-        turned.append(-s * offset[..., 1] - c * offset[..., 0])
+        by_angle.append(-s * offset[..., 1] - c * offset[..., 0])
     one, two = steps[1] * slopes[0], steps[0] * slopes[1]
     derivatives = np.stack(
         [
             -(one * normals[0][0] + two * normals[1][0]),
             -(one * normals[0][1] + two * normals[1][1]),
-            one * turned[0],
-            two * turned[1],
+            one * by_angle[0],
+            two * by_angle[1],
             -(one * across[0] + two * across[1]),
         ],
         axis=2,

@@ -86,18 +86,20 @@ def fitted_pattern(
         ids: (n,) their numbers.
         grid: Whose they are.
     """
-    place = np.stack([ids % grid.columns, ids // grid.columns], axis=1).astype(float)
-    pixels, good, blur = refine_corners(reduced(gray, times), start, place, grid.reach)
+    grid_position = np.stack([ids % grid.columns, ids // grid.columns], axis=1).astype(float)
+    pixels, good, blur = refine_corners(reduced(gray, times), start, grid_position, grid.reach)
     softness = float(np.median(blur[good])) if good.any() else 0.0
     best = max(1, int(times * softness / _SOFT))
     if good.any() and best != times:
         again = to_reduced(from_reduced(np.where(good[:, None], pixels, start), times), best)
-        other = refine_corners(reduced(gray, best), again, place, grid.reach)
+        other = refine_corners(reduced(gray, best), again, grid_position, grid.reach)
         if other[1].sum() >= good.sum():
             times, (pixels, good, blur) = best, other
     if good.sum() < FEWEST_CORNERS:
         return None
-    points = np.hstack([np.array(grid.first) + place * grid.square, np.zeros((len(place), 1))])
+    points = np.hstack(
+        [np.array(grid.first) + grid_position * grid.square, np.zeros((len(grid_position), 1))]
+    )
     there = from_reduced(pixels[good], times)
     return FoundPattern(points[good], there, ids[good], times * float(np.median(blur[good])))
 
@@ -303,8 +305,8 @@ class CharucoPattern:
         boxes = [_black_squares(self.columns, self.rows, self.square, self.origin, first)]
         for number, (column, row) in enumerate(self.marker_squares()):
             gap = (self.square - self.marker) / 2
-            place = np.array([column * self.square + gap, row * self.square + gap, 0.0, 0.0])
-            boxes.append(marker_boxes(self.dictionary, number, self.marker) + place)
+            offset = np.array([column * self.square + gap, row * self.square + gap, 0.0, 0.0])
+            boxes.append(marker_boxes(self.dictionary, number, self.marker) + offset)
         return np.concatenate(boxes)
 
     @property
@@ -334,9 +336,9 @@ def _grid(pattern: Pattern, reach: float) -> CornerGrid:
 def _black_squares(
     columns: int, rows: int, square: float, origin: tuple[float, float], first: int = 0
 ) -> Array:
-    places = [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
-    corner = np.array(origin) + square * np.array(places, dtype=float)
-    return np.hstack([corner, np.full((len(places), 2), square)])
+    squares = [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
+    corner = np.array(origin) + square * np.array(squares, dtype=float)
+    return np.hstack([corner, np.full((len(squares), 2), square)])
 
 
 def _gray(image: Image) -> Image:
@@ -363,7 +365,7 @@ def _check_length(what: str, length: float) -> None:
 
 
 # ------------------------------------------------------------------------------------------
-# Which pattern a picture really shows, when it is not the one that was said; and patterns in words.
+# Which pattern a picture really shows, when it is not the one that was said; and patterns as text.
 
 
 # Pictures that must show a pattern before the rest need not be asked.
@@ -405,8 +407,8 @@ def larger_chessboard(pattern: Pattern, images: Sequence[Image]) -> ChessboardPa
 
 def _relatives(pattern: Pattern) -> list[Pattern]:
     if isinstance(pattern, CharucoPattern):
-        turned = dataclasses.replace(pattern, columns=pattern.rows, rows=pattern.columns)
-        both = [dataclasses.replace(p, legacy=old) for p in (pattern, turned) for old in (False, True)]
+        transposed = dataclasses.replace(pattern, columns=pattern.rows, rows=pattern.columns)
+        both = [dataclasses.replace(p, legacy=old) for p in (pattern, transposed) for old in (False, True)]
         return [p for p in both if p != pattern]
     if isinstance(pattern, ChessboardPattern):
         c, r = pattern.columns, pattern.rows
@@ -417,7 +419,7 @@ def _relatives(pattern: Pattern) -> list[Pattern]:
 
 
 def describe(pattern: Pattern) -> str:
-    """The pattern in words."""
+    """The pattern as text."""
     count, square = f"{pattern.columns}x{pattern.rows}", f"{1e3 * pattern.square:g} mm"
     if isinstance(pattern, CharucoPattern):
         layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""

@@ -79,9 +79,9 @@ def measure_tone(
     Returns:
         None where too few edges can be measured: small squares, blur, no contrast.
     """
-    place = {int(i): k for k, i in enumerate(ids)}
+    index = {int(i): k for k, i in enumerate(ids)}
     pairs = [
-        (k, place[i + step]) for i, k in place.items() for step in _steps(i, columns) if i + step in place
+        (k, index[i + step]) for i, k in index.items() for step in _steps(i, columns) if i + step in index
     ]
     if not pairs:
         return None
@@ -104,7 +104,7 @@ def _steps(i: int, columns: int) -> tuple[int, ...]:
 
 
 def _profiles(gray: Image, ends: Array, reach: float) -> tuple[list[Array], NDArray[np.bool_]]:
-    """Mean grey values across each edge (m, 2, 2), and whether it lies in the picture with room beside it."""
+    """Mean grey values across each edge (m, 2, 2), and whether it lies in the picture with a margin."""
     along = ends[:, 1] - ends[:, 0]
     length = np.linalg.norm(along, axis=1)
     half = np.minimum(reach * length, _REACH[1])

@@ -40,7 +40,7 @@ class Coverage:
         pixels: (n, 2) all corners of all views.
         parts: (3, 3) number of views that showed each part of the picture.
         leans: (views, 2) tilt in degrees, towards the side of the picture on which the board is farther away.
-        missing: In words; empty when nothing is.
+        missing: As text; empty when nothing is.
     """
 
     size: tuple[int, int]
@@ -87,13 +87,13 @@ def _spacing(view: FoundPattern) -> float:
 
 
 def _missing(parts: NDArray[np.int64], leans: Array, spacings: Array) -> list[str]:
-    words = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
-    for side, way in LEANS.items():
-        if not len(leans) or (leans @ np.array(way)).max() < LEAN_DEG:
-            words.append(f"its {side} side tilted away")
+    missing = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
+    for side, direction in LEANS.items():
+        if not len(leans) or (leans @ np.array(direction)).max() < LEAN_DEG:
+            missing.append(f"its {side} side tilted away")
     if len(spacings) > 1 and spacings.max() < _DEPTH_RATIO * spacings.min():
-        words.append("it nearer and farther")
-    return words
+        missing.append("it nearer and farther")
+    return missing
 
 
 # ------------------------------------------------------------------------------- as a picture
@@ -146,8 +146,8 @@ def _draw_leans(area: Image, coverage: Coverage) -> None:
     side = area.shape[0]
     centre, scale = side / 2, side / 2 / 65.0
     start = {"right": -45, "bottom": 45, "left": 135, "top": 225}
-    for name, way in LEANS.items():
-        enough = len(coverage.leans) > 0 and (coverage.leans @ np.array(way)).max() >= LEAN_DEG
+    for name, direction in LEANS.items():
+        enough = len(coverage.leans) > 0 and (coverage.leans @ np.array(direction)).max() >= LEAN_DEG
         colour = _GOOD if enough else _LACK
         radius = round(60 * scale)
         middle = (round(centre), round(centre))
@@ -158,5 +158,5 @@ def _draw_leans(area: Image, coverage: Coverage) -> None:
         cv2.circle(area, (round(16 * x), round(16 * y)), 64, _DOT, -1, cv2.LINE_AA, 4)
 
 
-def _write(area: Image, text: str, place: tuple[int, int]) -> None:
-    write(area, text, place, 13, _INK)
+def _write(area: Image, text: str, position: tuple[int, int]) -> None:
+    write(area, text, position, 13, _INK)

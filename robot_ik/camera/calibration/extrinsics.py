@@ -87,9 +87,9 @@ class CameraExtrinsics:
         """
         if intrinsics.digest != self.intrinsics_hash:
             raise CalibrationError(
-                f"this place of the camera was found with another calibration ({self.intrinsics_hash}) than "
+                f"these extrinsics were found with another calibration ({self.intrinsics_hash}) than "
                 f"the one given ({intrinsics.digest})",
-                hint="give that calibration, or find the place again: robot-ik camera locate or handeye",
+                hint="give that calibration, or find the pose again: robot-ik camera locate or handeye",
             )
 
     def require_parent(self, parent: str) -> None:
@@ -100,7 +100,7 @@ class CameraExtrinsics:
         """
         if self.parent != parent:
             raise CalibrationError(
-                f"the place is of a camera seen from {self.parent!r}; wanted is one seen from {parent!r}",
+                f"the pose is of a camera seen from {self.parent!r}; wanted is one seen from {parent!r}",
                 hint="a camera beside the arm is seen from 'world', a carried one from what carries it",
             )
 
@@ -121,12 +121,14 @@ class CameraExtrinsics:
         """
         made_by = "such files are made by: robot-ik camera locate, robot-ik camera handeye"
         try:
-            place = read_table(_ExtrinsicsFile, Path(path), "the place of the camera", made_by).extrinsics()
+            extrinsics = read_table(
+                _ExtrinsicsFile, Path(path), "the pose of the camera", made_by
+            ).extrinsics()
         except ConfigError as error:
             raise CalibrationError(error.args[0], hint=error.hint or made_by) from error
         if intrinsics is not None:
-            place.require_intrinsics(intrinsics)
-        return place
+            extrinsics.require_intrinsics(intrinsics)
+        return extrinsics
 
 
 def today() -> str:
@@ -158,7 +160,7 @@ def locate_camera(
         CalibrationError: Board or camera moved between the pictures, or no pose meets the corners.
     """
     if not views:
-        raise CameraError("the board was seen in no picture, so the camera's place is not known")
+        raise CameraError("the board was seen in no picture, so the camera's pose is not known")
     start, _ = robust_mean_pose([view.pose_camera_board for view in views])
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
@@ -167,8 +169,8 @@ def locate_camera(
     )
     miss, shared, _ = view_derivatives(mount, sample, intrinsics)
     w, rows = np.repeat(weights, 2), shared[:, :6]
-    squares, freedom = float(w @ miss**2), max(float(w.sum()) - 6.0, 0.0)
-    variance = (_PRIOR * view.sigma**2 + squares) / (_PRIOR + freedom)
+    squares, dof = float(w @ miss**2), max(float(w.sum()) - 6.0, 0.0)
+    variance = (_PRIOR * view.sigma**2 + squares) / (_PRIOR + dof)
     normal = rows.T @ (w[:, None] * rows)
     covariance = np.asarray(variance * np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=float)
     pixels = float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
@@ -228,7 +230,7 @@ def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:
     # Of two pictures it is unknown which one is wrong: their residuals say so.
     if len(views) > 2 and np.median(restless) > _RESTLESS_PX:
         raise CalibrationError(
-            f"the board's corners move by {np.median(restless):.1f} px between the pictures: a place can be "
+            f"the board's corners move by {np.median(restless):.1f} px between the pictures: a pose can be "
             "found only of a camera and a board that both rest",
             hint="take one picture, or a film in which nothing moves; for a carried camera there is "
             "robot-ik camera handeye",
@@ -244,31 +246,31 @@ def _numbers(values: Any) -> str:
     return "[" + ", ".join(repr(float(v)) for v in values) + "]"
 
 
-def _words(text: str) -> str:
+def _quoted(text: str) -> str:
     """A TOML string: JSON's, which leaves one control character as it is."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _text(place: CameraExtrinsics) -> str:
-    pose, covariance = place.pose_parent_camera, place.covariance
+def _text(extrinsics: CameraExtrinsics) -> str:
+    pose, covariance = extrinsics.pose_parent_camera, extrinsics.covariance
     rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
     return (
         "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
         "# x right, y down, z forward.\n"
         "schema = 1\n"
-        f"parent = {_words(place.parent)}\n"
+        f"parent = {_quoted(extrinsics.parent)}\n"
         f"position = {_numbers(pose.position)}\n"
         f"wxyz = {_numbers(pose.wxyz)}\n"
         "# translation over rotation, along the parent's axes, rotation about the camera's origin\n"
         f"covariance = [\n{rows}]\n"
-        f"sigma_position = {place.sigma_position!r}\n"
-        f"sigma_angle = {place.sigma_angle!r}\n"
-        f"residual_px = {float(place.residual_px)!r}\n"
-        f"residual_mm = {float(place.residual_mm)!r}\n"
-        f"method = {_words(place.method)}\n"
-        f"views = {int(place.views)}\n"
-        f"date = {_words(place.date)}\n"
-        f"intrinsics = {_words(place.intrinsics_hash)}\n"
+        f"sigma_position = {extrinsics.sigma_position!r}\n"
+        f"sigma_angle = {extrinsics.sigma_angle!r}\n"
+        f"residual_px = {float(extrinsics.residual_px)!r}\n"
+        f"residual_mm = {float(extrinsics.residual_mm)!r}\n"
+        f"method = {_quoted(extrinsics.method)}\n"
+        f"views = {int(extrinsics.views)}\n"
+        f"date = {_quoted(extrinsics.date)}\n"
+        f"intrinsics = {_quoted(extrinsics.intrinsics_hash)}\n"
     )
 
 

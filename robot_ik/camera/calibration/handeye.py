@@ -24,7 +24,7 @@ from robot_ik.camera.calibration.least_squares import (
     ArmNoise,
     LeftOut,
     LinearViews,
-    Normal,
+    NormalEquations,
     estimate_noise,
     normal_equations,
 )
@@ -137,14 +137,14 @@ class Compressed:
         covariance: (n, 6, 6) of the target, from the pixels alone.
         by_shared: (n, 6, 12) by how much camera and board (12,) change it.
         left: For each view (k,) how far each corner is off after that, in its standard deviations.
-        freedom: How many numbers ``left`` is made of, less those that were fitted.
+        dof: How many numbers ``left`` is made of, less those that were fitted.
     """
 
     pseudo_measurement: Array
     covariance: Array
     by_shared: Array
     left: tuple[Array, ...]
-    freedom: int
+    dof: int
 
 
 def compress(
@@ -172,10 +172,8 @@ def compress(
         rows.append(-covariance @ (hand.T @ (w[:, None] * shared)))
         rest = (miss + hand @ pseudo_measurement).reshape(-1, 2) / sample.view.sigma
         left.append(np.linalg.norm(rest, axis=1))
-    freedom = sum(2 * len(one) - 6 for one in left)
-    return Compressed(
-        np.array(pseudo_measurements), np.array(covariances), np.array(rows), tuple(left), freedom
-    )
+    dof = sum(2 * len(one) - 6 for one in left)
+    return Compressed(np.array(pseudo_measurements), np.array(covariances), np.array(rows), tuple(left), dof)
 
 
 # ------------------------------------------------------------------------------------------
@@ -252,7 +250,7 @@ def rotation_spread(rotations: Sequence[Array]) -> Array:
 
 
 # ------------------------------------------------------------------------------------------
-# A first answer for the hand-eye problem AX = XB, and whether the motions can answer it at all.
+# An initial solution of the hand-eye problem AX = XB, and whether the motions can answer it at all.
 #
 # Two views i, j give A = M_i inverse(M_j), a motion known from the arm, and B = C_i inverse(C_j), the same
 # motion seen by the camera; X turns one into the other.
@@ -261,8 +259,8 @@ def rotation_spread(rotations: Sequence[Array]) -> Array:
 LEAST_VIEWS = 4
 #: Standard deviation of the rotations, in rad: about the axis they are spread most about, and the second.
 LEAST_SPREAD = np.deg2rad((6.0, 3.0))
-# Turns of nearly half a circle have no axis that can be told from its opposite.
-_LARGEST_TURN = np.deg2rad(170.0)
+# Rotations by nearly half a circle have no axis that can be told from its opposite.
+_LARGEST_ANGLE = np.deg2rad(170.0)
 _START_ROUNDS = 8
 _LEAST_ANGLE, _LEAST_LENGTH = np.deg2rad(0.05), 1e-4
 
@@ -270,7 +268,7 @@ _LEAST_ANGLE, _LEAST_LENGTH = np.deg2rad(0.05), 1e-4
 def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
     """Checks that the hand was turned enough, about more than one axis.
 
-    With rotations about one axis only, the camera's place along it is free; small rotations magnify every
+    With rotations about one axis only, the camera's position along it is free; small rotations magnify every
     error.  Source: Tsai & Lenz, A New Technique for Fully Autonomous and Efficient 3D Robotics Hand/Eye
     Calibration, IEEE Trans. Robotics and Automation 5(3), 1989, section III: the error goes with the inverse
     of the sine of the angle between the axes, and with the inverse of the angles of rotation.
@@ -299,7 +297,7 @@ def require_diversity(samples: Sequence[HandEyeSample]) -> Array:
         raise CalibrationError(
             f"the hand was turned about one axis only (standard deviation {first:.1f} degrees about it, "
             f"{second:.1f} about any other; at least {np.degrees(LEAST_SPREAD[1]):.0f} are needed), "
-            "so the place of the camera along that axis cannot be known",
+            "so the position of the camera along that axis cannot be known",
             hint=hint,
         )
     return spread
@@ -318,15 +316,17 @@ def start_handeye(samples: Sequence[HandEyeSample], mounting: Mounting) -> Mount
     seen = [sample.view.pose_camera_board for sample in samples]
     pairs = [(i, j) for i in range(len(samples)) for j in range(i)]
     motions = [(chains[i].compose(chains[j].inverse()), seen[i].compose(seen[j].inverse())) for i, j in pairs]
-    turn_a = np.array([rotation_log(a.wxyz) for a, _ in motions])
-    turn_b = np.array([rotation_log(b.wxyz) for _, b in motions])
-    angle_a, angle_b = np.linalg.norm(turn_a, axis=1), np.linalg.norm(turn_b, axis=1)
-    told = (angle_a < _LARGEST_TURN) & (angle_b < _LARGEST_TURN)
-    weights = _weights(angle_a - angle_b, _LEAST_ANGLE) * told
+    rotation_a = np.array([rotation_log(a.wxyz) for a, _ in motions])
+    rotation_b = np.array([rotation_log(b.wxyz) for _, b in motions])
+    angle_a, angle_b = np.linalg.norm(rotation_a, axis=1), np.linalg.norm(rotation_b, axis=1)
+    reliable = (angle_a < _LARGEST_ANGLE) & (angle_b < _LARGEST_ANGLE)
+    weights = _weights(angle_a - angle_b, _LEAST_ANGLE) * reliable
     rotation = np.eye(3)
     for _ in range(_START_ROUNDS):
-        rotation = _turning(turn_a, turn_b, weights)
-        weights = _weights(np.linalg.norm(turn_a - turn_b @ rotation.T, axis=1), _LEAST_ANGLE) * told
+        rotation = _fit_rotation(rotation_a, rotation_b, weights)
+        weights = (
+            _weights(np.linalg.norm(rotation_a - rotation_b @ rotation.T, axis=1), _LEAST_ANGLE) * reliable
+        )
     position = _translation(motions, rotation, weights)
     camera = Pose.from_rotation(rotation, position)
     boards = [chain.inverse().compose(camera).compose(pose) for chain, pose in zip(chains, seen, strict=True)]
@@ -338,7 +338,7 @@ def _weights(misses: Array, least: float) -> Array:
     return cauchy_weight(misses / scale)
 
 
-def _turning(a: Array, b: Array, weights: Array) -> Array:
+def _fit_rotation(a: Array, b: Array, weights: Array) -> Array:
     """Rotation (3, 3) with the least sum of w |a - R b|^2, of vectors (n, 3)."""
     u, _, vt = np.linalg.svd((weights[:, None] * a).T @ b)
     flip = np.diag([1.0, 1.0, np.linalg.det(u @ vt)])
@@ -359,10 +359,11 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
 # ------------------------------------------------------------------------------------------
 # Hand-eye calibration: where a camera sits on the arm, or stands beside it.
 #
-# A first answer from AX = XB (``start_handeye``), then the joint least squares of all corners in all pictures
-# over both unknown poses.  Two errors are told apart: that of the pixels, and that of the arm, which moves
-# all corners of a picture together (servo ticks, gear play, geometry).  How large the arm's is, is estimated
-# from the views themselves (restricted maximum likelihood), so the stated uncertainty is an honest one.
+# An initial solution from AX = XB (``start_handeye``), then the joint least squares of all corners in all
+# pictures over both unknown poses.  Two errors are separated: that of the pixels and that of the arm, which
+# moves all corners of a picture together (servo ticks, gear play, geometry).  The size of the arm's is
+# estimated from the views themselves (restricted maximum likelihood), so that the stated uncertainty is
+# consistent with the errors.
 
 
 _ROUNDS = 25
@@ -428,7 +429,7 @@ class HandEye:
 
     @property
     def sigma_position(self) -> float:
-        """Stated uncertainty of the camera's place: standard deviation of the distance, metres."""
+        """Stated uncertainty of the camera's pose: standard deviation of the distance, metres."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
     @property
@@ -512,11 +513,11 @@ def pixel_scale(data: Compressed) -> float:
     left = np.concatenate(data.left)
     # Median of the length of a Gaussian pair; the fit of six numbers a view has swallowed a part of it.
     robust = float(np.median(left)) / 1.1774
-    share = data.freedom / (2 * len(left))
+    share = data.dof / (2 * len(left))
     if share < 0.1:
         return 1.0
-    freedom, prior = float(data.freedom), 10.0
-    return float(np.sqrt((prior + freedom * robust**2 / share) / (prior + freedom)))
+    dof, prior = float(data.dof), 10.0
+    return float(np.sqrt((prior + dof * robust**2 / share) / (prior + dof)))
 
 
 def _linear(data: Compressed, pixel_scale: float) -> LinearViews:
@@ -532,7 +533,7 @@ def _result(
     mount: Mount,
     samples: Sequence[HandEyeSample],
     intrinsics: CameraIntrinsics,
-    normal: Normal,
+    normal: NormalEquations,
     spread: Array,
 ) -> HandEye:
     residuals = [_residual(mount, sample, intrinsics, normal.left_out(k)) for k, sample in enumerate(samples)]
@@ -560,12 +561,12 @@ def _residual(
     expected = others.pose_camera_board(sample)
     hand = sample.pose_world_hand.compose(Pose.exp(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))
-    apart = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
+    deviation = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
     left_out = _rms_distance(others.miss(sample, intrinsics))
     return ViewResidual(
         pixels=_rms_distance(mount.miss(sample, intrinsics)),
         left_out_pixels=left_out,
-        left_out_position=float(np.sqrt(np.mean(apart**2))),
+        left_out_position=float(np.sqrt(np.mean(deviation**2))),
         left_out_angle=expected.distance(found)[1],
         sigmas=without.sigmas,
         outlier=without.sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,

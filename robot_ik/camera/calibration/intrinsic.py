@@ -24,7 +24,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 
 # ------------------------------------------------------------------------------------------
-# What a calibration is worth, in words.
+# What a calibration is worth, as text.
 
 
 #: With fewer views the principal point is off by some pixels.
@@ -37,7 +37,7 @@ _HOLD_OUT_RATIO = 1.6
 
 
 @dataclass(frozen=True)
-class Worth:
+class CalibrationQuality:
     """The figures that a verdict rests on.
 
     Attributes:
@@ -67,32 +67,32 @@ class Worth:
         return max(self.std[2:4])
 
 
-def doubts_of(worth: Worth, coverage: Coverage) -> list[str]:
+def doubts_of(quality: CalibrationQuality, coverage: Coverage) -> list[str]:
     """What is wrong with a calibration; empty when nothing is."""
     found = []
-    if worth.views < ENOUGH_VIEWS:
-        found.append(f"only {worth.views} views: take {ENOUGH_VIEWS} or more")
-    if worth.focal_share > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * worth.focal_share:.1f} %: tilt more")
-    if worth.centre_px > _CENTRE_DOUBT * worth.size[0]:
+    if quality.views < ENOUGH_VIEWS:
+        found.append(f"only {quality.views} views: take {ENOUGH_VIEWS} or more")
+    if quality.focal_share > _FOCAL_DOUBT:
+        found.append(f"the focal length is only known to {100 * quality.focal_share:.1f} %: tilt more")
+    if quality.centre_px > _CENTRE_DOUBT * quality.size[0]:
         found.append(
-            f"the principal point is only known to {worth.centre_px:.1f} px: tilt more, into the corners"
+            f"the principal point is only known to {quality.centre_px:.1f} px: tilt more, into the corners"
         )
-    if worth.rms > _FAIR_RMS_PX:
+    if quality.rms > _FAIR_RMS_PX:
         found.append(
-            f"{worth.rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
+            f"{quality.rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
         )
-    if worth.hold_out > max(_HOLD_OUT_RATIO * worth.rms, worth.rms + 0.05):
+    if quality.hold_out > max(_HOLD_OUT_RATIO * quality.rms, quality.rms + 0.05):
         found.append(
-            f"views that it has not seen fit worse ({worth.hold_out:.2f} px): too few of too many kinds"
+            f"views that it has not seen fit worse ({quality.hold_out:.2f} px): too few of too many kinds"
         )
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
-def verdict_of(worth: Worth, doubtful: bool) -> str:
+def verdict_of(quality: CalibrationQuality, doubtful: bool) -> str:
     """One sentence."""
-    share = worth.focal_share
-    rms = f"{worth.rms:.2f} px on its own views, {worth.hold_out:.2f} px on others"
+    share = quality.focal_share
+    rms = f"{quality.rms:.2f} px on its own views, {quality.hold_out:.2f} px on others"
     reach = f"distances come out to {100 * share:.2f} % ({1e3 * share:.1f} mm in a metre)"
     return f"{'usable, with doubts' if doubtful else 'good'}: {rms}; {reach}"
 
@@ -153,7 +153,7 @@ class CalibrationResult:
             the jackknife's.
         hold_out_rms: Reprojection error of views that the calibration had not seen, px.
         coverage: Where in the picture corners were, and how the board was tilted.
-        verdict: In words.
+        verdict: As text.
         doubts: What the verdict complains about; empty for a good calibration.
         notes: What the camera does to its pictures, and what to change at it.  Corners of chessboards do not
             mind; markers know their depth less well.
@@ -223,13 +223,13 @@ def calibrate(
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
-    worth = Worth((fx, fy), std, fit.rms, hold_out, len(used), size)
-    doubts = doubts_of(worth, coverage)
+    quality = CalibrationQuality((fx, fy), std, fit.rms, hold_out, len(used), size)
+    doubts = doubts_of(quality, coverage)
     if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), std, hold_out, coverage,
-        verdict_of(worth, bool(doubts)), tuple(doubts), _tone_notes(tones),
+        verdict_of(quality, bool(doubts)), tuple(doubts), _tone_notes(tones),
     )  # fmt: skip
 
 
@@ -252,9 +252,9 @@ def _tone_notes(tones: Mapping[str, Tone]) -> tuple[str, ...]:
         for trouble in tone.troubles:
             views.setdefault(trouble, []).append(name)
     for trouble, names in views.items():
-        what, _, remedy = trouble.partition(": ")
+        what, _, hint = trouble.partition(": ")
         shown = ", ".join(names[:_NAMED]) + (", …" if len(names) > _NAMED else "")
-        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {remedy}")
+        notes.append(f"{len(names)} of {len(tones)} views are {what} ({shown}): {hint}")
     return tuple(notes)
 
 
@@ -287,7 +287,7 @@ def _fit(
         flags |= cv2.CALIB_USE_INTRINSIC_GUESS
         matrix, lens = _matrix(near), near[4:].copy()
     try:
-        answer: Any = cv2.calibrateCameraExtended(
+        result: Any = cv2.calibrateCameraExtended(
             [f.points_board.astype(np.float32) for f in found],
             [f.pixels.astype(np.float32) for f in found],
             size, matrix, lens, flags=flags,
@@ -297,7 +297,7 @@ def _fit(
             f"OpenCV cannot calibrate from these views: {error.err}",
             hint="take views that differ more: near and far, tilted to each side",
         ) from None
-    rms, matrix, lens, turns, _, spread, _, per_view = answer
+    rms, matrix, lens, rotation_vectors, _, spread, _, per_view = result
     k = np.asarray(matrix, dtype=float)
     numbers = np.concatenate([[k[0, 0], k[1, 1], k[0, 2], k[1, 2]], np.ravel(lens)[:coefficients]])
     if not np.isfinite(numbers).all():
@@ -306,7 +306,7 @@ def _fit(
             hint="take views that differ more: near and far, tilted to each side",
         )
     std = np.ravel(np.asarray(spread, dtype=float))[: 4 + coefficients]
-    vectors = [np.asarray(t, dtype=float).reshape(3) for t in turns]
+    vectors = [np.asarray(t, dtype=float).reshape(3) for t in rotation_vectors]
     rotations = [np.asarray(cv2.Rodrigues(v)[0], dtype=float) for v in vectors]
     return _Fit(float(rms), numbers, std, np.ravel(np.asarray(per_view, dtype=float)), rotations)
 
@@ -341,10 +341,10 @@ def _without_each_group(
 def _view_error(view: FoundPattern, numbers: Array) -> Array:
     """(n, 2) pixels between corners and the board at its best place, seen by a camera of these numbers."""
     k = _matrix(numbers)
-    good, turn, shift = cv2.solvePnP(view.points_board, view.pixels, k, numbers[4:])
+    good, rotation_vector, shift = cv2.solvePnP(view.points_board, view.pixels, k, numbers[4:])
     if not good:
         raise CalibrationError("a view has no pose under the calibration of the others")
-    seen, _ = cv2.projectPoints(view.points_board, turn, shift, k, numbers[4:])
+    seen, _ = cv2.projectPoints(view.points_board, rotation_vector, shift, k, numbers[4:])
     return np.asarray(seen, dtype=float).reshape(-1, 2) - view.pixels
 
 

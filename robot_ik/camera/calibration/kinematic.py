@@ -23,7 +23,7 @@ from robot_ik.camera.calibration.handeye import (
 from robot_ik.camera.calibration.least_squares import (
     ArmNoise,
     LinearViews,
-    Normal,
+    NormalEquations,
     Unobservable,
     estimate_noise,
     find_unobservable,
@@ -80,8 +80,8 @@ class KnownPose:
     def off(self, pose: Pose) -> Array:
         """Twist (6,) from this pose to another: ``moved(self.pose, twist)`` is that one."""
         inverse = self.pose.wxyz * (1.0, -1.0, -1.0, -1.0)
-        turn = rotation_log(quat_multiply(pose.wxyz, inverse))
-        return np.concatenate([pose.position - self.pose.position, turn])
+        rotation_vector = rotation_log(quat_multiply(pose.wxyz, inverse))
+        return np.concatenate([pose.position - self.pose.position, rotation_vector])
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +171,12 @@ class ArmModel:
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
         q = view.q + state.offsets
-        turn = self.robot.forward(q, self.frame).rotation.T
+        rotation = self.robot.forward(q, self.frame).rotation.T
         jacobian = self.robot.jacobian(q, self.frame)
-        return np.concatenate([turn @ jacobian[:3], turn @ jacobian[3:]])
+        return np.concatenate([rotation @ jacobian[:3], rotation @ jacobian[3:]])
 
-    def apart(self, state: ArmEstimate, view: CalibrationStation) -> tuple[Array, float]:
-        """Where the picture shows the carried thing less where the joints put it: world, metres (3,), rad.
+    def deviation(self, state: ArmEstimate, view: CalibrationStation) -> tuple[Array, float]:
+        """Where the picture shows the carried object less where the joints put it: world, metres (3,), rad.
 
         Eye to hand it is the board; eye in hand, the camera.
         """
@@ -202,7 +202,7 @@ class PoseError:
     """How far the board is from where the joints put it, in one view.
 
     Attributes:
-        place: (3,) where the joints put the board (eye in hand: the camera), world, metres.
+        position: (3,) where the joints put the board (eye in hand: the camera), world, metres.
         vector: (3,) from there to where the picture shows it, world, metres.
         angle: The same of the orientation, rad.
         sigma, sigma_angle: Standard deviation of the measurement (square root of the sum over the axes).
@@ -210,7 +210,7 @@ class PoseError:
         outlier: It contradicts them, and counts for almost nothing.
     """
 
-    place: Array
+    position: Array
     vector: Array
     angle: float
     sigma: float
@@ -238,10 +238,10 @@ def pose_error(
     """
     one, mount = model.views[view], state.mount
     carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
-    vector, angle = model.apart(state, one)
+    vector, angle = model.deviation(state, one)
     at_point = np.concatenate([np.eye(3), -cross_matrices(carried.position[None])[0]], axis=1)
     return PoseError(
-        place=np.asarray(model.hand(state, one).apply(carried.position)),
+        position=np.asarray(model.hand(state, one).apply(carried.position)),
         vector=vector,
         angle=angle,
         sigma=float(np.sqrt(np.trace(at_point @ covariance @ at_point.T))),
@@ -421,7 +421,7 @@ class _Fitted:
     """The end of an iteration: where, and the views linear there."""
 
     state: ArmEstimate
-    normal: Normal
+    normal: NormalEquations
 
 
 def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
@@ -432,7 +432,7 @@ def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitte
         views, data = model.linear(state, corners)
         noise = estimate_noise(views, free, noise)
         normal = normal_equations(views, noise, free)
-        step, damping = _downhill(model, state, corners, normal, damping)
+        step, damping = _descent_step(model, state, corners, normal, damping)
         state, scale = state.moved(step), pixel_scale(data)
         corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
         if np.abs(step).max() < _DONE:
@@ -440,8 +440,8 @@ def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitte
     return _Fitted(state, normal)
 
 
-def _downhill(
-    model: ArmModel, state: ArmEstimate, corners: list[Array] | None, normal: Normal, damping: float
+def _descent_step(
+    model: ArmModel, state: ArmEstimate, corners: list[Array] | None, normal: NormalEquations, damping: float
 ) -> tuple[Array, float]:
     """A step that lowers the cost, and the damping for the next one; zeros where none does."""
     now = normal.views.cost(normal.noise)

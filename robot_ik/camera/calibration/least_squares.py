@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Searched: metres or rad, from far better than servos to a thing that is loose; then about the last answer.
+# Searched: metres or rad, from far better than servos to a loose mounting; then about the last solution.
 _SIZES = np.geomspace(1e-7, 5e-2, 10)
 _NEARBY = np.geomspace(0.4, 2.5, 3)
 _ZOOMS = 5
@@ -91,14 +91,14 @@ class LeftOut:
 
 
 @dataclass(frozen=True, eq=False)
-class Normal:
+class NormalEquations:
     """Normal equations of the unknowns that are ``free``.
 
     Attributes:
         views, noise: What they are of.
         matrix: (f, f) with what was known before; ``right``: (f,).
         parts, rights: (n, f, f) and (n, f) of each view.
-        free: (f,) places of the unknowns among all.
+        free: (f,) indices of the unknowns among all.
     """
 
     views: LinearViews
@@ -144,7 +144,7 @@ class Normal:
         return whole
 
 
-def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> Normal:
+def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64]) -> NormalEquations:
     """Weighted least squares; ``free``: (f,) places of the unknowns that are sought."""
     rows = views.rows[:, :, free]
     weighted = np.linalg.solve(noise.covariances, rows) * noise.weights[:, None, None]
@@ -152,7 +152,7 @@ def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64
     rights = -np.einsum("nik,ni->nk", weighted, views.pseudo_measurement)
     prior = views.prior[np.ix_(free, free)]
     right = rights.sum(axis=0) - prior @ views.off[free]
-    return Normal(views, noise, parts.sum(axis=0) + prior, right, parts, rights, free)
+    return NormalEquations(views, noise, parts.sum(axis=0) + prior, right, parts, rights, free)
 
 
 def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
@@ -164,9 +164,9 @@ def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise
     Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
 
     Args:
-        views: Linear at the answer so far.
-        free: (f,) places of the unknowns that are sought.
-        before: The answer of an earlier round, to start from.
+        views: Linear at the solution so far.
+        free: (f,) indices of the unknowns that are sought.
+        before: The solution of an earlier round, to start from.
     """
     weights = _first_weights(views) if before is None else before.weights
     for _ in range(_ROUNDS if before is None else 1):
@@ -235,7 +235,7 @@ def inverse(matrix: Array) -> Array:
 
 
 # ------------------------------------------------------------------------------------------
-# Which joint offsets the views cannot tell from each other or from the camera's and the board's places.
+# Which joint offsets the views cannot tell from each other or from the camera's and the board's poses.
 #
 # Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
 # Int. J. Robotics Research 15(6), 1996; the singular values of the information matrix are the measure there.
@@ -255,16 +255,16 @@ class Unobservable:
         joint: The one that is held at 0 for it.
         direction: (nv,) the combination, of length 1.
         sigma: Its standard deviation, rad; infinite where the views say nothing at all.
-        words: What cannot be told apart, for people.
+        text: What cannot be told apart, for people.
     """
 
     joint: str
     direction: Array
     sigma: float
-    words: str
+    text: str
 
 
-def joint_information(normal: Normal, joints: int) -> tuple[Array, Array, Array]:
+def joint_information(normal: NormalEquations, joints: int) -> tuple[Array, Array, Array]:
     """What is known of the joints' offsets when the poses have taken the share that they can.
 
     Args:
@@ -284,12 +284,12 @@ def joint_information(normal: Normal, joints: int) -> tuple[Array, Array, Array]
 
 
 def find_unobservable(
-    normal: Normal, names: Sequence[str], unclear: float, parent: str, other: str
+    normal: NormalEquations, names: Sequence[str], unclear: float, parent: str, other: str
 ) -> Unobservable | None:
     """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
 
     Args:
-        normal: At the answer.
+        normal: At the solution.
         names: Of all joints.
         unclear: Largest standard deviation that counts as told apart.
         parent: What the camera is seen from.
@@ -306,20 +306,20 @@ def find_unobservable(
     held = free[int(np.argmax(np.abs(v)))]
     return Unobservable(
         held, whole, float(values[-1] ** -0.5) if known else np.inf,
-        _words(free, v, along @ v, parent, other),
+        _unobservable_text(free, v, along @ v, parent, other),
     )  # fmt: skip
 
 
-def _words(free: Sequence[str], v: Array, poses: Array, parent: str, other: str) -> str:
+def _unobservable_text(free: Sequence[str], v: Array, poses: Array, parent: str, other: str) -> str:
     big = np.abs(v) >= _SHARE * np.abs(v).max()
     order = [int(k) for k in np.argsort(-np.abs(v), kind="stable") if big[k]]
     parts = [f"the offset of {free[k]}" for k in order]
-    for thing, seen_from, twist in (("camera", parent, poses[:6]), ("board", other, poses[6:])):
-        turn, shift = float(np.linalg.norm(twist[3:])), float(np.linalg.norm(twist[:3]))
-        if turn >= _SHARE:
-            parts.append(f"the turn of the {thing} about {_axis(twist[3:])} of {seen_from}")
+    for name, seen_from, twist in (("camera", parent, poses[:6]), ("board", other, poses[6:])):
+        angle, shift = float(np.linalg.norm(twist[3:])), float(np.linalg.norm(twist[:3]))
+        if angle >= _SHARE:
+            parts.append(f"the rotation of the {name} about {_axis(twist[3:])} of {seen_from}")
         elif shift >= _LEVER:
-            parts.append(f"the shift of the {thing} along {_axis(twist[:3])} of {seen_from}")
+            parts.append(f"the shift of the {name} along {_axis(twist[:3])} of {seen_from}")
     if len(parts) == 1:
         return f"{parts[0]} does not show in these views"
     return f"{', '.join(parts[:-1])} and {parts[-1]} look the same"

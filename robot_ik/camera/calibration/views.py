@@ -193,9 +193,9 @@ class ViewGatherer:
     def _kind(self, found: FoundPattern, size: tuple[int, int]) -> Array:
         """How the board is held, in units in which 1 makes a difference: place (2), scale, lean (2)."""
         rotation, depth = _pose_guess(found, size)
-        place = found.pixels.mean(axis=0) / size / _NEW_PLACE
+        centre = found.pixels.mean(axis=0) / size / _NEW_PLACE
         lean = cover([found], [rotation], size).leans[0] / _NEW_LEAN
-        return np.array([*place, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *lean])
+        return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *lean])
 
     def _is_new(self, kind: Array) -> bool:
         return all(np.linalg.norm(kind - other) > 1.0 for other in self._kinds)
@@ -231,14 +231,14 @@ def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, floa
     """Rotation and distance of the board before anything is known of the camera: f = 1 width."""
     f = float(max(size))
     k = np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1.0]])
-    good, turn, shift = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
+    good, rotation_vector, shift = cv2.solvePnP(found.points_board, found.pixels, k, np.zeros(5))
     if not good:
         return np.eye(3), 1.0
-    rotation = np.asarray(cv2.Rodrigues(np.asarray(turn, dtype=float).reshape(3))[0], dtype=float)
+    rotation = np.asarray(cv2.Rodrigues(np.asarray(rotation_vector, dtype=float).reshape(3))[0], dtype=float)
     return rotation, float(np.asarray(shift, dtype=float).reshape(3)[2])
 
 
-def missing_words(missing: Sequence[str]) -> str:
+def missing_text(missing: Sequence[str]) -> str:
     """What is still to be shown, shortly."""
     if not missing:
         return "nothing is missing"

@@ -146,12 +146,12 @@ def lathe_axis(size: Array) -> int:
 
 def _ellipsoid(size: Array, count: int) -> GeomMesh:
     axis = lathe_axis(size)
-    turned = np.roll(size, -1 - axis)
-    t, need = _density(turned[2], max(turned[0], turned[1]))
+    rolled = np.roll(size, -1 - axis)
+    t, need = _density(rolled[2], max(rolled[0], rolled[1]))
     rings = 2 * max(2, int(np.ceil(count / 4 * need[-1] - 1e-9)))
     angles = np.interp(np.linspace(0.0, need[-1], rings + 1), need, t)
     unit = _lathe(_arc(angles, count), count)
-    return GeomMesh(np.roll(unit.vertices * turned, 1 + axis, axis=1), unit.faces)
+    return GeomMesh(np.roll(unit.vertices * rolled, 1 + axis, axis=1), unit.faces)
 
 
 def _capsule(size: Array, count: int) -> GeomMesh:
@@ -348,8 +348,8 @@ def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_
     counts = np.bincount(inverse.reshape(-1), minlength=len(edges))
     first = np.cumsum(counts) - counts
     edge_faces = np.stack([owner[order][first], owner[order][first + counts - 1]], axis=1)
-    bend = np.einsum("ij,ij->i", normals[edge_faces[:, 0]], normals[edge_faces[:, 1]])
-    return edges, edge_faces, bend < np.cos(CREASE)
+    cosine = np.einsum("ij,ij->i", normals[edge_faces[:, 0]], normals[edge_faces[:, 1]])
+    return edges, edge_faces, cosine < np.cos(CREASE)
 
 
 def _corner_normals(faces: Index, normals: Array) -> Array:
@@ -473,7 +473,7 @@ def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: floa
     """
     kept = _kept(model)
     nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius
-    # a thing at the lens or behind it is cut as one at half its radius
+    # an object at the lens or behind it is cut as one at half its radius
     scale = focal / np.maximum(nearest, 0.5 * np.maximum(kept.radius, 1e-9))
     levels = np.array(SEGMENTS)
     chosen = levels[np.minimum(np.searchsorted(levels, kept.needed * np.sqrt(scale)), len(levels) - 1)]

@@ -297,8 +297,8 @@ def put_label(
     if accent:
         card[:, :5] = accent
     for k, line in enumerate(lines):
-        place = (x + pad + (5 if accent else 0), y + pad + sizes[0][1] + k * step)
-        write(result, line, place, size, WHITE)
+        position = (x + pad + (5 if accent else 0), y + pad + sizes[0][1] + k * step)
+        write(result, line, position, size, WHITE)
     return result
 
 
@@ -348,5 +348,5 @@ def before_after(
 
 def _fitted(view: Image, width: int) -> Image:
     height = round(view.shape[0] * width / view.shape[1])
-    way = cv2.INTER_AREA if width < view.shape[1] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(view, (width, height), interpolation=way), dtype=np.uint8)
+    interpolation = cv2.INTER_AREA if width < view.shape[1] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(view, (width, height), interpolation=interpolation), dtype=np.uint8)

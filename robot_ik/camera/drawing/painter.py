@@ -112,7 +112,7 @@ def _samples(count: int) -> Array:
 
 
 SAMPLES: dict[int, Array] = {1: np.zeros((1, 2)), 4: _samples(4), 8: _samples(8), 16: _samples(16)}
-"""Sample places in a pixel by their number."""
+"""Sample positions in a pixel by their number."""
 
 
 @dataclass(frozen=True)
@@ -148,9 +148,9 @@ def geom_placement(model: mujoco.MjModel, qpos: ArrayLike, pose_world_camera: Po
     data.qpos[:] = np.asarray(qpos, dtype=float)
     mujoco.mj_kinematics(model, data)
     camera = pose_world_camera.inverse()
-    turn = camera.rotation
-    rotation = turn @ np.asarray(data.geom_xmat).reshape(-1, 3, 3)
-    return rotation, np.asarray(data.geom_xpos) @ turn.T + camera.position
+    camera_rotation = camera.rotation
+    rotation = camera_rotation @ np.asarray(data.geom_xmat).reshape(-1, 3, 3)
+    return rotation, np.asarray(data.geom_xpos) @ camera_rotation.T + camera.position
 
 
 def surface_points(model: mujoco.MjModel, qpos: ArrayLike) -> Array:
@@ -158,7 +158,9 @@ def surface_points(model: mujoco.MjModel, qpos: ArrayLike) -> Array:
     rotation, position = geom_placement(model, qpos, Pose())
     mesh = cached_mesh(model)
     points = np.empty_like(mesh.vertices)
-    rasteriser.place(mesh.vertices, mesh.vertex_geom, rotation[mesh.geoms], position[mesh.geoms], points)
+    rasteriser.transform_vertices(
+        mesh.vertices, mesh.vertex_geom, rotation[mesh.geoms], position[mesh.geoms], points
+    )
     return points
 
 
@@ -192,7 +194,7 @@ def faces_in_picture(
     mesh = cached_mesh(model, planes=planes, segments=segments)
     rotation, position = rotation[mesh.geoms], position[mesh.geoms]
     points = np.empty_like(mesh.vertices)
-    rasteriser.place(mesh.vertices, mesh.vertex_geom, rotation, position, points)
+    rasteriser.transform_vertices(mesh.vertices, mesh.vertex_geom, rotation, position, points)
     pixels, inverse, within = project(points, intrinsics)
     inside = bool(within.all())
     lit = np.empty((len(mesh.faces), 4, 2), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Printed things, rectangles of ink on paper: laid flat as a page, or as a camera sees them.
+"""Prints, rectangles of ink on paper: laid flat as a page, or as a camera sees them.
 
 Every pixel is the exact mean of what falls on it, not a mean of samples.  Flat, it is a box among the borders
 of the print's cells.  Before a camera it is a parallelogram on the paper, whose ink is an integral along its
@@ -252,7 +252,7 @@ def see_print(
         sheet: In metres.
         pose_camera_print: The print (x right, y down, z into the paper) seen from the camera.
         field: Rays of the camera.
-        blocked: Asks for things in front; ``None`` means that there are none.
+        blocked: Asks for objects in front; ``None`` means that there are none.
     """
     if pose_camera_print.rotation[:, 2] @ pose_camera_print.position <= 0:
         return None
@@ -336,7 +336,7 @@ def _hide(
     ink: Array,
     paper: Array,
 ) -> None:
-    """Takes away the paper that something hides, in place; by subpixels along the outline of that thing."""
+    """Takes away the paper that something hides, in place; by subpixels along the outline of that object."""
     asked = paper > 0
     hidden = np.zeros(depth.shape, dtype=bool)
     hidden[asked] = blocked(field.box(*box)[asked], depth[asked])

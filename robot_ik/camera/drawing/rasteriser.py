@@ -69,8 +69,8 @@ def _light_face(
         plane[6], plane[7], plane[8] = gx * (left - p[a, 0]) + gy * (top - p[a, 1]), gx, gy
         x, y = p[d, 0] - left, p[d, 1] - top
         for k in range(2):
-            bend = lit[3, k] - (plane[3 * k] + plane[3 * k + 1] * x + plane[3 * k + 2] * y)
-            plane[9 + k] = bend / two
+            curvature = lit[3, k] - (plane[3 * k] + plane[3 * k + 1] * x + plane[3 * k + 2] * y)
+            plane[9 + k] = curvature / two
 
 
 @pure
@@ -234,7 +234,7 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
 
 
 @kernel
-def place(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
+def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
     """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
     for k in range(len(vertices)):
         g = owner[k]
@@ -362,12 +362,12 @@ def _put(pixel: Any, blue: Any, green: Any, red: Any) -> None:
 
 @pure
 def _mixed(
-    marks: Any, places: Any, planes: Any, owner: Any, base: Any, gloss: Any, x: Any, y: Any, pixel: Any
+    marks: Any, samples: Any, planes: Any, owner: Any, base: Any, gloss: Any, x: Any, y: Any, pixel: Any
 ) -> Any:
     """A pixel of several faces: the mean of its samples; returns how much is covered, 0..255."""
     blue = green = red = seen = _ZERO
-    share = _ONE / np.float32(len(places))
-    for k in range(len(places)):
+    share = _ONE / np.float32(len(samples))
+    for k in range(len(samples)):
         who = owner[marks[k]]
         weight = share if who >= 0 else _ZERO
         b, g, r = _shaded(planes[marks[k]], base[max(who, 0)], gloss, x, y)
@@ -378,11 +378,11 @@ def _mixed(
 
 @pure
 def _resolve_row(
-    row: int, whose: Any, tall: int, places: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: Any,
-    colour: Any, coverage: Any,
+    row: int, whose: Any, tall: int, samples: Any, planes: Any, extent: Any, owner: Any, base: Any,
+    gloss: Any, colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
     """One row of the pixels; see ``resolve``."""
-    count, cell = len(places), row // tall
+    count, cell = len(samples), row // tall
     start, stop, y = extent[cell, 0], extent[cell, 1], np.float32(row)
     if start >= stop:
         return
@@ -394,7 +394,7 @@ def _resolve_row(
         for k in range(1, count):
             mixed |= marks[at + k] ^ mark
         if mixed != 0:
-            cover[column] = _mixed(marks[at:], places, planes, owner, base, gloss, x, y, line[column])
+            cover[column] = _mixed(marks[at:], samples, planes, owner, base, gloss, x, y, line[column])
         elif owner[mark] >= 0:
             b, g, r = _shaded(planes[mark], base[owner[mark]], gloss, x, y)
             _put(line[column], b + _HALF, g + _HALF, r + _HALF)
@@ -403,7 +403,7 @@ def _resolve_row(
 
 @kernel
 def resolve(
-    whose: Any, tall: int, places: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: Any,
+    whose: Any, tall: int, samples: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: Any,
     colour: Any, coverage: Any,
 ) -> None:  # fmt: skip
     """Samples into pixels.
@@ -411,7 +411,7 @@ def resolve(
     Args:
         whose: As filled, with ``planes`` and ``extent``; ``tall`` rows of pixels in a cell.
         tall: See ``whose``.
-        places: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
+        samples: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
         planes: See ``whose``.
         extent: See ``whose``.
         owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or a phantom, not drawn.
@@ -421,7 +421,7 @@ def resolve(
         coverage: See ``colour``.
     """
     for row in range(len(colour)):
-        _resolve_row(row, whose, tall, places, planes, extent, owner, base, gloss, colour, coverage)
+        _resolve_row(row, whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage)
 
 
 @kernel

@@ -29,9 +29,9 @@ _CUTOFF, _OWN_SHADE = 50.0, 2e-3
 def _cubic_weights(nodes: Array, at: Array) -> Array:
     """Matrix (m, n) that interpolates values at even ``nodes`` (n,) to ``at`` (m,): 4-point Lagrange."""
     step = nodes[1] - nodes[0]
-    place = (at - nodes[0]) / step
-    left = np.clip(np.floor(place).astype(int) - 1, 0, len(nodes) - 4)
-    t = place - left
+    position = (at - nodes[0]) / step
+    left = np.clip(np.floor(position).astype(int) - 1, 0, len(nodes) - 4)
+    t = position - left
     weights = np.zeros((len(at), len(nodes)))
     rows = np.arange(len(at))
     for k in range(4):
@@ -203,7 +203,7 @@ class Caster:
 
     def lit(self, light: Array, points: Array) -> NDArray[np.bool_]:
         """Which ``points`` (n, 3) nothing shades from a light at ``light`` (3,)."""
-        way = points - light
-        reach = np.linalg.norm(way, axis=1)
-        hits = self.cast(light, way, normals=False)
+        from_light = points - light
+        reach = np.linalg.norm(from_light, axis=1)
+        hits = self.cast(light, from_light, normals=False)
         return np.asarray(hits.depth * reach > reach - _OWN_SHADE, dtype=bool)

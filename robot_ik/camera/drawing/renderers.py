@@ -37,14 +37,14 @@ _COARSE = 3
 
 @dataclass(frozen=True, eq=False)
 class DrawnRobot:
-    """A robot beside a board, with the real things that may hide it.
+    """A robot beside a board, with the real objects that may hide it.
 
     Attributes:
         model: The robot.
         pose_board_base: Where its world frame is, seen from the board (x right, y up, z out of the print).
         scale: Drawn size over true size.
-        occluders: Real things, their world is the board's frame; drawn to depth only.
-        occluder_geoms: (ngeom,) geoms of the robot's own model that are such things.
+        occluders: Real objects, their world is the board's frame; drawn to depth only.
+        occluder_geoms: (ngeom,) geoms of the robot's own model that are such objects.
         tint: One colour for all of it, BGR 0..255.
         shadow: Whether it throws a shadow on the board's plane.
     """
@@ -218,7 +218,7 @@ class RayArtist:
     name = "ray"
 
     def __init__(self) -> None:
-        self._places = painter.SAMPLES[4]
+        self._sample_offsets = painter.SAMPLES[4]
         self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def draw(
@@ -232,13 +232,13 @@ class RayArtist:
         base = painter.base_colours(figure.model, figure.tint)
         rows, columns = np.nonzero(near)
         total = np.zeros((len(rows), 4))
-        for place in self._places:
-            pixels = np.stack([columns + box[0], rows + box[1]], axis=1) + place
+        for offset in self._sample_offsets:
+            pixels = np.stack([columns + box[0], rows + box[1]], axis=1) + offset
             geom, _, normal = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
             on = geom >= 0
             total[on, :3] += painter.lit_colours(base[geom[on]], normal[on])
             total[on, 3] += 255.0
-        total /= len(self._places)
+        total /= len(self._sample_offsets)
         sheet = np.zeros((*size, 4), dtype=np.uint8)
         sheet[rows, columns] = np.rint(total)
         robot = Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
@@ -246,7 +246,7 @@ class RayArtist:
             return Drawing(((robot, 1.0),))
         return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
 
-    def look(
+    def render_depth(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> RayPicture:
         """Depth and geom of each pixel that the robot can touch."""
@@ -323,7 +323,7 @@ class _BoxesFile(Table):
 
 
 def load_occluders(path: Path | str) -> mujoco.MjModel:
-    """The things in a file, as a model whose world is the frame of the board.
+    """The objects in a file, as a model whose world is the frame of the board.
 
     Raises:
         ConfigError: The file is missing, is no such file, or a box cannot be.

@@ -21,12 +21,12 @@ class NetFace:
     Attributes:
         marker: Its id.
         centre: (2,) x right, y down, from the centre of the first face, in the unit of the edge.
-        turns: Quarter turns to the left of its print.
+        quarter_turns: Quarter turns to the left of its print.
     """
 
     marker: int
     centre: Array
-    turns: int
+    quarter_turns: int
 
 
 def unfold(poses: Mapping[int, Pose], edge: float) -> list[NetFace]:
@@ -40,8 +40,8 @@ def unfold(poses: Mapping[int, Pose], edge: float) -> list[NetFace]:
     first = next(iter(poses.values())).rotation
     x, y, z = first.T
     # Where a face with this normal goes, in edges, and the turns that bring it into the first one's plane.
-    places = [(z, (0, 0), np.eye(3)), (x, (1, 0), _fold(x, z)), (-x, (-1, 0), _fold(-x, z))]
-    places += [
+    net_positions = [(z, (0, 0), np.eye(3)), (x, (1, 0), _fold(x, z)), (-x, (-1, 0), _fold(-x, z))]
+    net_positions += [
         (y, (0, 1), _fold(y, z)),
         (-y, (0, -1), _fold(-y, z)),
         (-z, (2, 0), _fold(x, z) @ _fold(-z, x)),
@@ -49,12 +49,14 @@ def unfold(poses: Mapping[int, Pose], edge: float) -> list[NetFace]:
     net = []
     for marker, pose in poses.items():
         normal = pose.rotation[:, 2]
-        _, place, turn = max(places, key=lambda row: float(row[0] @ normal))
-        right = turn @ pose.rotation[:, 0]
+        _, position, rotation = max(net_positions, key=lambda row: float(row[0] @ normal))
+        right = rotation @ pose.rotation[:, 0]
         angle = np.arctan2(right @ y, right @ x)
         net.append(
             NetFace(
-                marker, edge * np.array([place[0], -place[1]], dtype=float), round(angle / (np.pi / 2)) % 4
+                marker,
+                edge * np.array([position[0], -position[1]], dtype=float),
+                round(angle / (np.pi / 2)) % 4,
             )
         )
     return net
@@ -121,28 +123,28 @@ def cube_paper(edge: float) -> CubePaper:
     depth = min(_TAB * edge, _TAB_MOST)
     cuts, folds, tabs = [], [], []
     for face in _FACES:
-        for way in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-            start, end = _side(face, way, edge)
-            if (face, way) in _TABBED:
+        for direction in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            start, end = _side(face, direction, edge)
+            if (face, direction) in _TABBED:
                 along = (end - start) / edge
-                out = np.array(way, dtype=float)
+                out = np.array(direction, dtype=float)
                 # Its ends are cut back at 45 degrees: two tabs in one corner then do not meet.
                 tab = [start, start + depth * (along + out), end + depth * (out - along), end]
                 tabs.append(tab)
                 folds.append([start, end])
                 cuts += [[a, b] for a, b in pairwise(tab)]
-            elif (face[0] + way[0], face[1] + way[1]) not in _FACES:
+            elif (face[0] + direction[0], face[1] + direction[1]) not in _FACES:
                 cuts.append([start, end])
-            elif way in ((1, 0), (0, 1)):  # a fold has two sides
+            elif direction in ((1, 0), (0, 1)):  # a fold has two sides
                 folds.append([start, end])
     return CubePaper(
         np.array(cuts).reshape(-1, 4), np.array(folds).reshape(-1, 4), np.array(tabs, dtype=float)
     )
 
 
-def _side(face: tuple[int, int], way: tuple[int, int], edge: float) -> tuple[Array, Array]:
+def _side(face: tuple[int, int], direction: tuple[int, int], edge: float) -> tuple[Array, Array]:
     """The two ends of a face's side."""
-    out = np.array(way, dtype=float)
+    out = np.array(direction, dtype=float)
     middle, half = edge * (np.array(face) + 0.5 * out), 0.5 * edge * np.array([-out[1], out[0]])
     return middle - half, middle + half
 

@@ -1,4 +1,4 @@
-"""A sheet of paper as rectangles and words in millimetres, written as PDF or PNG from the same list."""
+"""A sheet of paper as rectangles and text in millimetres, written as PDF or PNG from the same list."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SUBPIXEL = 4
 
 
 @dataclass(frozen=True)
-class Words:
+class TextLine:
     """One line of text.
 
     Attributes:
@@ -51,7 +51,7 @@ class PrintedPage:
     Attributes:
         width, height: Of the paper, mm.
         boxes: (n, 5) x, y, width, height in mm from the upper left corner, and ink from 0 to 1; none overlap.
-        words: Lines of text.
+        labels: Lines of text.
         about: What it is, for people.
         lines: (m, 4) thin grey strokes from x, y to x, y, mm.
     """
@@ -59,7 +59,7 @@ class PrintedPage:
     width: float
     height: float
     boxes: Array
-    words: tuple[Words, ...]
+    labels: tuple[TextLine, ...]
     about: str
     lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
@@ -107,10 +107,10 @@ def pdf_bytes(page: PrintedPage) -> bytes:
         lines.append(f"{_STROKE} w {_number(1.0 - _STROKE_INK)} G")
         lines += ["{} {} m {} {} l S".format(*map(_number, line)) for line in page.lines]
     lines.append("0 g")
-    for word in page.words:
-        text = word.text.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
-        place = f"{_number(word.x)} {_number(word.y)}"
-        lines.append(f"BT /F1 {_number(word.size)} Tf 1 0 0 -1 {place} Tm ({text}) Tj ET")
+    for label in page.labels:
+        text = label.text.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
+        position = f"{_number(label.x)} {_number(label.y)}"
+        lines.append(f"BT /F1 {_number(label.size)} Tf 1 0 0 -1 {position} Tm ({text}) Tj ET")
     content = "\n".join(lines).encode("ascii", "replace")
     box = f"0 0 {_number(page.width * _POINTS_PER_MM)} {_number(page.height * _POINTS_PER_MM)}"
     objects = [
@@ -126,12 +126,12 @@ def pdf_bytes(page: PrintedPage) -> bytes:
 
 def _pdf_file(objects: list[bytes]) -> bytes:
     data = b"%PDF-1.4\n%\xe2\xe3\xcf\xd3\n"
-    places = []
+    offsets = []
     for number, body in enumerate(objects, start=1):
-        places.append(len(data))
+        offsets.append(len(data))
         data += f"{number} 0 obj\n".encode() + body + b"\nendobj\n"
     table = f"xref\n0 {len(objects) + 1}\n0000000000 65535 f \n".encode()
-    table += b"".join(f"{place:010d} 00000 n \n".encode() for place in places)
+    table += b"".join(f"{offset:010d} 00000 n \n".encode() for offset in offsets)
     trailer = f"trailer\n<< /Size {len(objects) + 1} /Root 1 0 R >>\nstartxref\n{len(data)}\n%%EOF\n"
     return data + table + trailer.encode()
 
@@ -146,8 +146,8 @@ def rasterize(page: PrintedPage, dpi: float) -> Image:
     paper = (0.0, 0.0, float(width), float(height))
     image = Print.of_boxes(page.boxes[:, :4] * scale, paper, page.boxes[:, 4]).flat(width, height)
     _draw_lines(image, page.lines * scale, max(1, round(_STROKE * scale)))
-    for word in page.words:
-        _draw_words(image, word, scale)
+    for label in page.labels:
+        _draw_label(image, label, scale)
     return image
 
 
@@ -158,14 +158,14 @@ def _draw_lines(image: Image, lines: Array, thickness: int) -> None:
         cv2.line(image, tuple(line[:2]), tuple(line[2:]), ink, thickness, cv2.LINE_AA, _SUBPIXEL)
 
 
-def _draw_words(image: Image, word: Words, scale: float) -> None:
-    font, thickness = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(0.08 * word.size * scale))
-    (wide, tall), _ = cv2.getTextSize(word.text, font, 1.0, thickness)
+def _draw_label(image: Image, label: TextLine, scale: float) -> None:
+    font, thickness = cv2.FONT_HERSHEY_SIMPLEX, max(1, round(0.08 * label.size * scale))
+    (wide, tall), _ = cv2.getTextSize(label.text, font, 1.0, thickness)
     # As wide as Courier would be, unless the letters would grow too tall.
-    ratio = LETTER_WIDTH * word.size * len(word.text) * scale / max(wide, 1)
-    ratio = min(ratio, 0.75 * word.size * scale / max(tall, 1))
-    place = (round(word.x * scale), round(word.y * scale))
-    cv2.putText(image, word.text, place, font, ratio, 0, thickness, cv2.LINE_AA)
+    ratio = LETTER_WIDTH * label.size * len(label.text) * scale / max(wide, 1)
+    ratio = min(ratio, 0.75 * label.size * scale / max(tall, 1))
+    position = (round(label.x * scale), round(label.y * scale))
+    cv2.putText(image, label.text, position, font, ratio, 0, thickness, cv2.LINE_AA)
 
 
 def png_bytes(page: PrintedPage, dpi: int) -> bytes:

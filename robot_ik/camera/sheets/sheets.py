@@ -13,14 +13,14 @@ from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequ
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
-from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, Words
+from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
 
 # ------------------------------------------------------------------------------------------
 # What sheets show: markers, boards, cubes and calibration patterns, laid out in millimetres.
 
 
-Room = tuple[float, float]
+Area = tuple[float, float]
 
 SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
@@ -98,7 +98,7 @@ class Block:
     Attributes:
         width, height: Of all of it, with the white that it needs.
         boxes: (n, 5) as in ``Page``.
-        words: Labels.
+        labels: Lines of text.
         about: What it is.
         use: The command that uses it.
         board: What other commands call it behind ``--board``; empty where it has no such name.
@@ -108,7 +108,7 @@ class Block:
     width: float
     height: float
     boxes: Array
-    words: tuple[Words, ...]
+    labels: tuple[TextLine, ...]
     about: str
     use: str
     board: str = ""
@@ -131,17 +131,19 @@ def _names(ids: Sequence[int]) -> str:
     return ", ".join(map(str, ids))
 
 
-def _markers(request: SheetRequest, room: Room) -> Block:
+def _markers(request: SheetRequest, area: Area) -> Block:
     ids = request.marker_ids
     quiet, pitch = request.size * QUIET, request.size + request.gap
-    columns = int(np.clip((room[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
+    columns = int(np.clip((area[0] - 2 * quiet + request.gap) // pitch, 1, len(ids)))
     rows = -(-len(ids) // columns)
     step = pitch + _LABEL + 1.0
-    boxes, words = [], []
+    boxes, labels = [], []
     for k, marker in enumerate(ids):
         x, y = quiet + k % columns * pitch, quiet + k // columns * step
         boxes.append(_black(marker_boxes(request.dictionary, marker, request.size), x, y))
-        words.append(Words(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm"))
+        labels.append(
+            TextLine(x, y + request.size + quiet + _LABEL, _LABEL, f"{marker}  {request.size:g} mm")
+        )
     width = columns * pitch - request.gap + 2 * quiet
     height = rows * step - request.gap - _LABEL - 1.0 + 2 * quiet + _LABEL + 1.0
     what = "marker" if len(ids) == 1 else "markers"
@@ -150,10 +152,10 @@ def _markers(request: SheetRequest, room: Room) -> Block:
         f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
     )
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
-    return Block(width, height, np.concatenate(boxes), tuple(words), about, use)
+    return Block(width, height, np.concatenate(boxes), tuple(labels), about, use)
 
 
-def _board(request: SheetRequest, room: Room) -> Block:
+def _board(request: SheetRequest, area: Area) -> Block:
     (columns, rows), ids = request.counts, request.marker_ids
     quiet, pitch = request.size * QUIET, request.size + request.gap
     boxes = [
@@ -174,7 +176,7 @@ def _board(request: SheetRequest, room: Room) -> Block:
     return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE, board)
 
 
-def _cube(request: SheetRequest, room: Room) -> Block:
+def _cube(request: SheetRequest, area: Area) -> Block:
     ids = request.marker_ids
     white = (request.edge - request.size) / 2
     if white < _LEAST_WHITE * request.size - 1e-9:
@@ -188,7 +190,7 @@ def _cube(request: SheetRequest, room: Room) -> Block:
     low, high = corners.min(axis=0), corners.max(axis=0)
     boxes = [
         _black(
-            marker_boxes(request.dictionary, face.marker, request.size, face.turns),
+            marker_boxes(request.dictionary, face.marker, request.size, face.quarter_turns),
             *(face.centre - low - request.size / 2),
         )
         for face in faces
@@ -203,7 +205,7 @@ def _cube(request: SheetRequest, room: Room) -> Block:
     return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE, lines=lines)
 
 
-def _pattern(request: SheetRequest, room: Room) -> Block:
+def _pattern(request: SheetRequest, area: Area) -> Block:
     kind: Literal["charuco", "chessboard"] = "charuco" if request.kind == "charuco" else "chessboard"
     pattern: Pattern = PatternRequest(
         kind, request.columns, request.rows, request.size, request.marker_mm, request.dictionary
@@ -220,8 +222,8 @@ def _pattern(request: SheetRequest, room: Room) -> Block:
     return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
 
 
-Maker = Callable[[SheetRequest, Room], Block]
-#: One row a kind of sheet: lays it out for the room (width, height) that a page has, mm.
+Maker = Callable[[SheetRequest, Area], Block]
+#: One row a kind of sheet: lays it out for the printable area (width, height) of a page, mm.
 MAKERS: dict[str, Maker] = {
     "marker": _markers, "board": _board, "cube": _cube, "charuco": _pattern, "chessboard": _pattern,
 }  # fmt: skip
@@ -260,29 +262,29 @@ def make_sheet_page(request: SheetRequest) -> PrintedPage:
         )
     make = MAKERS[request.kind]
     for paper in _both_ways(request.page):
-        block = make(request, _room(paper))
+        block = make(request, _printable_area(paper))
         if _fits(block, paper):
             return _on_page(block, paper, request)
     raise _does_not_fit(request, make)
 
 
-def _both_ways(page: str) -> list[Room]:
+def _both_ways(page: str) -> list[Area]:
     width, height = PAPERS[page]
     return [(width, height), (height, width)]
 
 
-def _room(paper: Room) -> Room:
+def _printable_area(paper: Area) -> Area:
     return paper[0] - 2 * _MARGIN - _SIDE, paper[1] - 2 * _MARGIN - _FOOT
 
 
-def _fits(block: Block, paper: Room) -> bool:
-    room = _room(paper)
-    return block.width <= room[0] + 1e-9 and block.height <= room[1] + 1e-9
+def _fits(block: Block, paper: Area) -> bool:
+    area = _printable_area(paper)
+    return block.width <= area[0] + 1e-9 and block.height <= area[1] + 1e-9
 
 
 def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
-    block = make(request, _room(PAPERS[request.page]))
-    rooms = " or ".join("{:.0f}x{:.0f}".format(*_room(paper)) for paper in _both_ways(request.page))
+    block = make(request, _printable_area(PAPERS[request.page]))
+    areas = " or ".join("{:.0f}x{:.0f}".format(*_printable_area(paper)) for paper in _both_ways(request.page))
     hints = []
     for size in np.arange(np.floor(request.size * 2 - 1e-6) / 2, 5.0, -0.5):
         share = float(size) / request.size
@@ -293,39 +295,43 @@ def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
             edge_mm=None if request.edge_mm is None else request.edge_mm * share,
             marker_mm=None if request.marker_mm is None else request.marker_mm * share,
         )
-        if any(_fits(make(less, _room(paper)), paper) for paper in _both_ways(request.page)):
+        if any(_fits(make(less, _printable_area(paper)), paper) for paper in _both_ways(request.page)):
             hints.append(f"--size-mm {size:g} fits")
             break
-    larger = [p for p in PAPERS if any(_fits(make(request, _room(paper)), paper) for paper in _both_ways(p))]
+    larger = [
+        p
+        for p in PAPERS
+        if any(_fits(make(request, _printable_area(paper)), paper) for paper in _both_ways(p))
+    ]
     hints += [f"it fits --page {name}" for name in larger[:1]]
     return CameraError(
         f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; "
-        f"{request.page} has room for {rooms} mm",
+        f"{request.page} has room for {areas} mm",
         hint=", or ".join(hints) or "take fewer or smaller ones",
     )
 
 
-def _on_page(block: Block, paper: Room, request: SheetRequest) -> PrintedPage:
-    """The block in the middle of the room, the bars and the words at the rim."""
-    room = _room(paper)
-    x, y = _MARGIN + (room[0] - block.width) / 2, _MARGIN + (room[1] - block.height) / 2
+def _on_page(block: Block, paper: Area, request: SheetRequest) -> PrintedPage:
+    """The block in the middle of the printable area, bars and text at the rim."""
+    area = _printable_area(paper)
+    x, y = _MARGIN + (area[0] - block.width) / 2, _MARGIN + (area[1] - block.height) / 2
     foot = paper[1] - _MARGIN - _FOOT + 4.0
     boxes = [moved(block.boxes, x, y), _bar(_MARGIN, foot), _bar(paper[0] - _MARGIN, _MARGIN, upright=True)]
-    words = [replace(w, x=w.x + x, y=w.y + y) for w in block.words]
+    labels = [replace(w, x=w.x + x, y=w.y + y) for w in block.labels]
     scale = "both bars: 100.0 mm. Print at 100 % (actual size)."
     scale += f"  --board {block.board}" if block.board else ""
     beside = _MARGIN + _BAR + 3.0
-    words.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
+    labels.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
     for k, text in enumerate([block.about, _command(request), *([block.use] if block.use else [])]):
-        words.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
+        labels.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
     lines = block.lines + np.array([x, y, x, y])
     about = f"{block.about} on {request.page}"
-    return PrintedPage(paper[0], paper[1], np.concatenate(boxes), tuple(words), about, lines)
+    return PrintedPage(paper[0], paper[1], np.concatenate(boxes), tuple(labels), about, lines)
 
 
-def _line(x: float, y: float, room: float, text: str) -> Words:
-    """Words that shrink to fit: they are for looking things up, not for reading across a room."""
-    return Words(x, y, min(_TEXT, room / (LETTER_WIDTH * len(text))), text)
+def _line(x: float, y: float, width: float, text: str) -> TextLine:
+    """A line of text that shrinks to fit: it is looked up from near by."""
+    return TextLine(x, y, min(_TEXT, width / (LETTER_WIDTH * len(text))), text)
 
 
 def _bar(x: float, y: float, *, upright: bool = False) -> Array:

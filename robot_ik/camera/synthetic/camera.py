@@ -318,7 +318,7 @@ def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
 
 
 def _subject_distance(scene: SyntheticScene) -> float:
-    """How far from the lens the things of interest are: the table, else the robot's middle, metres."""
+    """How far from the lens the objects of interest are: the table, else the robot's middle, metres."""
     inverse = scene.pose_world_camera.inverse()
     if scene.table is not None:
         centre = np.array([np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height])

@@ -62,10 +62,10 @@ def render_marker(
     size: float = STANDARD_SIZE,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 0,
-    look: SensorModel | None = None,
+    sensor: SensorModel | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
-    return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, look=look)
+    return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, sensor=sensor)
 
 
 def render_markers(
@@ -74,7 +74,7 @@ def render_markers(
     rng: np.random.Generator,
     *,
     dictionary: str = "DICT_4X4_50",
-    look: SensorModel | None = None,
+    sensor: SensorModel | None = None,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
 ) -> Image:
@@ -85,13 +85,15 @@ def render_markers(
         markers: Id -> (side in metres, ``pose_camera_marker``); they must not overlap.
         rng: Of wall, light and noise.
         dictionary: Of all markers.
-        look: Blur, noise, light.
+        sensor: Blur, noise, light.
         margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
-    look = look or LINEAR
-    light = marker_light(camera, markers, rng, dictionary=dictionary, look=look, margin=margin, cover=cover)
-    return photograph(light, markers_centre(camera, markers), rng, look)
+    sensor = sensor or LINEAR
+    light = marker_light(
+        camera, markers, rng, dictionary=dictionary, sensor=sensor, margin=margin, cover=cover
+    )
+    return photograph(light, markers_centre(camera, markers), rng, sensor)
 
 
 def marker_light(
@@ -100,21 +102,21 @@ def marker_light(
     rng: np.random.Generator,
     *,
     dictionary: str = "DICT_4X4_50",
-    look: SensorModel = LINEAR,
+    sensor: SensorModel = LINEAR,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
 ) -> Array:
     """Light (h, w) before the lens, 0 to 255; arguments as in ``render_markers``."""
-    canvas = _wall(camera, rng, look)
+    canvas = _wall(camera, rng, sensor)
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
     papers = [(blank_paper(size * (1.0 + 2.0 * margin)), pose) for size, pose in markers.values()]
     prints = [
-        (marker_print(dictionary, i, size, 0.0, look.bleed), pose) for i, (size, pose) in markers.items()
+        (marker_print(dictionary, i, size, 0.0, sensor.bleed), pose) for i, (size, pose) in markers.items()
     ]
     for sheet, pose in [*papers, *prints]:
-        _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, look)
+        _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, sensor)
     if cover is not None:
-        cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (look.black + look.white))
+        cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (sensor.black + sensor.white))
     return canvas
 
 
@@ -125,36 +127,36 @@ def markers_centre(camera: CameraIntrinsics, markers: Mapping[int, tuple[float, 
     return np.asarray(np.mean([camera.project(pose.position) for _, pose in markers.values()], axis=0))
 
 
-def photograph(canvas: Array, centre: Array, rng: np.random.Generator, look: SensorModel) -> Image:
+def photograph(canvas: Array, centre: Array, rng: np.random.Generator, sensor: SensorModel) -> Image:
     """The light of a scene, unevenly lit and developed; a shadow's edge goes by ``centre``."""
     height, width = canvas.shape
-    way = rng.uniform(0, 2 * np.pi)
-    across = np.array([np.cos(way), np.sin(way)])
+    direction = rng.uniform(0, 2 * np.pi)
+    across = np.array([np.cos(direction), np.sin(direction)])
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, width), np.linspace(-0.5, 0.5, height))
     along = (x * across[0] + y * across[1]) / np.abs(across).sum() + 0.5
-    light = look.scattered(canvas) * (1.0 - look.gradient * along)
-    if look.shadow > 0.0:
+    light = sensor.scattered(canvas) * (1.0 - sensor.gradient * along)
+    if sensor.shadow > 0.0:
         away = (np.arange(width) - centre[0]) * across[0] + ((np.arange(height) - centre[1]) * across[1])[
             :, None
         ]
-        light = light * (1.0 - 0.5 * look.shadow * (1.0 + np.tanh(0.5 * away / look.shadow_edge)))
-    return look.developed(light, rng.normal(0.0, 1.0, light.shape))
+        light = light * (1.0 - 0.5 * sensor.shadow * (1.0 + np.tanh(0.5 * away / sensor.shadow_edge)))
+    return sensor.developed(light, rng.normal(0.0, 1.0, light.shape))
 
 
-def _lay(canvas: Array, sheet: Print, pose: Pose, camera: CameraIntrinsics, look: SensorModel) -> None:
+def _lay(canvas: Array, sheet: Print, pose: Pose, camera: CameraIntrinsics, sensor: SensorModel) -> None:
     """Puts a print at ``pose`` (``pose_camera_print``) over the light (h, w) of what is behind it."""
     seen = see_print(sheet, pose, ray_field(camera))
     if seen is not None:
         x0, y0, x1, y1 = seen.box
         view = canvas[y0:y1, x0:x1]
-        view += seen.coverage * (look.white + (look.black - look.white) * seen.ink - view)
+        view += seen.coverage * (sensor.white + (sensor.black - sensor.white) * seen.ink - view)
 
 
-def _wall(camera: CameraIntrinsics, rng: np.random.Generator, look: SensorModel) -> Array:
+def _wall(camera: CameraIntrinsics, rng: np.random.Generator, sensor: SensorModel) -> Array:
     """Background of soft blotches, so that the paper has an edge of its own and the threshold some work."""
     coarse = rng.uniform(0.25, 0.75, (camera.height // 24 + 2, camera.width // 24 + 2))
     blotches = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
-    return np.asarray(look.black + (look.white - look.black) * blotches, dtype=float)
+    return np.asarray(sensor.black + (sensor.white - sensor.black) * blotches, dtype=float)
 
 
 def random_pose(
@@ -169,8 +171,8 @@ def random_pose(
     margin = 4.0
     while True:
         tilt = np.deg2rad(rng.uniform(*tilt_deg))
-        place = rng.uniform((0, 0), (camera.width, camera.height))
-        position = camera.unproject(place) * distance
+        pixel = rng.uniform((0, 0), (camera.width, camera.height))
+        position = camera.unproject(pixel) * distance
         # Facing the camera: the marker's z axis points back along the line of sight, its y axis up.
         back = -position / np.linalg.norm(position)
         right = np.cross((0.0, -1.0, 0.0), back)
@@ -178,8 +180,8 @@ def random_pose(
         facing = Pose.from_rotation(np.column_stack([right, np.cross(back, right), back]))
         azimuth, roll = rng.uniform(0, 2 * np.pi, 2)
         lean = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
-        turn = facing.compose(lean).compose(Pose(wxyz=rotation_exp([0.0, 0.0, roll])))
-        pose = Pose(position, turn.wxyz)
+        rotation = facing.compose(lean).compose(Pose(wxyz=rotation_exp([0.0, 0.0, roll])))
+        pose = Pose(position, rotation.wxyz)
         outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN))))
         if (outline > margin).all() and (outline < np.array(camera.size) - 1 - margin).all():
             return pose, float(tilt)
@@ -194,7 +196,7 @@ def standard_set(
     marker_id: int = 7,
     size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
-    look: SensorModel | None = None,
+    sensor: SensorModel | None = None,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
 ) -> Iterator[MarkerView]:
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
@@ -207,14 +209,14 @@ def standard_set(
         marker_id: Of the marker.
         size: Side of the black square, metres.
         camera: The optics.
-        look: Blur, noise, light.
+        sensor: Blur, noise, light.
         tilt_deg: Range of tilts in degrees.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
         pose, tilt = random_pose(camera, rng, distance, size=size, tilt_deg=tilt_deg)
         image = render_marker(
-            camera, pose, rng, size=size, dictionary=dictionary, marker_id=marker_id, look=look
+            camera, pose, rng, size=size, dictionary=dictionary, marker_id=marker_id, sensor=sensor
         )
         yield MarkerView(image, camera.project(pose.apply(marker_points(size))), pose, tilt)
 
@@ -253,14 +255,14 @@ def render_pattern(
     camera: CameraIntrinsics,
     pose: Pose,
     rng: np.random.Generator,
-    look: SensorModel | None = None,
+    sensor: SensorModel | None = None,
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
-    look = look or LINEAR
+    sensor = sensor or LINEAR
     # A grey wall.
-    canvas = np.full((camera.height, camera.width), 0.5 * (look.black + look.white))
-    _lay(canvas, pattern_print(pattern), pose, camera, look)
-    return photograph(canvas, camera.project(pose.position), rng, look)
+    canvas = np.full((camera.height, camera.width), 0.5 * (sensor.black + sensor.white))
+    _lay(canvas, pattern_print(pattern), pose, camera, sensor)
+    return photograph(canvas, camera.project(pose.position), rng, sensor)
 
 
 def pattern_pose(
@@ -283,18 +285,18 @@ def pattern_pose(
     centre = np.array([*(np.array(pattern.origin) + np.array(pattern.size) / 2), 0.0])
     while True:
         depth = camera.fx * pattern.size[0] / (camera.width * rng.uniform(*fill))
-        place = rng.uniform((0, 0), camera.size)
+        pixel = rng.uniform((0, 0), camera.size)
         tilt, azimuth = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, 2 * np.pi)
         lean = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
-        turn = lean.compose(Pose(wxyz=rotation_exp([0.0, 0.0, rng.normal(0.0, 0.15)])))
-        position = camera.unproject(place) * depth - turn.rotation @ centre
-        pose = Pose(position, turn.wxyz)
+        rotation = lean.compose(Pose(wxyz=rotation_exp([0.0, 0.0, rng.normal(0.0, 0.15)])))
+        position = camera.unproject(pixel) * depth - rotation.rotation @ centre
+        pose = Pose(position, rotation.wxyz)
         if _in_view(pattern, camera, pose):
             return pose
 
 
 def _in_view(pattern: Pattern, camera: CameraIntrinsics, pose: Pose) -> bool:
-    """Whether all inner corners are in the picture, with room for their patches."""
+    """Whether all inner corners are in the picture, with a margin for their patches."""
     columns, rows = pattern.corners
     start = np.array(pattern.origin) + pattern.square
     ends = [(start[0] + c * pattern.square, start[1] + r * pattern.square, 0.0)
@@ -304,13 +306,18 @@ def _in_view(pattern: Pattern, camera: CameraIntrinsics, pose: Pose) -> bool:
 
 
 def pattern_set(
-    pattern: Pattern, camera: CameraIntrinsics, count: int, *, seed: int = 0, look: SensorModel | None = None
+    pattern: Pattern,
+    camera: CameraIntrinsics,
+    count: int,
+    *,
+    seed: int = 0,
+    sensor: SensorModel | None = None,
 ) -> Iterator[PatternView]:
     """Pictures as a calibration wants them; the same seed gives the same ones."""
     rng = np.random.default_rng([seed, count])
     for _ in range(count):
         pose = pattern_pose(pattern, camera, rng)
-        yield PatternView(render_pattern(pattern, camera, pose, rng, look), pose)
+        yield PatternView(render_pattern(pattern, camera, pose, rng, sensor), pose)
 
 
 # ------------------------------------------------------------------------------------------
@@ -357,9 +364,9 @@ def handeye_set(
     )
     samples = []
     for _ in range(count):
-        turn = rotation_exp(np.deg2rad(spread_deg) * rng.normal(0, 1, 3) * axes)
-        place = (*rng.normal(0, 0.04, 2), rng.uniform(0.5, 0.9))
-        seen = Pose(place, (0, 1, 0, 0)).compose(Pose(wxyz=turn))  # facing the camera, then turned
+        rotation = rotation_exp(np.deg2rad(spread_deg) * rng.normal(0, 1, 3) * axes)
+        position = (*rng.normal(0, 0.04, 2), rng.uniform(0.5, 0.9))
+        seen = Pose(position, (0, 1, 0, 0)).compose(Pose(wxyz=rotation))  # facing the camera, then turned
         chain = truth.pose_parent_camera.compose(seen).compose(truth.pose_other_board.inverse())
         hand = chain if mounting == "eye_to_hand" else chain.inverse()
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + rng.normal(0, 1, (4, 2)) * pixel

@@ -43,7 +43,7 @@ class MovingOptions:
 
     Attributes:
         frames: Pictures before the source ends.
-        seed: Of noise, light and places.
+        seed: Of noise, light and poses.
         noise: Standard deviation of the sensor's noise, grey levels.
         blur: Standard deviation of the optical blur, px.
     """
@@ -72,7 +72,7 @@ class MovingSource(ClosingSource):
         self.intrinsics: CameraIntrinsics = STANDARD_CAMERA
         self.size = self.intrinsics.size
         self._rng = np.random.default_rng(options.seed)
-        self._look = replace(SensorModel(), noise=options.noise, blur=options.blur, gradient=0.2)
+        self._sensor = replace(SensorModel(), noise=options.noise, blur=options.blur, gradient=0.2)
         self._start = time.monotonic()
         self._count = 0
 
@@ -97,11 +97,11 @@ class OrbitSource(MovingSource):
     """Marker 7 of DICT_5X5_50, 50 mm, seen from all round: truth ``pose_camera_marker``."""
 
     def _picture(self, index: int) -> tuple[Image, dict[str, object]]:
-        turn = 2 * np.pi * index / _RATE_HZ / _ORBIT_S
-        tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * turn))
-        lean = Pose(wxyz=rotation_exp([tilt * np.cos(turn), tilt * np.sin(turn), 0.0]))
-        place = (0.04 * np.sin(turn), 0.03 * np.cos(turn), 0.45 + 0.12 * np.sin(0.61 * turn))
-        pose = Pose(place, _FACING.compose(lean).wxyz)
+        phase = 2 * np.pi * index / _RATE_HZ / _ORBIT_S
+        tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * phase))
+        lean = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
+        position = (0.04 * np.sin(phase), 0.03 * np.cos(phase), 0.45 + 0.12 * np.sin(0.61 * phase))
+        pose = Pose(position, _FACING.compose(lean).wxyz)
         image = render_marker(
             self.intrinsics,
             pose,
@@ -109,7 +109,7 @@ class OrbitSource(MovingSource):
             size=STANDARD_SIZE,
             dictionary=ORBIT_DICTIONARY,
             marker_id=ORBIT_ID,
-            look=self._look,
+            sensor=self._sensor,
         )
         return image, {"pose_camera_marker": {ORBIT_ID: pose}}
 
@@ -126,7 +126,7 @@ class BoardSource(MovingSource):
     def _picture(self, index: int) -> tuple[Image, dict[str, object]]:
         if self._clean is None or index % _HELD == 0:
             self._pose = pattern_pose(self.pattern, self.intrinsics, self._rng)
-            still = replace(self._look, noise=0.0)
+            still = replace(self._sensor, noise=0.0)
             self._clean = render_pattern(self.pattern, self.intrinsics, self._pose, self._rng, still)
         noisy = self._clean + self._rng.normal(0.0, self.options.noise, self._clean.shape)
         image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)

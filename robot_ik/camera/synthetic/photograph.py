@@ -211,10 +211,10 @@ class RobotRenderer:
         return RobotLayer(box, colour, coverage, seen)
 
     def _own_shadows(
-        self, points: Array, places: NDArray[np.int64], shape: tuple[int, int], stride: int, spots: int
+        self, points: Array, indices: NDArray[np.int64], shape: tuple[int, int], stride: int, spots: int
     ) -> Float32:
         """Light (h, w, 2) on the robot: asked on a lattice, smoothed over the robot's pixels only."""
-        row, column = np.unravel_index(places, shape)
+        row, column = np.unravel_index(indices, shape)
         chosen = np.flatnonzero((row % stride == 0) & (column % stride == 0))
         small = (-(-shape[0] // stride), -(-shape[1] // stride))
         packed = np.zeros((*small, 3), dtype=np.float32)
@@ -233,8 +233,8 @@ class RobotRenderer:
         seen = np.asarray(visible, dtype=float)
         lamp, ceiling, ambient = self._view.lights.terms(points, normals)
         light = ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]
-        way = self._view.lights.lamp - points
-        half = way / np.linalg.norm(way, axis=1, keepdims=True) - rays / np.linalg.norm(
+        to_lamp = self._view.lights.lamp - points
+        half = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True) - rays / np.linalg.norm(
             rays, axis=1, keepdims=True
         )
         half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
@@ -280,14 +280,14 @@ Mask = NDArray[np.bool_]
 
 # Reflectances of print and paper: a laser print in a lit room.
 INK, PAPER = 0.07, 0.93
-# Depth in metres by which something must be nearer than the paper to hide it: paper lies on things.
+# Depth in metres by which something must be nearer than the paper to hide it: paper lies on objects.
 _SLACK = 1.5e-3
-# The robot's shadow is not looked for on things farther than this, metres.
+# The robot's shadow is not looked for on objects farther than this, metres.
 _SHADOW_REACH = 8.0
 
 
 def _nearer(depth: Array, than: Array) -> Mask:
-    """Whether things at ``depth`` hide paper at depth ``than``."""
+    """Whether objects at ``depth`` hide paper at depth ``than``."""
     return np.asarray(depth < than - _SLACK)
 
 

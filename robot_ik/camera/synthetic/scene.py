@@ -55,9 +55,9 @@ class Lights:
     @classmethod
     def beside(cls, pose_world_camera: Pose, distance: float) -> Lights:
         """A lamp above and to the left of the camera, a ceiling above what it looks at."""
-        turn, eye = pose_world_camera.rotation, pose_world_camera.position
-        subject = eye + turn[:, 2] * distance
-        lamp = eye - 0.55 * distance * turn[:, 0] + np.array([0.0, 0.0, 0.9 * distance])
+        rotation, eye = pose_world_camera.rotation, pose_world_camera.position
+        subject = eye + rotation[:, 2] * distance
+        lamp = eye - 0.55 * distance * rotation[:, 0] + np.array([0.0, 0.0, 0.9 * distance])
         overhead = subject + np.array([0.0, 0.0, 1.6 * distance])
         return cls(_point(lamp), 0.10 * distance, _point(overhead), 0.8 * distance, _point(eye))
 
@@ -66,10 +66,12 @@ class Lights:
         lamp, ceiling, window, above, below = self.strength
 
         def facing(source: Point) -> Array:
-            way = source - points
+            to_light = source - points
             return np.asarray(
                 np.maximum(
-                    np.einsum("ij,ij->i", way, normals) / np.maximum(np.linalg.norm(way, axis=1), 1e-9), 0.0
+                    np.einsum("ij,ij->i", to_light, normals)
+                    / np.maximum(np.linalg.norm(to_light, axis=1), 1e-9),
+                    0.0,
                 )
             )
 
@@ -110,7 +112,7 @@ def noise(x: Array, y: Array, seed: int) -> Array:
 
 
 def wood(x: Array, y: Array) -> Array:
-    """BGR reflectance (n, 3) of planks along y at places (x, y) in metres."""
+    """BGR reflectance (n, 3) of planks along y at positions (x, y) in metres."""
     plank = np.floor(x / _PLANK)
     across, along = x / _PLANK - plank, y + 0.37 * plank
     own = noise(plank * 7.3 + 0.5, plank * 0 + 0.5, 5)
@@ -169,8 +171,8 @@ def _environment(table: SceneTable | None, floor: float) -> mujoco.MjModel:
         leg = (z - _TABLE_THICKNESS - floor) / 2
         for sx in (-1, 1):
             for sy in (-1, 1):
-                place = [centre[0] + sx * (half[0] - 0.03), centre[1] + sy * (half[1] - 0.03), floor + leg]
-                spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, leg], pos=place)
+                position = [centre[0] + sx * (half[0] - 0.03), centre[1] + sy * (half[1] - 0.03), floor + leg]
+                spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.02, 0.02, leg], pos=position)
     return spec.compile()
 
 
@@ -323,8 +325,8 @@ class _StillScene:
         rows, columns = np.nonzero(geom == 1)
         if len(rows):
             height = float(self._caster.top(1))
-            places, _ = self._level(normalized.reshape(h, w, 2)[rows, columns], height)
-            tone = wood(places[:, 0], places[:, 1]).astype(np.float32)
+            points, _ = self._level(normalized.reshape(h, w, 2)[rows, columns], height)
+            tone = wood(points[:, 0], points[:, 1]).astype(np.float32)
             light = self._smooth_light(height)[rows, columns]
             for k in range(3):
                 parts[k][rows, columns] = tone * light[:, k : k + 1]
@@ -335,17 +337,17 @@ class _StillScene:
         """Legs and table sides pixel by pixel, and edges with four rays a pixel."""
         inverse = 1.0 / np.where(np.isfinite(depth), depth, 1e3)
         # 1/depth is linear in the picture on a plane: its second difference shows edges only
-        bend = np.zeros(depth.shape, dtype=bool)
-        bend[1:-1] |= np.abs(np.diff(inverse, 2, axis=0)) > 1e-3
-        bend[:, 1:-1] |= np.abs(np.diff(inverse, 2, axis=1)) > 1e-3
-        bend |= cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
+        crease = np.zeros(depth.shape, dtype=bool)
+        crease[1:-1] |= np.abs(np.diff(inverse, 2, axis=0)) > 1e-3
+        crease[:, 1:-1] |= np.abs(np.diff(inverse, 2, axis=1)) > 1e-3
+        crease |= cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
         sides = geom > 1
         rows, columns = np.nonzero(geom == 1)
         heights = self._heights(rows, columns, depth[rows, columns])
         sides[rows, columns] = np.abs(heights - self._caster.top(1)) > 1e-4
         one = np.array([[0.0, 0.0]])
         four = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
-        for chosen, shift in ((sides & ~bend, one), (bend & (geom >= 0), four)):
+        for chosen, shift in ((sides & ~crease, one), (crease & (geom >= 0), four)):
             rows, columns = np.nonzero(chosen)
             if len(rows):
                 pixels = (np.stack([columns, rows], axis=1)[:, None, :] + shift).reshape(-1, 2)

@@ -22,7 +22,7 @@ from robot_ik.errors import CameraError, unknown_name_text
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-# Sigma of the glow round bright things, and of the blur that sharpening subtracts, px.
+# Sigma of the glow round bright objects, and of the blur that sharpening subtracts, px.
 _BLOOM, _SHARP = 3.0, 1.0
 # Direction in which a moving camera smears, rad, and points along the way.
 _MOTION_WAY, _MOTION_POINTS = math.radians(30.0), 41

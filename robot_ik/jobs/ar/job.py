@@ -58,12 +58,12 @@ class ArRequest:
         dictionary: See ``board``.
         extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
-            of the board (x right, y up, z out of the print), or in the world of ``place``.
+            of the board (x right, y up, z out of the print), or in the world of ``extrinsics``.
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
         backend: ``painter``, ``ray`` or ``gl``.
-        occluders: File of real things that hide the robot; ``occluder_geoms`` names of the model's own.
+        occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
         occluder_geoms: See ``occluders``.
         latency_options: What is done about delay.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
@@ -445,11 +445,11 @@ def _registrar(
     request: ArRequest, intrinsics: CameraIntrinsics, artist: Artist, figure: DrawnRobot
 ) -> Registrar:
     if request.extrinsics is not None:
-        place = CameraExtrinsics.load(request.extrinsics, intrinsics)
-        place.require_parent("world")
+        extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
+        extrinsics.require_parent("world")
         return Registrar(
             None, artist, figure, intrinsics, replace(request.latency_options, predict=False, shift=False),
-            pose_board_camera=place.pose_parent_camera, alpha=request.alpha,
+            pose_board_camera=extrinsics.pose_parent_camera, alpha=request.alpha,
         )  # fmt: skip
     watcher = _watcher(request, intrinsics)
     return Registrar(watcher, artist, figure, intrinsics, request.latency_options, alpha=request.alpha)

@@ -27,8 +27,8 @@ from robot_ik.solvers import SOLVERS
 # A script's motion for the drawn robot: the script runs on simulated servos, their shafts are kept.
 
 
-class _Witnessed:
-    """A clock whose sleepers are seen: each time somebody waited, the joints are recorded."""
+class _RecordingClock:
+    """A clock that records the joints after each wait."""
 
     def __init__(self, clock: Clock, run: ScriptRun, recorder: RecorderSink) -> None:
         self._clock, self._run, self._recorder = clock, run, recorder
@@ -93,7 +93,7 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
         )  # fmt: skip
     recorder = RecorderSink(setup.robot.joints)
     recorder.send(setup.true_q(), setup.clock.now())  # of a script that waits nowhere, this is all
-    setup.clock = _Witnessed(setup.clock, run, recorder)
+    setup.clock = _RecordingClock(setup.clock, run, recorder)
     run.run()
     moved = recorder.trajectory()
     q = np.tile(robot.home, (len(moved), 1))

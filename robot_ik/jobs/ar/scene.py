@@ -25,7 +25,7 @@ FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
 # An id that is not searched for.
 _SHEET = 49
-_EYE, _LOOK = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
+_EYE, _TARGET = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
 
 
 @dataclass
@@ -63,13 +63,13 @@ class BoardMotion:
 
     Attributes:
         slide: Metres to the side and away.
-        turn: Radians about the vertical.
+        yaw: Radians about the vertical.
         period: Seconds.
-        middle: About which place on the table, metres.
+        middle: About which point on the table, metres.
     """
 
     slide: tuple[float, float] = (0.05, 0.03)
-    turn: float = 0.35
+    yaw: float = 0.35
     period: float = 5.0
     middle: tuple[float, float] = (0.0, 0.04)
 
@@ -77,8 +77,8 @@ class BoardMotion:
         """``pose_world_board`` at time t, on the table's top."""
         a = 2.0 * np.pi * t / self.period
         x, y = self.middle
-        place = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
-        return Pose(place, rotation_exp([0.0, 0.0, self.turn * np.sin(a)]))
+        position = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
+        return Pose(position, rotation_exp([0.0, 0.0, self.yaw * np.sin(a)]))
 
 
 #: The board lies still in the middle, so that its frame is the table's.
@@ -111,8 +111,8 @@ def lens(width: int, height: int) -> CameraIntrinsics:
 def carried_marker(t: float) -> Pose:
     """Where the marker to follow is at time t: held up above the table."""
     a = 2.0 * np.pi * t / 4.0
-    place = (0.20 + 0.05 * np.sin(a), 0.10, 0.22 + 0.06 * np.cos(a))
-    return Pose(place, rotation_exp([1.0, 0.0, 0.0]))
+    position = (0.20 + 0.05 * np.sin(a), 0.10, 0.22 + 0.06 * np.cos(a))
+    return Pose(position, rotation_exp([1.0, 0.0, 0.0]))
 
 
 def synthetic_scene(
@@ -126,7 +126,7 @@ def synthetic_scene(
     seed: int = 0,
     quality: str = "fast",
     eye: tuple[float, float, float] = _EYE,
-    look: tuple[float, float, float] = _LOOK,
+    target: tuple[float, float, float] = _TARGET,
 ) -> tuple[SyntheticSource, SteppedClock]:
     """The camera and its clock; advance ``clock.ticks`` by one for each picture.
 
@@ -139,14 +139,14 @@ def synthetic_scene(
         follow: Also show the marker that can be followed.
         seed: Of the noise.
         quality: ``fast`` or ``full``.
-        eye: Where the camera is; ``look`` where it looks.
-        look: See ``eye``.
+        eye: Where the camera is; ``target`` the point that it looks at.
+        target: See ``eye``.
     """
-    way = motion or BoardMotion()
+    path = motion or BoardMotion()
     board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
 
     def on_board(pose: Pose) -> Callable[[float], Pose]:
-        return lambda t: way.pose(t).compose(pose)
+        return lambda t: path.pose(t).compose(pose)
 
     # one sheet of paper below all of them
     sheet = SyntheticMarker(_SHEET, 0.15, on_board(Pose((0.0, 0.0, -2e-4))), margin=0.0, condition="blank")
@@ -159,7 +159,7 @@ def synthetic_scene(
     scene = SyntheticScene(
         Furniture() if occluders is None else Furniture(occluders),
         lens(width, height),
-        look_at(eye, look),
+        look_at(eye, target),
         tuple(markers),
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )

@@ -32,7 +32,7 @@ from robot_ik.robot import Robot
 # Camera and board of a hand-eye calibration: real ones, or simulated ones with a truth to compare with.
 
 
-# What is planned with is wrong by this much on purpose: before calibration a camera's place is known roughly.
+# What is planned with is wrong by this much on purpose: before calibration a camera's pose is known roughly.
 _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 # The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
 _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
@@ -60,7 +60,7 @@ class HandEyeRequest(ArmCameraRequest):
 
 @dataclass(frozen=True, eq=False)
 class HandEyeScene:
-    """What the job looks with and at.
+    """The camera and the board of the job.
 
     Attributes:
         task: For planning.
@@ -225,10 +225,10 @@ class HandEyeReport(JobReport):
             return None
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
 
-    def place(self) -> CameraExtrinsics:
+    def extrinsics(self) -> CameraExtrinsics:
         """For the file."""
         result = self.result
-        assert result is not None  # a dry run has no place
+        assert result is not None  # a dry run has none
         return CameraExtrinsics(
             result.pose_parent_camera, self.parent, result.covariance[:6, :6],
             result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,
@@ -266,7 +266,7 @@ def run_handeye(
         planned = report.keep(phases.plan(task))
         if dry_run:
             return report
-        setup.energise()
+        setup.enable_torque()
         report.keep(phases.measure(planned, samples, lambda: keep(samples)))
     samples.require(len(planned.stations), "say better where camera and board are")
     progress("solving", 0.0)

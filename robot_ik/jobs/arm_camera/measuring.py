@@ -114,7 +114,7 @@ def visit_stations(
     """Goes to each station in turn; a generator, so that what was seen before an interruption is kept.
 
     Args:
-        setup: Connected and energised (``setup.connected()``, ``setup.energise()``).
+        setup: Connected, with torque on (``setup.connected()``, ``setup.enable_torque()``).
         stations: (nq,) each, inside the limits; see ``plan_views``.
         take: Takes a picture.
         speed: Share of the joints' speed limits.
@@ -355,7 +355,7 @@ class VerifySamples:
     Attributes:
         samples: Joint angles and what was seen there.
         camera, board: Their poses as they were known.
-        by_arm: Whether the camera's place was found by moving the arm.
+        by_arm: Whether the camera's pose was found by moving the arm.
         true_offsets: (nv,) rad; None where it is unknown.
         servos: Each joint's row of the arm file, as JSON holds it: what ``q`` was read with.
     """
@@ -399,7 +399,7 @@ class VerifySamples:
     def _of_values(cls, data: Any) -> VerifySamples:
         job = data.get("job") if isinstance(data, dict) else None
         if isinstance(job, str) and job != "verify":
-            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's place")
+            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's pose")
         file = _VerifyFile.model_validate(data)
         offsets = file.true_offsets
         return cls(

@@ -1,6 +1,6 @@
 """An arm checked by a camera: where a board that it carries really is, and by how much zeros are off.
 
-The camera's place must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
+The camera's pose must come from elsewhere than the arm: a board on the table (``robot-ik camera locate``).
 """
 
 from __future__ import annotations
@@ -81,11 +81,11 @@ def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
 
 def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
     """All poses, then the lower and the upper half along each axis of the world, split in the middle."""
-    places = np.array([one.place for one in errors])
+    positions = np.array([one.position for one in errors])
     found = [summary(errors)]
     for k, axis in enumerate(_AXES):
-        middle = 0.5 * float(places[:, k].min() + places[:, k].max())
-        for sign, side in (("<", places[:, k] < middle), (">=", places[:, k] >= middle)):
+        middle = 0.5 * float(positions[:, k].min() + positions[:, k].max())
+        for sign, side in (("<", positions[:, k] < middle), (">=", positions[:, k] >= middle)):
             chosen = [one for one, inside in zip(errors, side, strict=True) if inside]
             if chosen and len(chosen) < len(errors):
                 found.append(summary(chosen, f"{axis} {sign} {1e3 * middle:.0f} mm"))
@@ -96,7 +96,7 @@ def regions(errors: Sequence[PoseError]) -> tuple[Region, ...]:
 # What ``run_verify`` shall do.
 
 
-#: How well the board's place on the arm is known unless said otherwise, each axis: metres, rad.
+#: How well the board's pose on the arm is known unless said otherwise, each axis: metres, rad.
 BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
 
 
@@ -105,7 +105,7 @@ class VerifyRequest(ArmCameraRequest):
     """An arm that carries a board before a standing camera.
 
     Attributes:
-        extrinsics: File of the camera's place; needed for a real camera, the simulated one is located first.
+        extrinsics: File of the camera's pose; needed for a real camera, the simulated one is located first.
         pose_frame_board: Where the board is on ``frame``; None: the simulated one, or its frame.
         board_sigma: How well that is known, each axis: metres, rad.
         fit: Whether to estimate the joints' zero offsets.
@@ -215,16 +215,16 @@ def run_verify(
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request.setup(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
         scene = open_scene(_scene_request(request), setup, stack)
-        place = _given_place(request, scene.task.intrinsics)
+        extrinsics = _given_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
         phases = _VerifyPhases(request, setup, scene, progress)
-        known = phases.locate(place)
+        known = phases.locate(extrinsics)
         report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
         planned = report.keep(phases.plan(replace(scene.task, mount=mount)))
         if dry_run:
             return report
-        setup.energise()
+        setup.enable_torque()
         report.keep(phases.measure(planned, known.samples, lambda: keep(known)))
     progress("comparing", 0.0)
     report.keep(compare(known, setup.robot, len(planned.stations), fit=request.fit))
@@ -236,13 +236,13 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
 
     Args:
         known: From a file.
-        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``place`` and
-            ``pose_frame_board``.
+        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics``
+            and ``pose_frame_board``.
         board_sigma: Whether ``request.board_sigma`` is said anew, too.
 
     Raises:
         ConfigError: The arm file is not the one the joints were read with.
-        CalibrationError: Other intrinsics without a place that was found with them.
+        CalibrationError: Other intrinsics without extrinsics that were found with them.
     """
     samples = known.samples
     if request.intrinsics is not None:
@@ -250,14 +250,14 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
         lens.require_size(*samples.intrinsics.size)
         if lens.digest != samples.intrinsics.digest and request.extrinsics is None:
             raise CalibrationError(
-                "the camera's place on file was found with another calibration",
-                hint="give the place that was found with this one: --camera-extrinsics FILE",
+                "the camera's pose on file was found with another calibration",
+                hint="give the extrinsics that were found with this one: --camera-extrinsics FILE",
             )
         samples = replace(samples, intrinsics=lens)
         known = replace(known, samples=samples)
-    place = _given_place(request, samples.intrinsics)
-    if place is not None:
-        known = replace(known, camera=_known_camera(place), by_arm=_by_arm(place))
+    extrinsics = _given_extrinsics(request, samples.intrinsics)
+    if extrinsics is not None:
+        known = replace(known, camera=_known_camera(extrinsics), by_arm=_by_arm(extrinsics))
     pose = request.pose_frame_board or known.board.pose
     board = (
         KnownPose.within(pose, *request.board_sigma)
@@ -291,7 +291,7 @@ def compare(known: VerifySamples, robot: Robot, stations: int, *, fit: bool) -> 
     lens, frame = samples.intrinsics, samples.frame
     fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=known.camera, board=known.board)
     if known.by_arm:
-        # The place as the arm's views have it: what is left are the errors that change from view to view.
+        # The pose as the arm's views have it: what is left are the errors that change from view to view.
         errors = fitted(hold=robot.joints).errors
     else:
         errors = measure_errors(views, robot, frame, lens, camera=known.camera, board=known.board)
@@ -307,12 +307,12 @@ def _scene_request(request: VerifyRequest) -> HandEyeRequest:
     return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
 
 
-def _given_place(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
+def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
     if request.extrinsics is None:
         return None
-    place = CameraExtrinsics.load(request.extrinsics, intrinsics)
-    place.require_parent("world")
-    return place
+    extrinsics = CameraExtrinsics.load(request.extrinsics, intrinsics)
+    extrinsics.require_parent("world")
+    return extrinsics
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,11 +321,11 @@ class _VerifyPhases(ViewPhases):
 
     request: VerifyRequest
 
-    def locate(self, place: CameraExtrinsics | None) -> VerifySamples:
+    def locate(self, extrinsics: CameraExtrinsics | None) -> VerifySamples:
         """What is known before the first sample; no place: it is found by the marker on the table."""
-        if place is None:
+        if extrinsics is None:
             self.progress("locating the camera", 0.0)
-            place = self._located()
+            extrinsics = self._located()
         request, task, config, truth = self.request, self.scene.task, self.setup.config, self.scene.truth
         joints, pose = self.setup.robot.joints, request.pose_frame_board
         if pose is None:
@@ -333,9 +333,9 @@ class _VerifyPhases(ViewPhases):
         ahead = [request.zero_offset_deg.get(name, 0.0) for name in joints]
         return VerifySamples(
             SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
-            _known_camera(place),
+            _known_camera(extrinsics),
             KnownPose.within(pose, *request.board_sigma),
-            _by_arm(place),
+            _by_arm(extrinsics),
             None if truth is None else np.deg2rad(ahead),
             () if config is None else tuple(servo_values(joint) for joint in config.joints),
         )
@@ -344,8 +344,8 @@ class _VerifyPhases(ViewPhases):
         """The simulated camera finds its place by the marker on the table, as a person would have it do."""
         around, lens = scene_for(self.setup.robot, self.setup.frame), self.scene.task.intrinsics
         marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
-        looks = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
-        seen = [view for view in looks if view is not None]
+        views = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
+        seen = [view for view in views if view is not None]
         if not seen:
             raise MarkerNotFoundError(
                 "the marker on the table is hidden, so the simulated camera does not know where it stands",
@@ -354,14 +354,14 @@ class _VerifyPhases(ViewPhases):
         return locate_camera(seen, around.pose_world_marker, lens)
 
 
-def _by_arm(place: CameraExtrinsics) -> bool:
-    return place.method.startswith("handeye")
+def _by_arm(extrinsics: CameraExtrinsics) -> bool:
+    return extrinsics.method.startswith("handeye")
 
 
-def _known_camera(place: CameraExtrinsics) -> KnownPose:
-    if _by_arm(place):
-        return KnownPose.within(place.pose_parent_camera, *_BY_THE_ARM)
-    return KnownPose(place.pose_parent_camera, place.covariance + _LEAST)
+def _known_camera(extrinsics: CameraExtrinsics) -> KnownPose:
+    if _by_arm(extrinsics):
+        return KnownPose.within(extrinsics.pose_parent_camera, *_BY_THE_ARM)
+    return KnownPose(extrinsics.pose_parent_camera, extrinsics.covariance + _LEAST)
 
 
 # ------------------------------------------------------------------------------------------
@@ -408,16 +408,16 @@ def error_picture(report: VerifyReport) -> bytes:
 
 
 def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple[Any, float]:
-    places = 1e3 * np.array([one.place for one in errors])
+    positions = 1e3 * np.array([one.position for one in errors])
     vectors = 1e3 * np.array([one.vector for one in errors])
     length = np.linalg.norm(vectors, axis=1)
-    scale = _LONGEST * float(np.ptp(places, axis=0).max()) / max(float(length.max()), 1e-9)
+    scale = _LONGEST * float(np.ptp(positions, axis=0).max()) / max(float(length.max()), 1e-9)
     arrows = axes.quiver(
-        places[:, across], places[:, up], vectors[:, across], vectors[:, up], length,
+        positions[:, across], positions[:, up], vectors[:, across], vectors[:, up], length,
         angles="xy", scale_units="xy", scale=1.0 / max(scale, 1e-9), cmap="viridis", width=0.005,
     )  # fmt: skip
     arrows.set_clim(0.0, float(length.max()))
-    axes.plot(places[:, across], places[:, up], ".", color="#999999", markersize=4, zorder=0)
+    axes.plot(positions[:, across], positions[:, up], ".", color="#999999", markersize=4, zorder=0)
     axes.plot(0.0, 0.0, "s", color="#444444", markersize=8)  # the origin of the world: the arm's base
     axes.set_xlabel(f"{'xyz'[across]}, mm")
     axes.set_ylabel(f"{'xyz'[up]}, mm")

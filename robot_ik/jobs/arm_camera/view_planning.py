@@ -1,7 +1,7 @@
 """Joint configurations from which a camera learns most about where it is mounted.
 
 Either the arm carries the camera and the board rests, or the camera rests and the arm carries the board
-(``Mounting``).  Both places need to be known roughly only: well enough for the board to be in the picture.
+(``Mounting``).  Both poses need to be known roughly only: well enough for the board to be in the picture.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from robot_ik.solvers import make_solver
 # Whether an arm can stand at joint angles, and go straight between them in joint space, without touching.
 
 
-# Between two looks at a straight joint move no joint turns farther than this, rad.
+# Between two checks of a straight joint move no joint turns farther than this, rad.
 _STEP = 0.06
 # Kept between the arm and the table, metres.
 _AIR = 0.01
@@ -67,7 +67,7 @@ class Clearance:
         self._place(q)
         return self._at_table() <= self._on_table and self._touching() <= self._allowed
 
-    def free_way(self, start: Array, end: Array) -> bool:
+    def path_is_free(self, start: Array, end: Array) -> bool:
         """Whether it touches nothing on the straight joint move between two configurations."""
         count = max(2, int(np.ceil(np.abs(end - start).max() / _STEP)))
         # From the middle outwards: a way is blocked there first.
@@ -79,9 +79,9 @@ class Clearance:
         self._place(q)
         geom = np.zeros(1, dtype=np.int32)
         for point in points:
-            way = point - eye
-            length = float(np.linalg.norm(way))
-            hit = mujoco.mj_ray(self._robot.model, self._data, eye, way / length, None, 1, -1, geom, None)
+            ray = point - eye
+            length = float(np.linalg.norm(ray))
+            hit = mujoco.mj_ray(self._robot.model, self._data, eye, ray / length, None, 1, -1, geom, None)
             if 0.0 <= hit < length - 2e-3:
                 return False
         return True
@@ -110,7 +110,7 @@ class Clearance:
 
 
 # ------------------------------------------------------------------------------------------
-# In which order to go to places, so that the way is short and free.
+# In which order to visit configurations, so that the way is short and free.
 
 
 def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], clearance: Clearance) -> list[int]:
@@ -118,32 +118,34 @@ def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], cleara
 
     Stations that no free way leads to are left out.
     """
-    places = [start, *stations]
-    cost = np.zeros((len(places), len(places)))
-    for i in range(len(places)):
+    configurations = [start, *stations]
+    cost = np.zeros((len(configurations), len(configurations)))
+    for i in range(len(configurations)):
         for j in range(i):
-            seconds = float(np.max(np.abs(places[i] - places[j]) / robot.velocity))
-            cost[i, j] = cost[j, i] = seconds if clearance.free_way(places[i], places[j]) else np.inf
-    way, left = [0], set(range(1, len(places)))
+            seconds = float(np.max(np.abs(configurations[i] - configurations[j]) / robot.velocity))
+            cost[i, j] = cost[j, i] = (
+                seconds if clearance.path_is_free(configurations[i], configurations[j]) else np.inf
+            )
+    order, left = [0], set(range(1, len(configurations)))
     while left:
-        nearest = min(left, key=lambda k: cost[way[-1], k])
-        if not np.isfinite(cost[way[-1], nearest]):
+        nearest = min(left, key=lambda k: cost[order[-1], k])
+        if not np.isfinite(cost[order[-1], nearest]):
             break
-        way.append(nearest)
+        order.append(nearest)
         left.remove(nearest)
     improved = True
     while improved:
         improved = False
-        for i in range(1, len(way) - 1):
-            for j in range(i + 1, len(way)):
-                trial = [*way[:i], *way[i : j + 1][::-1], *way[j + 1 :]]
-                if _length(trial, cost) < _length(way, cost) - 1e-9:
-                    way, improved = trial, True
-    return [k - 1 for k in way[1:]]
+        for i in range(1, len(order) - 1):
+            for j in range(i + 1, len(order)):
+                trial = [*order[:i], *order[i : j + 1][::-1], *order[j + 1 :]]
+                if _length(trial, cost) < _length(order, cost) - 1e-9:
+                    order, improved = trial, True
+    return [k - 1 for k in order[1:]]
 
 
-def _length(way: Sequence[int], cost: Array) -> float:
-    return float(sum(cost[a, b] for a, b in itertools.pairwise(way)))
+def _length(order: Sequence[int], cost: Array) -> float:
+    return float(sum(cost[a, b] for a, b in itertools.pairwise(order)))
 
 
 Array = NDArray[np.float64]
@@ -154,7 +156,7 @@ _MARGIN = 0.06
 _LEAST_FACING, _LEAST_SIDE = 0.40, 28.0
 # Least part of the markers that face the camera which is in the picture.
 _LEAST_PART = 0.75
-# Wanted tilts and off-centre places, for which joint angles are sought.
+# Wanted tilts and off-centre positions, for which joint angles are sought.
 _LARGEST_TILT = np.deg2rad(50.0)
 # Random starts in all, and candidates wanted for each view that is chosen.
 _TRIES, _POOL = 3000, 5
@@ -175,7 +177,7 @@ class ViewTask:
     """What shall be looked at, by whom.
 
     Attributes:
-        mount: Rough places of camera and board, and who is carried.
+        mount: Rough poses of camera and board, and who is carried.
         frame: The robot frame that carries.
         layout: Markers of the board: id -> (side, ``pose_board_marker``).
         intrinsics: Of the camera.
@@ -255,12 +257,12 @@ def plan_views(
     ordered: list[Array] = []
     for _ in range(_REPAIRS):
         chosen = _most_informative([information for _, information in pool], count)
-        way = visiting_order(robot, start, [pool[k][0] for k in chosen], clearance)
-        ordered = max(ordered, [pool[chosen[k]][0] for k in way], key=len)
-        if len(way) == len(chosen):
+        order = visiting_order(robot, start, [pool[k][0] for k in chosen], clearance)
+        ordered = max(ordered, [pool[chosen[k]][0] for k in order], key=len)
+        if len(order) == len(chosen):
             break
         # To some no way is free: others take their place.
-        lost = {k for place, k in enumerate(chosen) if place not in way}
+        lost = {k for index, k in enumerate(chosen) if index not in order}
         pool = [one for k, one in enumerate(pool) if k not in lost]
     if len(ordered) < LEAST_VIEWS:
         who = "camera" if task.mount.mounting == "eye_in_hand" else "board"
@@ -309,16 +311,16 @@ def _wanted_hand(robot: Robot, task: ViewTask, near: Array, rng: np.random.Gener
     mount = task.mount
     if mount.mounting == "eye_to_hand":
         seen = _tilted(board.apply(pose_board_marker.position), rng)
-        turned = seen.compose(pose_board_marker.inverse()).wxyz
-        turned_board = Pose(board.position, turned)
-        if not task.shown(turned_board):
+        orientation = seen.compose(pose_board_marker.inverse()).wxyz
+        rotated_board = Pose(board.position, orientation)
+        if not task.shown(rotated_board):
             return None
-        world_board = mount.pose_parent_camera.compose(turned_board)
+        world_board = mount.pose_parent_camera.compose(rotated_board)
         return world_board.compose(mount.pose_other_board.inverse())
-    # The place of the camera stays; its view turns so that the board's middle comes to a random place in it.
+    # The camera stays where it is; its view turns so that the middle of the board comes to a random pixel.
     middle = board.apply(np.mean([pose.position for _, pose in task.layout.values()], axis=0))
-    place = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
-    rotation = _rotation_onto(middle, task.intrinsics.unproject(place.reshape(1, 2))[0], rng)
+    pixel = rng.uniform(0.3, 0.7, 2) * task.intrinsics.size
+    rotation = _rotation_onto(middle, task.intrinsics.unproject(pixel.reshape(1, 2))[0], rng)
     board = Pose(wxyz=rotation).compose(board)
     if not task.shown(board):
         return None
@@ -330,8 +332,8 @@ def _tilted(position: Array, rng: np.random.Generator) -> Pose:
     """``pose_camera_marker`` at a place (3,), facing the camera but for a random tilt and roll."""
     back = -position / np.linalg.norm(position)
     facing = _rotation_onto(np.array([0.0, 0.0, 1.0]), back, rng)
-    tilt, way = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
-    lean = rotation_exp([tilt * np.cos(way), tilt * np.sin(way), 0.0])
+    tilt, azimuth = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
+    lean = rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0])
     return Pose(position, facing).compose(Pose(wxyz=lean))
 
 

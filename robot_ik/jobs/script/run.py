@@ -25,7 +25,7 @@ from robot_ik.jobs.script.file import ObjectTable
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
 from robot_ik.jobs.script.state import Context, RunState, Script, StepFailed, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
-from robot_ik.jobs.vision import FREEDOMS_OF_AN_AXIS, Vision
+from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
 from robot_ik.tables import WrongKey
@@ -52,7 +52,7 @@ def open_camera(
     Raises:
         CameraError: The robot's model has no scene, and none can be generated.
     """
-    scene = scene_for(setup.robot, setup.frame, upright=setup.freedoms < FREEDOMS_OF_AN_AXIS)
+    scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
     width, height = scene.intrinsics.size
     scene = replace(scene, intrinsics=scene.intrinsics.scaled(width // SMALLER, height // SMALLER))
     if marker_at is not None:
@@ -188,7 +188,7 @@ class ScriptRun:
                 if self._request.record is not None:
                     setup.record(stack.enter_context(open_recording(self._request.record, now.robot.joints)))
                 stack.enter_context(setup.connected())
-                setup.energise()
+                setup.enable_torque()
                 now.stand()
                 now.begin = setup.clock.now()
                 try:

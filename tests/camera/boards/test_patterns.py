@@ -63,7 +63,7 @@ def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
 
 def test_a_start_that_is_half_a_pixel_off_ends_at_the_same_corner() -> None:
     """Some releases of OpenCV give ChArUco corners half a pixel off."""
-    (view,) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, look=SensorModel(noise=2.0))
+    (view,) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, sensor=SensorModel(noise=2.0))
     found = CHESSBOARD.find(view.image)
     assert found is not None
     grid = np.stack([found.ids % 9, found.ids // 9], axis=1).astype(float)

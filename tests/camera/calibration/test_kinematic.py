@@ -117,9 +117,9 @@ def test_what_looks_the_same_is_named_and_held(robot: Robot) -> None:
     found = fit(views, robot, **loose)
     assert {one.joint for one in found.unobservable} == {"joint1", "joint6"}
     assert found.found == ("joint2", "joint3", "joint4", "joint5")
-    words = {one.joint: one.words for one in found.unobservable}
-    assert "the offset of joint1 and the turn of the camera about z of the world" in words["joint1"]
-    assert "the offset of joint6 and the turn of the board about" in words["joint6"]
+    texts = {one.joint: one.text for one in found.unobservable}
+    assert "the offset of joint1 and the rotation of the camera about z of the world" in texts["joint1"]
+    assert "the offset of joint6 and the rotation of the board about" in texts["joint6"]
     np.testing.assert_allclose(found.offsets[1:5], offsets[1:5], atol=np.deg2rad(0.02))
     assert found.offsets[0] == found.offsets[5] == found.sigma[0] == found.sigma[5] == 0.0
     # camera and board took the turns instead: the pictures are explained all the same
@@ -142,7 +142,7 @@ def test_a_joint_that_moves_nothing_seen_is_named(robot: Robot) -> None:
     known = KnownPose.within(CAMERA, *EXACT), KnownPose.within(BOARD, *EXACT)
     found = fit_zero_offsets(views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1])
     (one,) = found.unobservable
-    assert one.joint == "joint6" and one.words == "the offset of joint6 does not show in these views"
+    assert one.joint == "joint6" and one.text == "the offset of joint6 does not show in these views"
     assert np.isinf(one.sigma)
     held = fit_zero_offsets(
         views, robot, "link5", STANDARD_CAMERA, camera=known[0], board=known[1], hold=["joint6", "joint2"]
@@ -168,7 +168,7 @@ def test_errors_are_where_the_arm_really_is_less_where_it_is_said_to_be(robot: R
     for one, view in zip(errors, views, strict=True):
         said, really = (robot.forward(q, FRAME).compose(BOARD) for q in (view.q, view.q + offsets))
         np.testing.assert_allclose(one.vector, really.position - said.position, atol=1e-9)
-        np.testing.assert_allclose(one.place, said.position, atol=1e-12)
+        np.testing.assert_allclose(one.position, said.position, atol=1e-12)
         assert one.angle == pytest.approx(really.distance(said)[1], abs=1e-7)
         # the camera's millimetre moves all that it sees, in three axes; the corners add little
         assert 1.7e-3 < one.sigma < 1.9e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern, Pattern
-from robot_ik.camera.calibration.views import ViewGatherer, missing_words
+from robot_ik.camera.calibration.views import ViewGatherer, missing_text
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_pattern
@@ -60,7 +60,7 @@ def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
     assert [v.name for v in gatherer.views] == ["1", "3", "5", "6", "7"]
     missing = gatherer.coverage.missing
     assert "its top side tilted away" not in missing and "its left side tilted away" in missing
-    assert missing_words(missing).startswith("still to show: the board in the upper")
+    assert missing_text(missing).startswith("still to show: the board in the upper")
 
 
 def test_of_pictures_all_are_taken(gatherer: ViewGatherer) -> None:
@@ -70,8 +70,8 @@ def test_of_pictures_all_are_taken(gatherer: ViewGatherer) -> None:
 
 
 def test_missing_words_are_short() -> None:
-    assert missing_words(()) == "nothing is missing"
-    assert missing_words(list("abcde")) == "still to show: a; b; c and 2 more"
+    assert missing_text(()) == "nothing is missing"
+    assert missing_text(list("abcde")) == "still to show: a; b; c and 2 more"
 
 
 def picture(pattern: Pattern) -> Frame:

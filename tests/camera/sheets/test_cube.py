@@ -42,7 +42,7 @@ def folded_at(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndar
     )
 
 
-def folded(points: np.ndarray, place: tuple[int, int], edge: float) -> np.ndarray:
+def folded(points: np.ndarray, position: tuple[int, int], edge: float) -> np.ndarray:
     """Points (n, 3) of the face at this place, from the middle of the cube; the front face stays."""
     e = edge / 2
     right = np.array([[e, e, 0], [e, -e, 0]])
@@ -51,7 +51,7 @@ def folded(points: np.ndarray, place: tuple[int, int], edge: float) -> np.ndarra
         [[[-e, -e, 0], [-e, e, 0]], [[e, -e, 0], [-e, -e, 0]], [[-e, e, 0], [e, e, 0]]]
     )
     ways = {(1, 0): [right], (2, 0): [beyond, right], (-1, 0): [left], (0, -1): [top], (0, 1): [bottom]}
-    for start, end in ways.get(place, []):
+    for start, end in ways.get(position, []):
         points = folded_at(points, start, end)
     return points + np.array([0, 0, e])
 
@@ -80,22 +80,22 @@ def test_tabs_hold_the_cube_and_are_in_nobodys_way(edge: float) -> None:
     paper, e = cube_paper(edge), edge / 2
     assert len(paper.tabs) == 7 and len(paper.folds) == 12
     square = np.array([[-e, -e], [e, -e], [e, e], [-e, e]])
-    faces = {place: square + edge * np.array(place) for place in PLACES}
+    faces = {position: square + edge * np.array(position) for position in PLACES}
     glued: dict[tuple[int, int], list[np.ndarray]] = {}
     for k, tab in enumerate(paper.tabs):
         # flat: beside all faces, so beside the white of every marker, and beside all other tabs
         assert all(overlap(tab, face) < 1e-3 for face in faces.values())
         assert all(overlap(tab, other) < 1e-3 for other in paper.tabs[:k])
         ends = tab[[0, 3]]
-        (place,) = [
-            place for place, face in faces.items()
+        (position,) = [
+            position for position, face in faces.items()
             if all(np.linalg.norm(face - end, axis=1).min() < 1e-9 for end in ends)
         ]  # fmt: skip
         start, end = np.column_stack([ends, np.zeros(2)])
         way, out = end - start, tab[1] - tab[0]
         if way[0] * out[1] - way[1] * out[0] < 0:  # the tab is to the left
             start, end = end, start
-        cube = folded(folded_at(np.column_stack([tab, np.zeros(4)]), start, end), place, edge)
+        cube = folded(folded_at(np.column_stack([tab, np.zeros(4)]), start, end), position, edge)
         # folded: in the plane of one of the six sides, inside it, apart from the other tabs there
         (axis,) = [a for a in range(3) if np.ptp(cube[:, a]) < 1e-9]
         assert abs(cube[0, axis]) == pytest.approx(e) and np.abs(cube).max() < e + 1e-9
@@ -125,23 +125,23 @@ def test_a_cube_is_printed_as_the_body_that_is_tracked() -> None:
     sheet = SheetRequest("cube", ids=(20, 21, 22, 23, 24, 25))
     net = {f.marker: f for f in unfold({i: p for i, (_, p) in body_of(sheet).markers.items()}, 50.0)}
     # Front in the middle, its neighbours round it, the back beyond the right side; all prints upright.
-    places = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
-    assert {k: tuple(f.centre / 50.0) for k, f in net.items()} == places
-    assert {f.turns for f in net.values()} == {0}
+    net_positions = {20: (0, 0), 21: (1, 0), 22: (2, 0), 23: (-1, 0), 24: (0, -1), 25: (0, 1)}
+    assert {k: tuple(f.centre / 50.0) for k, f in net.items()} == net_positions
+    assert {f.quarter_turns for f in net.values()} == {0}
     corners = found(sheet)
     middle = corners[20].mean(axis=0)
     for marker, corner in corners.items():
-        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(places[marker], abs=0.01)
-    assert set(corners) == set(places)
+        assert (corner.mean(axis=0) - middle) / 50.0 == pytest.approx(net_positions[marker], abs=0.01)
+    assert set(corners) == set(net_positions)
 
 
-@pytest.mark.parametrize("turns", [1, 2, 3])
-def test_a_print_that_is_turned_on_its_face_is_turned_on_the_sheet(turns: int) -> None:
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+def test_a_print_that_is_turned_on_its_face_is_turned_on_the_sheet(quarter_turns: int) -> None:
     quarter = np.pi / 2
     front = Pose((0, 0, 0.5))
     top = Pose(wxyz=rotation_exp([-quarter, 0, 0])).compose(Pose((0, 0, 0.5)))
-    net = unfold({0: front, 1: top.compose(Pose(wxyz=rotation_exp([0, 0, turns * quarter])))}, 1.0)
-    assert [f.turns for f in net] == [0, turns]
+    net = unfold({0: front, 1: top.compose(Pose(wxyz=rotation_exp([0, 0, quarter_turns * quarter])))}, 1.0)
+    assert [f.quarter_turns for f in net] == [0, quarter_turns]
     # The picture of a marker turned to the left by the eye of whoever looks at it.
     bits = marker_bits("DICT_5X5_50", 1)
-    assert (np.rot90(bits, turns) != bits).any()
+    assert (np.rot90(bits, quarter_turns) != bits).any()

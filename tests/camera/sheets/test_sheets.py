@@ -126,7 +126,7 @@ def test_a_printed_pattern_is_what_the_calibration_looks_for() -> None:
 
 
 def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
-    text = " ".join(w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).words)
+    text = " ".join(w.text for w in make_sheet_page(SheetRequest("charuco", size_mm=25.0, columns=9)).labels)
     for words in (
         "9x6 squares",
         "25 mm",
@@ -136,7 +136,7 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
     ):
         assert words in text
     assert "camera calibrate 0 --pattern charuco --columns 9 --rows 6 --square-mm 25 --marker-mm 18" in text
-    labels = [w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).words]
+    labels = [w.text for w in make_sheet_page(SheetRequest("marker", ids=(4, 9), size_mm=33.5)).labels]
     assert "4  33.5 mm" in labels and "9  33.5 mm" in labels
 
 
@@ -150,7 +150,7 @@ def test_the_sheet_says_how_it_was_made_and_what_it_is() -> None:
 )
 def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) -> None:
     page = make_sheet_page(asked)
-    (text,) = [w.text for w in page.words if "--board" in w.text]
+    (text,) = [w.text for w in page.labels if "--board" in w.text]
     board = parse_board(text.split("--board ")[1], asked.dictionary)
     if isinstance(board, PatternBoard):
         kind: PatternKind = "charuco" if asked.kind == "charuco" else "chessboard"
@@ -163,7 +163,7 @@ def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) 
         for marker, (size, pose) in markers.items():
             assert board.layout[marker][0] == pytest.approx(size)
             assert max(board.layout[marker][1].distance(pose)) < 1e-9
-    assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.words)
+    assert all(w.x + LETTER_WIDTH * w.size * len(w.text) < page.width - 6.9 for w in page.labels)
 
 
 # ------------------------------------------------------------------------------ its file

@@ -103,7 +103,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
         np.abs(q - asked).max() < 0.01 for q, asked in zip(report.samples.q, report.stations, strict=True)
     )
     # the place and the samples on file say the same
-    report.place().save(tmp_path / "place.toml")
+    report.extrinsics().save(tmp_path / "place.toml")
     place = CameraExtrinsics.load(tmp_path / "place.toml", report.samples.intrinsics)
     assert place.parent == "world" and place.views == 5
     path = samples_path(tmp_path / "place.toml")
@@ -119,7 +119,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
 def test_a_carried_camera_is_found() -> None:
     report = run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=6))
     assert report.result is not None and report.true_error is not None
-    assert report.parent == "gripper" == report.place().parent
+    assert report.parent == "gripper" == report.extrinsics().parent
     position, angle = report.true_error
     assert position < 1e-3 and angle < np.deg2rad(0.15)
 

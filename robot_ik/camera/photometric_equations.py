@@ -12,7 +12,7 @@ the residuals ask for it.  Where they ask for that, the picture has been sharpen
 
 A cell's share of S is an integral of a Gaussian over a rectangle.  Seen aslant, the Gaussian's u and v are
 correlated; the integral is then a series in the correlation r, whose terms are products of differences along
-u and v: of error functions, of r times bells, of r^2 / 2 times bells times their places, ….
+u and v: of error functions, of r times bells, of r^2 / 2 times bells times their positions, ….
 Source: Pearson, Mathematical contributions to the theory of evolution VII, Phil. Trans. R. Soc. A 195, 1900.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -37,7 +37,7 @@ PLAIN, HALOED, UNKNOWNS = 16, 17, 23
 # lengths), grey value, how many pixels it stands for.
 PIXEL_ROWS = 8
 # What is kept of a residual: its size in grey levels, u and v, what it was before the first step, work space.
-MISS_ROWS = 5
+RESIDUAL_ROWS = 5
 # Trust in what stays as it is.
 HELD = 1e15
 # A fit is one table of numbers.  Its rows: equations of some pixels, so many at a time; the system and its
@@ -86,10 +86,10 @@ LEAST_NOISE, ANY_NOISE = 0.3, 1e4
 _MOST_HALO, _MOST_SHIFT = 3.0, 2.0
 
 
-# The normal distribution and its bell at so many places a sigma: Taylor's series from the nearest one is
-# exact to 1e-7, and takes a third of the time of an error function and an exponential.
-_PLACES, _REACH = 64, 8.0
-_AT = np.arange(-_REACH * _PLACES, _REACH * _PLACES + 1) / _PLACES
+# The normal distribution and its density at so many positions a sigma: Taylor's series from the nearest one
+# is exact to 1e-7, and takes a third of the time of an error function and an exponential.
+_SAMPLES_A_SIGMA, _REACH = 64, 8.0
+_AT = np.arange(-_REACH * _SAMPLES_A_SIGMA, _REACH * _SAMPLES_A_SIGMA + 1) / _SAMPLES_A_SIGMA
 _BELLS = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
 _BELOW = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
 
@@ -97,16 +97,18 @@ _BELOW = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
 @pure
 def normal_at(z):
     """The normal distribution and its bell at z, -8 to 8."""
-    i = int(z * _PLACES + _REACH * _PLACES + 0.5)
-    place = i / _PLACES - _REACH
-    h, bell = z - place, _BELLS[i]
-    bend = 0.5 * h * h * (place * place - 1.0)
-    return _BELOW[i] + h * bell * (1.0 - 0.5 * h * place + bend / 3.0), bell * (1.0 - h * place + bend)
+    i = int(z * _SAMPLES_A_SIGMA + _REACH * _SAMPLES_A_SIGMA + 0.5)
+    position = i / _SAMPLES_A_SIGMA - _REACH
+    h, bell = z - position, _BELLS[i]
+    second = 0.5 * h * h * (position * position - 1.0)
+    return _BELOW[i] + h * bell * (1.0 - 0.5 * h * position + second / 3.0), bell * (
+        1.0 - h * position + second
+    )
 
 
 @pure
-def cell_shares(place, width, count, shares, row):
-    """Differences over the cells that are felt: of the normal distribution, its bell, and bell times place.
+def cell_shares(position, width, count, shares, row):
+    """Differences over the cells that count: of the normal distribution, its bell, and position times bell.
 
     They are written into three rows of ``shares``, from ``row`` on.
 
@@ -114,8 +116,8 @@ def cell_shares(place, width, count, shares, row):
         The first of those cells and the one after the last.
     """
     inverse = 1.0 / width
-    at, room, pitch = (place + 0.5) * count, _FAR * width * count, inverse / count
-    first, last = max(math.floor(at - room), 0), min(math.floor(at + room) + 1, count)
+    at, margin, pitch = (position + 0.5) * count, _FAR * width * count, inverse / count
+    first, last = max(math.floor(at - margin), 0), min(math.floor(at + margin) + 1, count)
     before, before_bell, before_z = 0.0, 0.0, 0.0
     for i in range(first, last + 1):
         z = (at - i) * pitch
@@ -144,11 +146,11 @@ def normal_quantile(p):
 
 
 @pure
-def toned_print(u, v, wide, high, r, k, black, least, space, seen):
+def print_intensity(u, v, wide, high, r, k, black, least, space, seen):
     """Fills ``seen``: G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
 
     Args:
-        u: Place on the print, with ``v``.
+        u: Position on the print, with ``v``.
         v: See ``u``.
         wide: Sigma of the blur along u; ``high`` along v; ``r`` their correlation.
         high: See ``wide``.
@@ -200,7 +202,7 @@ def toned_print(u, v, wide, high, r, k, black, least, space, seen):
 
 
 @outlined
-def take_print(gray, lens, box, reach, fit, pixels):
+def collect_pixels(gray, lens, box, reach, fit, pixels):
     """Collects the pixels of a box that see the print; how many.
 
     Args:
@@ -209,7 +211,7 @@ def take_print(gray, lens, box, reach, fit, pixels):
         box: (5,) whole pixels x0, y0, x1, y1; 2 or odd: one pixel in so many is taken, on a lattice.
         reach: Pixels beyond ± this (u and v) are not taken.
         fit: With TO_PRINT.
-        pixels: (8, k) out; what finds no range is left out.
+        pixels: (8, k) out; what exceeds the table is left out.
     """
     h, count, fx, fy, every = fit[TO_PRINT], 0, 1.0 / lens[FX], 1.0 / lens[FY], box[4]
     lattice = 1 if every == 2 else 2
@@ -236,15 +238,15 @@ def take_print(gray, lens, box, reach, fit, pixels):
 
 
 @outlined
-def print_equations(pixels, count, black, fit, misses):
+def photometric_equations(pixels, count, black, fit, residuals):
     """Sums the normal equations of one marker; how many pixels were used.
 
     Args:
-        pixels: (8, k) of ``take_print``.  With TO_DROP those that tell nothing are left out.
+        pixels: (8, k) of ``collect_pixels``.  With TO_DROP those that tell nothing are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         fit: Its table; NORMAL out.
-        misses: (5, k) out: residuals of the pixels that were used, and where on the print these are.
+        residuals: (5, k) out: residuals of the pixels that were used, and where on the print these are.
     """
     x, h, numbers, normal = fit[X], fit[TO_PRINT], fit[NUMBERS], fit[NORMAL:]
     n, noise, every = int(numbers[SIZE]), numbers[NOISE], int(numbers[EVERY])
@@ -269,7 +271,7 @@ def print_equations(pixels, count, black, fit, misses):
         wide, high = math.sqrt(gux * gux + guy * guy), math.sqrt(gvx * gvx + gvy * gvy)
         r = (gux * gvx + guy * gvy) / (wide * high)
         least = flat if dropping and p % _FLAT else 0.0
-        if not toned_print(u, v, wide * blur, high * blur, r, k, black, least, fit, seen):
+        if not print_intensity(u, v, wide * blur, high * blur, r, k, black, least, fit, seen):
             continue
         if dropping:
             for i in range(PIXEL_ROWS - 1):
@@ -277,7 +279,7 @@ def print_equations(pixels, count, black, fit, misses):
             pixels[7, used] = _FLAT if seen[5] < flat else 1.0
         white, by_u, by_v, by_blur, by_shift, by_halo = seen[0], seen[1], seen[2], seen[3], seen[4], 0.0
         if halo > 0.0:
-            toned_print(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, fit, wider)
+            print_intensity(u, v, wide * blur2, high * blur2, r, k * part, black, 0.0, fit, wider)
             by_halo = white - wider[0]
             white += alpha * by_halo
             by_u += alpha * (by_u - wider[1])
@@ -294,12 +296,12 @@ def print_equations(pixels, count, black, fit, misses):
             for i in range(3):
                 dark += x[CURVED + i] * basis[3 + i]
                 contrast += x[CURVED + 3 + i] * basis[3 + i]
-        miss = pixels[6, p] - dark - contrast * white
+        residual = pixels[6, p] - dark - contrast * white
         at = used % BLOCK
-        root = 1.0 / math.sqrt(1.0 + cauchy * miss * miss)
+        root = 1.0 / math.sqrt(1.0 + cauchy * residual * residual)
         light, pale = root * contrast, root * white
         gu, gv = light * by_u, light * by_v
-        along_way = gu * u + gv * v
+        radial = gu * u + gv * v
         for i in range(3):
             b = basis[i]
             fit[i, at], fit[3 + i, at] = gu * b, gv * b
@@ -307,12 +309,12 @@ def print_equations(pixels, count, black, fit, misses):
             if n > HALOED:
                 b = basis[3 + i]
                 fit[CURVED + i, at], fit[CURVED + 3 + i, at] = root * b, pale * b
-        fit[6, at], fit[7, at] = along_way * u, along_way * v
+        fit[6, at], fit[7, at] = radial * u, radial * v
         fit[BLUR, at], fit[SHIFT, at] = light * by_blur, light * by_shift
         if n > PLAIN:
             fit[HALO, at] = light * by_halo
-        fit[n, at] = root * miss
-        misses[0, used], misses[1, used], misses[2, used] = miss, u, v
+        fit[n, at] = root * residual
+        residuals[0, used], residuals[1, used], residuals[2, used] = residual, u, v
         used += 1
         if used % BLOCK == 0:
             add_products(fit, first, n, types.int64(BLOCK), normal)
@@ -348,7 +350,7 @@ def system(fit):
 
 
 @outlined
-def take_step(fit):
+def gauss_newton_step(fit):
     """Moves the unknowns, a corner never far at once.
 
     Returns:
@@ -363,10 +365,10 @@ def take_step(fit):
     for i in range(n):
         gain += fit[SYSTEM + n, i] * step[i]
     for i in range(8):
-        way = 0.0
+        move = 0.0
         for j in range(HOMOGRAPHY):
-            way += fit[BY_UNKNOWN + i, j] * step[j]
-        farthest = max(farthest, abs(way))
+            move += fit[BY_UNKNOWN + i, j] * step[j]
+        farthest = max(farthest, abs(move))
     part = min(1.0, _CORNER_STEP / farthest)
     for i in range(3):
         a, b, w = h[i], h[3 + i], h[6 + i]
@@ -387,38 +389,38 @@ def take_step(fit):
 
 
 @outlined
-def settle(pixels, count, black, fit, misses, steps):
+def gauss_newton(pixels, count, black, fit, residuals, steps):
     """Gauss and Newton's steps, so many at most, until they are small: AT_REST says whether they became so.
 
     Args:
-        pixels: As in ``print_equations``, like ``count`` and ``black``.
+        pixels: As in ``photometric_equations``, like ``count`` and ``black``.
         count: See ``pixels``.
         black: See ``pixels``.
         fit: In and out; NORMAL has the equations before the last step.
-        misses: (5, k) out: residuals before the last step, places, residuals before the first one.
+        residuals: (5, k) out: residuals before the last step, positions, residuals before the first one.
         steps: See above.
     """
-    numbers, sizes = fit[NUMBERS], misses[4]
-    for turn in range(steps + 1):
-        used = print_equations(pixels, count, black, fit, misses)
+    numbers, sizes = fit[NUMBERS], residuals[4]
+    for iteration in range(steps + 1):
+        used = photometric_equations(pixels, count, black, fit, residuals)
         numbers[USED] = used
-        if turn == steps or used == 0:
+        if iteration == steps or used == 0:
             return
         if numbers[TO_DROP] > 0.0:
             count, numbers[TO_DROP] = used, 0.0
         noise = numbers[NOISE]
         for p in range(used):
-            sizes[p] = abs(misses[0, p])
-            if turn == 0:
-                misses[3, p] = misses[0, p]
-        if turn < _NOISE_ROUNDS:
+            sizes[p] = abs(residuals[0, p])
+            if iteration == 0:
+                residuals[3, p] = residuals[0, p]
+        if iteration < _NOISE_ROUNDS:
             numbers[NOISE] = max(1.4826 * median_of(sizes, used), LEAST_NOISE)
-        gain, way = take_step(fit)
+        gain, move = gauss_newton_step(fit)
         size = math.sqrt(max(gain, 0.0)) / numbers[NOISE]
         if not size + fit[X, BLUR] + abs(fit[TO_PRINT, 0]) < math.inf:
             numbers[AT_REST] = 0.0
             return
         numbers[AT_REST] = 1.0 if size < _RESTLESS else 0.0
-        if size < _DONE or (way < 1.0 and noise < ANY_NOISE and numbers[NOISE] < _GROWN * noise):
+        if size < _DONE or (move < 1.0 and noise < ANY_NOISE and numbers[NOISE] < _GROWN * noise):
             numbers[AT_REST] = 1.0
             return

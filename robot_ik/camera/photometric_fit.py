@@ -1,6 +1,6 @@
 """The fit of one marker's print, compiled: its pixels, its unknowns, and whether it can be believed.
 
-``print_equations`` has the model and Gauss and Newton's steps.
+``photometric_equations`` has the model and Gauss and Newton's steps.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -11,7 +11,7 @@ import math
 from numba import types
 
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
-from robot_ik.camera.print_equations import (
+from robot_ik.camera.photometric_equations import (
     ANY_NOISE,
     AT_REST,
     BLUR,
@@ -41,12 +41,12 @@ from robot_ik.camera.print_equations import (
     UNKNOWNS,
     USED,
     X,
-    print_equations,
-    settle,
+    collect_pixels,
+    gauss_newton,
+    photometric_equations,
     system,
-    take_print,
 )
-from robot_ik.camera.print_equations import NUMBERS as FIT_NUMBERS
+from robot_ik.camera.photometric_equations import NUMBERS as FIT_NUMBERS
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import eliminate
 
@@ -65,7 +65,7 @@ EXPLAINED, MISREAD, EDGE_BLUR, EDGE_SHIFT, EDGE_SHIFT_SIGMA = range(5)
 REPORT_NUMBERS = 5
 # A model as the next picture's fit starts from it: noise (0: there is none), unknowns, halo, and x from BLUR.
 MODEL_NUMBERS = 3 + UNKNOWNS - BLUR
-# What ``fit_print`` returns.
+# What ``fit_photometric`` returns.
 NO_PRINT, NOT_FITTED, BY_PRINT = 0, 1, 2
 #: Of a print that is believed: contrast in grey levels, and part of the variance that the model explains.
 LEAST_CONTRAST, LEAST_EXPLAINED = 5.0, 0.75
@@ -94,20 +94,20 @@ _U, _V = (-0.5, 0.5, 0.5, -0.5), (-0.5, -0.5, 0.5, 0.5)
 
 
 @kernel
-def fit_print(gray, lens, box, reach, push, black, fit, pixels, misses, most):
+def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals, most):
     """Fits one print.
 
     Args:
         gray: (h, w) uint8.
         lens: ``lens_vector``.
-        box: (5,) as in ``take_print``, with ``reach``.
+        box: (5,) as in ``collect_pixels``, with ``reach``.
         reach: See ``box``.
         push: So far outside of the sides the print begins, px.
         black: (n, n) 1 where the print is black.
         fit: (FIT_ROWS, 64) with TRUST, EXPECTED, FROM_PRINT, SEEN, CORNERS, REPORT and MODEL in; the latter
             three and COVARIANCE out.
         pixels: (8, k) work space.
-        misses: (5, k) work space.
+        residuals: (5, k) work space.
         most: So many pixels are fitted at most.
 
     Returns:
@@ -122,7 +122,7 @@ def fit_print(gray, lens, box, reach, push, black, fit, pixels, misses, most):
         larger = 1.0 + 2.0 * push * math.hypot(along_x, along_y) * abs(fit[FROM_PRINT, 8])
         for j in range(3):
             to_print[3 * i + j] /= larger
-    count = take_print(gray, lens, box, reach, fit, pixels)
+    count = collect_pixels(gray, lens, box, reach, fit, pixels)
     corner_slopes(fit[SEEN], fit[BY_UNKNOWN:])
     before, resumed = -math.inf, model[0] > 0.0
     if resumed:
@@ -136,24 +136,24 @@ def fit_print(gray, lens, box, reach, push, black, fit, pixels, misses, most):
         for i in range(BLUR, UNKNOWNS):
             fit[X, i] = model[3 + i - BLUR]
     else:
-        count = fit_light(pixels, count, black, fit, misses, most)
+        count = fit_light(pixels, count, black, fit, residuals, most)
         if count < _LEAST_PIXELS:
             return NO_PRINT
     state = NOT_FITTED
     for more in range(2):
         if more == 1:
-            ask_for_more(pixels, count, black, fit, misses)
+            select_model(pixels, count, black, fit, residuals)
             if numbers[SIZE] == PLAIN:
                 break
         for every in (_COARSE, 1):
             if every > 1 and (resumed or more == 1 or count < _COARSE_LEAST):
                 continue
             numbers[EVERY] = every
-            settle(pixels, count, black, fit, misses, _STEPS if every == 1 else _COARSE_STEPS)
+            gauss_newton(pixels, count, black, fit, residuals, _STEPS if every == 1 else _COARSE_STEPS)
             count = count if every > 1 else int(numbers[USED])
-            before = max(before, explained(pixels, count, fit, misses[3]))
+            before = max(before, explained(pixels, count, fit, residuals[3]))
         fine = count >= _LEAST_PIXELS and numbers[AT_REST] > 0.0
-        if fine and conclude(lens, black, fit, pixels, count, misses):
+        if fine and accept_fit(lens, black, fit, pixels, count, residuals):
             state = BY_PRINT
             model[0], model[1], model[2] = numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH]
             for i in range(BLUR, UNKNOWNS):
@@ -163,8 +163,8 @@ def fit_print(gray, lens, box, reach, push, black, fit, pixels, misses, most):
     if state == NOT_FITTED:
         if count < _LEAST_PIXELS:
             return NO_PRINT
-        report[EXPLAINED] = max(before, explained(pixels, count, fit, misses[0]))
-        report[MISREAD], _ = cells(black, fit, misses)
+        report[EXPLAINED] = max(before, explained(pixels, count, fit, residuals[0]))
+        report[MISREAD], _ = cell_residuals(black, fit, residuals)
     return state
 
 
@@ -176,8 +176,8 @@ def corner_slopes(h, slopes):
         depth = h[6] * u + h[7] * v + h[8]
         for i in range(2):
             a, b, row = h[3 * i], h[3 * i + 1], slopes[2 * k + i]
-            place = (a * u + b * v + h[3 * i + 2]) / depth
-            by_u, by_v = (place * h[6] - a) / depth, (place * h[7] - b) / depth
+            position = (a * u + b * v + h[3 * i + 2]) / depth
+            by_u, by_v = (position * h[6] - a) / depth, (position * h[7] - b) / depth
             row[0], row[1], row[2], row[3], row[4], row[5] = (
                 by_u,
                 by_u * u,
@@ -191,7 +191,7 @@ def corner_slopes(h, slopes):
 
 
 @outlined
-def fit_light(pixels, count, black, fit, misses, most):
+def fit_light(pixels, count, black, fit, residuals, most):
     """Fits dark and contrast, which are linear, and keeps ``most`` of the pixels that tell something.
 
     Returns:
@@ -200,7 +200,7 @@ def fit_light(pixels, count, black, fit, misses, most):
     numbers = fit[FIT_NUMBERS]
     fit[X, BLUR], fit[X, SHIFT] = fit[EXPECTED, BLUR], fit[EXPECTED, SHIFT]
     numbers[NOISE], numbers[EVERY], numbers[TO_DROP], numbers[SIZE] = 0.0, 1.0, 1.0, PLAIN
-    count = print_equations(pixels, count, black, fit, misses)
+    count = photometric_equations(pixels, count, black, fit, residuals)
     numbers[TO_DROP], numbers[NOISE] = 0.0, ANY_NOISE
     if count < _LEAST_PIXELS:
         return count
@@ -231,16 +231,16 @@ def solve_part(fit, n, skipped):
 
 
 @outlined
-def ask_for_more(pixels, count, black, fit, misses):
+def select_model(pixels, count, black, fit, residuals):
     """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
     numbers, right = fit[FIT_NUMBERS], fit[SYSTEM + UNKNOWNS]
     numbers[EVERY], numbers[SIZE] = (count + _ASKED - 1) // _ASKED, UNKNOWNS
     most, width, curved, fit[TRUST, HALO] = 0.0, 0.0, False, 0.0
     for halo in _HALO_BLURS:
         numbers[HALO_WIDTH] = halo
-        numbers[USED] = print_equations(pixels, count, black, fit, misses)
+        numbers[USED] = photometric_equations(pixels, count, black, fit, residuals)
         system(fit)
-        squares, plain, by_halo, by_light = sum_of_squares(fit, misses), 0.0, 0.0, 0.0
+        squares, plain, by_halo, by_light = sum_of_squares(fit, residuals), 0.0, 0.0, 0.0
         for model in range(3):  # by how much each lessens the sum of squares
             n, skipped, gain = PLAIN + model if model < 2 else UNKNOWNS - 1, model // 2, 0.0
             for i in range(UNKNOWNS):
@@ -265,17 +265,17 @@ def ask_for_more(pixels, count, black, fit, misses):
 
 
 @outlined
-def sum_of_squares(fit, misses):
+def sum_of_squares(fit, residuals):
     """Of the residuals; what is far off counts as four standard deviations."""
     total, most = 0.0, (CAUCHY * fit[FIT_NUMBERS, NOISE]) ** 2
     for p in range(int(fit[FIT_NUMBERS, USED])):
-        total += min(misses[0, p] ** 2, most)
+        total += min(residuals[0, p] ** 2, most)
     return total
 
 
 @outlined
-def explained(pixels, count, fit, misses):
-    """Part of the variance of the grey values that the model explains with the residuals ``misses``."""
+def explained(pixels, count, fit, residuals):
+    """Part of the variance of the grey values that the model explains with ``residuals``."""
     every, total, mean = int(fit[FIT_NUMBERS, EVERY]), 0.0, 0.0
     for p in range(0, count, every):
         total += pixels[7, p]
@@ -284,22 +284,22 @@ def explained(pixels, count, fit, misses):
     spread, missed = 0.0, 0.0
     for p in range(0, count, every):
         spread += pixels[7, p] * (pixels[6, p] - mean) ** 2
-        missed += pixels[7, p] * misses[p // every] ** 2
+        missed += pixels[7, p] * residuals[p // every] ** 2
     # Where hardly anything is to be seen nothing is there.
     return 1.0 - missed / spread if spread > LEAST_CONTRAST * total else 0.0
 
 
 @outlined
-def cells(black, fit, misses):
+def cell_residuals(black, fit, residuals):
     """How many cells the picture shows otherwise; squares of cells' residuals over those of noise."""
     n = black.shape[0]
     for row in range(n):
         for column in range(_COUNTS + n):
             fit[_SUMS + row, column] = 0.0
     for p in range(int(fit[FIT_NUMBERS, USED])):
-        column, row = math.floor(n * (misses[1, p] + 0.5)), math.floor(n * (misses[2, p] + 0.5))
+        column, row = math.floor(n * (residuals[1, p] + 0.5)), math.floor(n * (residuals[2, p] + 0.5))
         if 0 <= column < n and 0 <= row < n:
-            fit[_SUMS + row, column] += misses[0, p]
+            fit[_SUMS + row, column] += residuals[0, p]
             fit[_SUMS + row, _COUNTS + column] += 1.0
     misread, seen, squares, contrast = 0.0, 1e-9, 0.0, 0.5 * abs(fit[X, CONTRAST])
     for row in range(n):
@@ -313,9 +313,9 @@ def cells(black, fit, misses):
 
 
 @outlined
-def conclude(lens, black, fit, pixels, count, misses):
+def accept_fit(lens, black, fit, pixels, count, residuals):
     """Fills CORNERS, COVARIANCE and REPORT; False, and nothing is changed, if they are not to be believed."""
-    share, x, found, h = explained(pixels, count, fit, misses[0]), fit[X], fit[_FOUND:], fit[TO_PRINT]
+    share, x, found, h = explained(pixels, count, fit, residuals[0]), fit[X], fit[_FOUND:], fit[TO_PRINT]
     if not (x[CONTRAST] > max(LEAST_CONTRAST, 1.5 * fit[FIT_NUMBERS, NOISE]) and share >= LEAST_EXPLAINED):
         return False
     back = fit[SEEN]
@@ -342,8 +342,8 @@ def conclude(lens, black, fit, pixels, count, misses):
     for k in range(8):
         if not abs(found[k // 2, k % 2] - fit[CORNERS + k // 2, k % 2]) < farthest:
             return False
-    misread, uneven = cells(black, fit, misses)
-    variance = uncertainty(fit, uneven, misses)
+    misread, uneven = cell_residuals(black, fit, residuals)
+    variance = uncertainty(fit, uneven, residuals)
     if variance < 0.0:
         return False
     for k in range(16):
@@ -376,10 +376,10 @@ def invert(m, inverse):
 
 
 @outlined
-def uncertainty(fit, uneven, misses):
+def uncertainty(fit, uneven, residuals):
     """Fills COVARIANCE, px^2; returns the variance of the edge shift, -1 where there is none."""
     n, found, slopes = int(fit[FIT_NUMBERS, SIZE]), fit[_FOUND:], fit[_SLOPES:]
-    variance = sum_of_squares(fit, misses) / (fit[FIT_NUMBERS, USED] - n)
+    variance = sum_of_squares(fit, residuals) / (fit[FIT_NUMBERS, USED] - n)
     # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
     # pictures give 0.4 to 5 times what noise leaves of a cell's mean, squared; hard shadows 7 to 36.
     variance = max(variance, LEAST_NOISE**2) * max(1.0, uneven - 1.0)
