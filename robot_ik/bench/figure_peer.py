@@ -83,10 +83,10 @@ def by_figure(figure: Figure, goals: FrameGoals) -> Peer:
     rows = FrameRows(figure, len(goals.q))
     for frame, (place, matrix) in goals.feet.items():
         rows.position(frame, place)
-        rows.turned(frame, matrix)
+        rows.orientation(frame, matrix)
     rows.center(goals.center, axes="xy")
-    rows.turned(figure.pelvis, goals.pelvis[1], 60.0)
-    rows.turned(figure.trunk, goals.chest, 60.0)
+    rows.orientation(figure.pelvis, goals.pelvis[1], 60.0)
+    rows.orientation(figure.trunk, goals.chest, 60.0)
     rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
     assert figure.gaze is not None
     rows.aim(figure.gaze, goals.look, 5.0, figure.neck or None)
@@ -161,7 +161,7 @@ def _worst(figure: Figure, goals: FrameGoals, q: Array) -> float:
     """Largest miss of feet and centre of mass, by MuJoCo."""
     worst = 0.0
     for frame, (place, matrix) in goals.feet.items():
-        there, turned = figure.poses(q, frame)
-        worst = max(worst, float(np.abs(there - place).max()), float(np.abs(turned - matrix).max()))
+        there, orientation = figure.poses(q, frame)
+        worst = max(worst, float(np.abs(there - place).max()), float(np.abs(orientation - matrix).max()))
     center = np.array([figure.center(row) for row in q])
     return max(worst, float(np.abs(center - goals.center)[:, :2].max()))
