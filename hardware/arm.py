@@ -23,7 +23,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
-from robot_ik.hardware.recovery import check_turns_kept, find_again, restart_faulty, verify
+from robot_ik.hardware.recovery import check_revolutions_kept, find_again, restart_faulty, verify
 from robot_ik.hardware.startup import set_currents
 from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
@@ -122,7 +122,7 @@ class Arm:
         self._commanded = 0.0  # when the last one came
         self._stop_file = StopFile(config.name)
         self._stop_policy: str | None = None  # somebody asked to stop: how the arm is left, whatever on_exit
-        self._stop_answered = True
+        self._stop_acknowledged = True
         self._looked = 0.0
 
     @property
@@ -155,7 +155,7 @@ class Arm:
             self._close_bus()
             raise
         self.fault = self.exit_report = self._stop_policy = None
-        self._stop_answered = True
+        self._stop_acknowledged = True
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self.state = after
 
@@ -394,7 +394,7 @@ class Arm:
 
         Raises:
             ArmStateError: There is no fault, or the port is gone (``reconnect``).
-            HardwareError: Still not as it should be, e.g. a servo has lost its turns.  The fault stays.
+            HardwareError: Still not as it should be, e.g. a servo has lost its revolutions.  The fault stays.
         """
         with self._lock:
             after = self._after("reset a fault")
@@ -422,7 +422,7 @@ class Arm:
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
-        check_turns_kept(self.bus, self.config, self._cycle.samples)
+        check_revolutions_kept(self.bus, self.config, self._cycle.samples)
         goals = self._cycle.goals
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self._cycle.goals, self._cycle.held = goals, True
@@ -487,16 +487,16 @@ class Arm:
             policy: ``hold`` or ``torque_off``.
         """
         self._stop_policy = "torque_off" if policy == "torque_off" else "hold"
-        self._stop_answered = False
+        self._stop_acknowledged = False
 
     def _stop_asked(self) -> bool:
         """Whether somebody asks, in this process or in another one."""
         now = self.clock.now()
-        if self._stop_answered and now - self._looked >= _LOOK_PERIOD:
+        if self._stop_acknowledged and now - self._looked >= _LOOK_PERIOD:
             self._looked = now
             if (policy := self._stop_file.requested()) is not None:
                 self.request_stop(policy)
-        return not self._stop_answered
+        return not self._stop_acknowledged
 
     def _obey_stop(self) -> None:
         """Carries out what was asked, and raises it."""
@@ -504,8 +504,8 @@ class Arm:
             return
         assert self._stop_policy is not None
         report = self._leave(self._stop_policy)
-        self._stop_answered = True
-        self._stop_file.answer(ok=report.ok, text=report.text)
+        self._stop_acknowledged = True
+        self._stop_file.acknowledge(ok=report.ok, text=report.text)
         stopped = StopRequestedError(
             f"stopped on request: {report.text}", hint="reset_fault(), then enable(), or close()"
         )
@@ -560,9 +560,9 @@ class Arm:
             return
         parked = self.on_exit == "park" and self._park(stop=lambda: self._guard.received > 1)
         report = self._leave(self._stop_policy or self.on_exit, parked=parked)
-        if not self._stop_answered:  # it came too late for a cycle
-            self._stop_answered = True
-            self._stop_file.answer(ok=report.ok, text=report.text)
+        if not self._stop_acknowledged:  # it came too late for a cycle
+            self._stop_acknowledged = True
+            self._stop_file.acknowledge(ok=report.ok, text=report.text)
 
     def _leave(self, policy: str, *, parked: bool = False) -> ExitReport:
         """Every way out goes through here; torque goes off where even that fails."""

@@ -41,8 +41,8 @@ class BusStatus(NamedTuple):
 
     Attributes:
         id: Servo id.
-        data: Decoded register value.  ``None`` in the answer to a read: the servo did not answer, or
-            (``error`` not 0) answered without data.  Always ``None`` in the answer to a write.
+        data: Decoded register value.  ``None`` in the reply to a read: the servo did not answer, or
+            (``error`` not 0) answered without data.  Always ``None`` in the reply to a write.
         error: ERR number 0..7 (bits 0-6); 0 is good.
         alert: The servo reports a latched hardware error.  Information, not a failure: the data are good.
     """
@@ -61,11 +61,11 @@ class Counters:
         cycles: Reads of many servos at once.
         asked: Measurements wanted in them, one per servo; always the sum of the next three.
         answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
-            Single reads and writes without an answer count as ``asked`` and ``timeouts`` too.
-        corrupt: Answers that came and could not be trusted (checksum, length).
-        late: Answers that came after their question was given up; nothing of them was used.
+            Single reads and writes without a reply count as ``asked`` and ``timeouts`` too.
+        corrupt: Replies that came and could not be trusted (checksum, length).
+        late: Replies that came after their question was given up; nothing of them was used.
         retries: Requests repeated because of the above.
-        alerts: Answers that carried the alert bit.
+        alerts: Replies that carried the alert bit.
         fallbacks: Times fast reads were given up.
         bytes_sent, bytes_received: On the wire, from the host's side.
     """
@@ -90,7 +90,7 @@ class ServoBus(Protocol):
 
     Errors: ``BusNotOpenError`` (open, or any call before it), ``BusTimeoutError`` (a single servo did
     not answer ``read``/``write``/``ping``), ``BusCorruptError`` (it answered nonsense every time),
-    ``BusDisconnectedError`` (the port went away), ``ServoRefusedError`` (error number in the answer).
+    ``BusDisconnectedError`` (the port went away), ``ServoRefusedError`` (error number in the reply).
     ``sync_read`` never raises for a servo: the row of one that did not answer has ``data`` None.
     Every call returns within its time, whatever comes in: a line may never fall silent.
     """
@@ -132,7 +132,7 @@ class ServoBus(Protocol):
         ...
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet (servo id -> value), which has no answer."""
+        """The same register of many servos in one packet (servo id -> value), which has no reply."""
         ...
 
     def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
@@ -151,7 +151,7 @@ class ServoBus(Protocol):
     ) -> dict[int, BusStatus]:
         """A control cycle: ``bulk_write``, then ``bulk_read``, no servo asked again after ``within`` s.
 
-        Late answers are distinguished from good ones: at times some bytes behind each register are read.
+        Late replies are distinguished from good ones: at times some bytes behind each register are read.
         """
         ...
 

@@ -1,7 +1,7 @@
 """From a hand that moves a limp arm to numbers: ranges first, zeros second, directions by a wiggle.
 
-Ranges come first because only a whole sweep shows whether a joint crosses the end of its servo's turn
-(4095 -> 0); a zero taken before would be wrong by a turn beyond it.
+Ranges come first because only a whole sweep shows whether a joint crosses the end of its servo's revolution
+(4095 -> 0); a zero taken before would be wrong by a revolution beyond it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, Sign
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
@@ -37,7 +37,7 @@ ASKED_WIGGLE = math.radians(10.0)
 STILL_TICKS = 12
 """About 1 degree: a held joint moves by less while its zero is taken."""
 
-_HALF = TICKS_PER_TURN // 2
+_HALF = TICKS_PER_REVOLUTION // 2
 
 
 class HandError(HardwareError):
@@ -45,7 +45,7 @@ class HandError(HardwareError):
 
 
 class Sweep:
-    """Smallest and largest position of every servo, whole turns counted here.
+    """Smallest and largest position of every servo, whole revolutions counted here.
 
     Args:
         config: The arm.
@@ -53,27 +53,27 @@ class Sweep:
     """
 
     def __init__(self, config: ArmConfig, ticks: Mapping[int, int]) -> None:
-        # A limp servo in position mode may count on beyond its turn; with torque it counts within it.
-        turn = {j.id: TICKS_PER_TURN for j in config.servos if j.mode == OperatingMode.POSITION}
+        # A limp servo in position mode may count on beyond its revolution; with torque it counts within it.
+        period = {j.id: TICKS_PER_REVOLUTION for j in config.servos if j.mode == OperatingMode.POSITION}
         self._raw = {id: ticks[id] for id in config.servo_ids}
-        self.now = {id: value % turn[id] if id in turn else value for id, value in self._raw.items()}
+        self.now = {id: value % period[id] if id in period else value for id, value in self._raw.items()}
         self.low, self.high = dict(self.now), dict(self.now)
 
     def take(self, ticks: Mapping[int, int | None]) -> None:
-        """The next reading; a step of more than half a turn is the servo starting its turn anew."""
+        """The next reading; a step of more than half a revolution is a wrap of the count."""
         for id, before in self._raw.items():
             value = ticks.get(id)
             if value is None:
                 continue
             step = value - before
             if abs(step) > _HALF:
-                step -= round(step / TICKS_PER_TURN) * TICKS_PER_TURN
+                step -= round(step / TICKS_PER_REVOLUTION) * TICKS_PER_REVOLUTION
             self._raw[id] = value
             self.now[id] += step
             self.low[id] = min(self.low[id], self.now[id])
             self.high[id] = max(self.high[id], self.now[id])
 
-    def way(self, servo: JointMap) -> float:
+    def travel(self, servo: JointMap) -> float:
         """How far its joint was turned, rad (m of a slide)."""
         return (self.high[servo.id] - self.low[servo.id]) * servo.resolution
 
@@ -81,38 +81,39 @@ class Sweep:
 def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
     """Raises ``HardwareError`` where a sweep cannot be used.
 
-    A joint was not swept, crosses the end of its servo's turn, or its two servos did not turn together.
+    A joint was not swept, crosses the end of its servo's revolution, or its two servos did not turn together.
     """
     for joint in config.servos:
         low, high = sweep.low[joint.id], sweep.high[joint.id]
-        if sweep.way(joint) < LEAST_SWEEP * joint.lever:
+        if sweep.travel(joint) < LEAST_SWEEP * joint.lever:
             which = f" (servo id {joint.id})" if joint.id not in config.ids else ""
             raise HandError(
-                f"joint {joint.name!r}{which} moved by {joint.text(sweep.way(joint))} only",
+                f"joint {joint.name!r}{which} moved by {joint.text(sweep.travel(joint))} only",
                 hint="sweep every joint from one stop to the other",
             )
-        if joint.mode == OperatingMode.POSITION and not 0 <= low <= high < TICKS_PER_TURN:
+        if joint.mode == OperatingMode.POSITION and not 0 <= low <= high < TICKS_PER_REVOLUTION:
             raise HardwareError(
-                f"joint {joint.name!r} crosses the end of its servo's turn: it swept ticks {low} to {high}, "
-                f"and a servo in position mode counts 0 to {TICKS_PER_TURN - 1}",
-                hint='mount its horn about half a turn on, or set mode = "extended_position" in the arm file',
+                f"joint {joint.name!r} crosses the end of its servo's revolution: it swept ticks {low} "
+                f"to {high}, and a servo in position mode counts 0 to {TICKS_PER_REVOLUTION - 1}",
+                hint='mount its horn about half a revolution on, or set mode = "extended_position" '
+                "in the arm file",
             )
     for joint in config.joints:
         for other in joint.servos[1:]:
-            _require_together(joint, other, sweep.way(joint), sweep.way(other))
+            _require_together(joint, other, sweep.travel(joint), sweep.travel(other))
 
 
-def _require_together(joint: JointMap, other: JointMap, way: float, other_way: float) -> None:
+def _require_together(joint: JointMap, other: JointMap, travel: float, other_travel: float) -> None:
     """Raises ``HardwareError`` unless two servos of a joint have gone the same way, whatever their signs."""
-    if abs(abs(way) - abs(other_way)) > TWIST * joint.lever:
+    if abs(abs(travel) - abs(other_travel)) > TWIST * joint.lever:
         raise HardwareError(
             f"the two servos of joint {joint.name!r} do not turn together: id {joint.id} by "
-            f"{joint.text(way)}, id {other.id} by {joint.text(other_way)}",
+            f"{joint.text(travel)}, id {other.id} by {joint.text(other_travel)}",
             hint="does a horn or a gear slip? do both have the ratio of the arm file?",
         )
 
 
-def wiggled(
+def counting_directions(
     config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]
 ) -> dict[int, Sign]:
     """Which way the servos of a joint count when it is turned in the positive direction.
@@ -130,17 +131,17 @@ def wiggled(
         HardwareError: Nothing turned, another joint did, or its two servos did not turn together.
     """
     ways = {s.id: (after[s.id] - before[s.id]) * s.resolution / s.lever for s in config.servos}
-    most = max(config.servos, key=lambda servo: abs(ways[servo.id]))
-    farthest = most.text(abs(ways[most.id]) * most.lever)
+    largest = max(config.servos, key=lambda servo: abs(ways[servo.id]))
+    farthest = largest.text(abs(ways[largest.id]) * largest.lever)
     own = ways[joint.id]
-    if abs(ways[most.id]) < LEAST_WIGGLE:
+    if abs(ways[largest.id]) < LEAST_WIGGLE:
         raise HandError(
-            f"joint {joint.name!r} did not turn (most: {most.name} by {farthest})",
+            f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
             hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
         )
-    if abs(own) < LEAST_WIGGLE or (most.name != joint.name and abs(ways[most.id]) > 2.0 * abs(own)):
+    if abs(own) < LEAST_WIGGLE or (largest.name != joint.name and abs(ways[largest.id]) > 2.0 * abs(own)):
         raise HandError(
-            f"{joint.name!r} was to be turned, and {most.name!r} did (by {farthest})",
+            f"{joint.name!r} was to be turned, and {largest.name!r} did (by {farthest})",
             hint="are two ids swapped? compare cables and arm file; robot-ik servo setup changes an id",
         )
     for other in joint.servos[1:]:
@@ -175,7 +176,7 @@ def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mappin
 
 
 LEAST_OVERLAP = 0.5
-"""Share of a swept range that must lie within the model's: a zero that is half a turn off has less."""
+"""Share of a swept range that must lie within the model's: a zero that is half a revolution off has less."""
 
 _IN_ARM_FILE = ("id", "model", "direction", "zero_ticks")
 _SAME_LIMIT = 1e-6  # rad; the file keeps a millionth of a degree
@@ -230,16 +231,18 @@ def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
             made = replace(made, twin=twin)
         low, high = sorted(made.to_radians(t) for t in (row.range_min, row.range_max))
         limits = [joint.per_unit * limit for limit in (row.urdf_lower, row.urdf_upper)]
-        most = max(joint.lower, limits[0]), min(joint.upper, limits[1])
-        lower, upper = max(low, most[0]), min(high, most[1])
-        if upper - lower < LEAST_OVERLAP * min(high - low, most[1] - most[0]):
-            rows.append((joint.name, f"range, {joint.unit}", _range(joint, *most), _range(joint, low, high)))
+        common = max(joint.lower, limits[0]), min(joint.upper, limits[1])
+        lower, upper = max(low, common[0]), min(high, common[1])
+        if upper - lower < LEAST_OVERLAP * min(high - low, common[1] - common[0]):
+            rows.append(
+                (joint.name, f"range, {joint.unit}", _range(joint, *common), _range(joint, low, high))
+            )
         joints.append(replace(made, lower=lower, upper=upper))
     if rows:
         raise CalibrationMismatchError(
             "the swept ranges are not those of arm file and model",
             rows,
-            "was the arm in the pose asked for when its zero was taken? is the horn half a turn off?",
+            "was the arm in the pose asked for when its zero was taken? is the horn half a revolution off?",
         )
     return replace(config, joints=tuple(joints), file=None, uncalibrated=False)
 
@@ -321,7 +324,7 @@ def check_calibration(
             f"the arm does not agree with its calibration {found.file or ''}".rstrip(),
             rows,
             "calibrate again; or bring servos, arm file and model back to what they were "
-            "(a present position that is whole turns off: turn the joint by hand)",
+            "(a present position that is whole revolutions off: turn the joint by hand)",
         )
 
 
@@ -403,7 +406,7 @@ def _differences(
         return rows
     present = servo["present_position"]
     if joint.mode == OperatingMode.POSITION:
-        present %= TICKS_PER_TURN
+        present %= TICKS_PER_REVOLUTION
     if not row.range_min - BESIDE_TICKS <= present <= row.range_max + BESIDE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
     return rows + ([] if limits is None else _other_limits(joint, row, limits))

@@ -14,8 +14,8 @@ from pydantic import Field, model_validator
 from robot_ik.errors import ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_TURN, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap, Sign
+from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
+from robot_ik.hardware.joint_map import HOMING_CURES, POSITION_MODE_HOMING, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.reading import read_json, shown
 from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
@@ -153,18 +153,18 @@ def save_lerobot(path: Path, calibration: Calibration) -> None:
     """Writes a calibration as LeRobot reads it.
 
     Raises:
-        ConfigError: A range beyond one turn: LeRobot writes it into registers that take 0 to 4095.  Or two
-            servos turn a joint.
+        ConfigError: A range beyond one revolution: LeRobot writes it into registers that take 0 to 4095.
+            Or two servos turn a joint.
         OutputError: The file cannot be written.
     """
     _require_no_twins([row.name for row in calibration.twins], calibration.file or path)
     for joint in calibration.joints:
-        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_TURN:
+        if not 0 <= joint.range_min < joint.range_max < TICKS_PER_REVOLUTION:
             raise ConfigError(
-                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a turn",
+                f"ticks {joint.range_min} to {joint.range_max} of {joint.name!r} are not within a revolution",
                 file=calibration.file or calibration.arm,
                 key=joint.name,
-                allowed=f"0 to {TICKS_PER_TURN - 1} (LeRobot writes it into the servo's position limits)",
+                allowed=f"0 to {TICKS_PER_REVOLUTION - 1} (LeRobot writes it into the position limits)",
             )
     content = {joint.name: {key: getattr(joint, key) for key in KEYS} for joint in calibration.joints}
     write_atomically(path, json.dumps(content, indent=4) + "\n")
@@ -217,7 +217,7 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
 
 def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
     """Offset and direction of counting that the servo of the arm file has as well."""
-    if joint.mode == OperatingMode.POSITION and abs(row["homing_offset"]) > HOMING_ONE_TURN:
+    if joint.mode == OperatingMode.POSITION and abs(row["homing_offset"]) > POSITION_MODE_HOMING:
         raise ConfigError(
             f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
             f"{row['homing_offset']} ticks",
@@ -298,7 +298,7 @@ _TABLE = re.compile(r"^\s*\[")
 _ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)(.*)$", re.DOTALL)
 
 # Where an arm file says no zero.
-_MIDDLE = TICKS_PER_TURN // 2
+_MIDDLE = TICKS_PER_REVOLUTION // 2
 
 
 @dataclass(frozen=True)

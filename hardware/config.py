@@ -23,7 +23,7 @@ from robot_ik.hardware.config_file import (
     arm_file_text,
     parse_arm_file,
 )
-from robot_ik.hardware.control_table import TICKS_PER_TURN, ControlTable, OperatingMode, control_table
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, ControlTable, OperatingMode, control_table
 from robot_ik.hardware.joint_map import ARM, MODES, JointMap, SwingArm
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.reading import read_text
@@ -93,7 +93,7 @@ class ArmConfig:
         velocity: ArrayLike = math.pi / 2,
         acceleration: ArrayLike = 2.0 * math.pi,
     ) -> ArmConfig:
-        """An arm for any robot of hinges: XM430-W350 servos, ids 1..n, direct drive, many turns.
+        """An arm for any robot of hinges: XM430-W350 servos, ids 1..n, direct drive, many revolutions.
 
         Args:
             robot_name: Name or path of the robot.
@@ -114,7 +114,7 @@ class ArmConfig:
         maps = []
         for k, name in enumerate(joints):
             low, high, speed, ramp = (float(column[k]) for column in columns)
-            mode, middle = OperatingMode.EXTENDED_POSITION, TICKS_PER_TURN // 2
+            mode, middle = OperatingMode.EXTENDED_POSITION, TICKS_PER_REVOLUTION // 2
             maps.append(JointMap(name, k + 1, "XM430-W350", mode, 1, middle, 1.0, low, high, speed, ramp))
         title = f"{robot_name} with {n} virtual servos"
         return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", tuple(maps))
@@ -395,7 +395,7 @@ def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | 
             key=f"{at}.{next(key for key, value in limits if value is not None)}",
             allowed="a model that does; load_percent in [joints.stop_at] for this one",
         )
-    most = table["goal_current"].maximum * unit if unit else 0.0
+    maximum = table["goal_current"].maximum * unit if unit else 0.0
     if joint.current is not None:
         if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
             raise ConfigError(
@@ -406,11 +406,11 @@ def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | 
             )
         limits = (*limits, ("current_ma", joint.current))
     for key, value in limits:
-        ceiling = most if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
+        ceiling = maximum if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
         if value is not None and not unit <= value <= ceiling:
             raise ConfigError(
                 f"{value:g} mA is no current of a {joint.model}"
-                + (f" limited to {ceiling:g} mA" if ceiling < most else ""),
+                + (f" limited to {ceiling:g} mA" if ceiling < maximum else ""),
                 file=file,
                 key=f"{at}.{key}",
                 allowed=f"{unit:g} to {ceiling:g}",

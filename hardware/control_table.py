@@ -28,8 +28,8 @@ from robot_ik.hardware.x_series import (
     Row,
 )
 
-TICKS_PER_TURN = 4096
-RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_TURN
+TICKS_PER_REVOLUTION = 4096
+RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_REVOLUTION
 VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """One unit of the velocity registers: 0.229 rev/min, in rad/s."""
 ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
@@ -37,7 +37,7 @@ ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
 WATCHDOG_UNIT = 0.020
 """One unit of Bus Watchdog, in s."""
 MULTI_TURN_TICKS = 1_048_575
-"""Largest goal in the extended modes: 256 turns either way."""
+"""Largest goal in the extended modes: 256 revolutions either way."""
 
 BAUD_RATES: Mapping[int, int] = MappingProxyType(
     {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000, 7: 4_500_000}

@@ -78,7 +78,7 @@ class MotionReport:
 
 
 def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
-    """The fault of a servo whose answers carry the alert bit, with what its register says."""
+    """The fault of a servo whose replies carry the alert bit, with what its register says."""
     try:
         value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
     except HardwareError as error:
@@ -109,7 +109,7 @@ def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
     return MotorFaultError(
         servo.name,
         ("position_jump",),
-        hint=f"it read {there}, now {here}: it lost count of its turns, or a horn is loose: "
+        hint=f"it read {there}, now {here}: it lost count of its revolutions, or a horn is loose: "
         "all hold. Check it, then: robot-ik servo reset-fault, or Arm.reset_fault()",
     )
 
@@ -160,7 +160,7 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
             everyone=True,
             hint="check their power, the cable and the adapter; torque stays as it was",
         )
-    hint = f"no good answer of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
+    hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
     raise MotorFaultError(servo.name, (status,), hint=hint)
 
 
@@ -378,7 +378,7 @@ class Cycle:
     def stay_alive(self) -> None:
         """Where a bus watchdog may have tripped, sees to it that the arm goes on from its goals, from rest.
 
-        A servo whose watchdog has tripped refuses goals, and a sync write has no answer to say so.
+        A servo whose watchdog has tripped refuses goals, and a sync write has no reply to say so.
 
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError, HardwareError.

@@ -1,6 +1,6 @@
 """Who is on a wire: every id at every rate, with what it says of itself, and ids that two servos share.
 
-Answers of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
+Replies of two servos with one id collide: what arrives is damaged, and to a ping that everybody hears it
 looks as if no servo had that id.  So a scan counts damaged bytes, and where it saw some it asks
 every id alone.
 """
@@ -22,14 +22,14 @@ from robot_ik.hardware.control_table import (
 )
 from robot_ik.hardware.dynamixel import PING, PING_BYTES, PING_DATA, DynamixelBus, listening_time
 from robot_ik.hardware.packets import StatusParser, build
-from robot_ik.hardware.serial_port import ANSWER_TIME
+from robot_ik.hardware.serial_port import RESPONSE_TIME
 
 LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
 """Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
 
 IDS = range(253)
 
-PING_WAIT = ANSWER_TIME
+PING_WAIT = RESPONSE_TIME
 """s for one id to answer a ping of its own."""
 
 _LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
@@ -40,11 +40,11 @@ class FoundServo:
     """One id that answers at one rate.
 
     Attributes:
-        id, baud: Where; ``number``: Model Number, None where answers were too damaged to tell.
+        id, baud: Where; ``number``: Model Number, None where replies were too damaged to tell.
         firmware: Version; ``voltage``, V; ``temperature``, C; ``return_delay``, us; ``torque``: on or off;
             each None if it could not be read.
         errors: Latched hardware errors by name.
-        shared: Answers collide: two servos seem to have this id.
+        shared: Replies collide: two servos seem to have this id.
     """
 
     id: int
@@ -91,7 +91,7 @@ class ScanBus(DynamixelBus):
         return self._ping(BROADCAST_ID, listen)
 
     def ping_once(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        """A ping to one id; late answers of others come under theirs.  Otherwise as ``collect_pings``."""
+        """A ping to one id; late replies of others come under theirs.  Otherwise as ``collect_pings``."""
         return self._ping(id, listen)
 
     def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
@@ -101,10 +101,10 @@ class ScanBus(DynamixelBus):
             end = time.monotonic() + listen
             while data := port.receive(end):
                 received += len(data)
-                for answer in parser.feed(data):
+                for packet in parser.feed(data):
                     useful += PING_BYTES
-                    if len(answer.data) == PING_DATA:
-                        found[answer.id] = (answer.data[0] | answer.data[1] << 8, answer.data[2])
+                    if len(packet.data) == PING_DATA:
+                        found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
                 if id in found:
                     return found, received - useful
             self._wire.missed()
@@ -160,9 +160,9 @@ def nobody_hint(bauds: Iterable[int]) -> str:
 def scan_notes(found: Sequence[FoundServo]) -> list[str]:
     """What is wrong with all of them together."""
     if len(found) > 1 and all(servo.shared for servo in found):
-        return ["every answer is damaged: check the cable, its contacts and the adapter"]
+        return ["every reply is damaged: check the cable, its contacts and the adapter"]
     notes = [
-        f"id {servo.id} at {servo.baud}: damaged answers. Two servos with this id? Connect one alone "
+        f"id {servo.id} at {servo.baud}: damaged replies. Two servos with this id? Connect one alone "
         "and give it another: robot-ik servo setup --id N"
         for servo in found
         if servo.shared
@@ -182,13 +182,13 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
 def _one_by_one(
     bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
 ) -> list[FoundServo]:
-    """Servos that the ping to all did not find, and ids from which only damaged answers come."""
+    """Servos that the ping to all did not find, and ids from which only damaged replies come."""
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{baud} baud, id {id}", k / len(ids))
         heard, damaged = bus.ping_once(id, PING_WAIT)
         if damaged and id not in heard:
-            heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one answer
+            heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one reply
         for other, who in heard.items():
             found[other] = _details(bus, FoundServo(other, baud, *who))
         if damaged and id not in heard:
@@ -197,7 +197,7 @@ def _one_by_one(
 
 
 def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
-    """The same servo with its state, and whether its answers collide with another's."""
+    """The same servo with its state, and whether its replies collide with another's."""
     table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
     before = bus.counters.corrupt
     values: dict[str, int] = {}
@@ -216,7 +216,7 @@ def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
     damaged = bus.counters.corrupt - before
-    if not values:  # it answers pings only, or its answers are damaged
+    if not values:  # it answers pings only, or its replies are damaged
         return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
     return FoundServo(
         servo.id,
@@ -248,7 +248,7 @@ def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
     shared = [servo for servo in found if servo.shared]
     if shared:
         raise HardwareError(
-            f"id {shared[0].id} gives damaged answers: two servos with one id, or a bad cable",
+            f"id {shared[0].id} gives damaged replies: two servos with one id, or a bad cable",
             hint="connect one servo alone and try again",
         )
     if len(found) > 1:

@@ -2,8 +2,8 @@
 
 The SDK builds, stuffs, finds and checks the packets of ``ping``, ``read``, ``write`` and ``reboot``.  What it
 leaves open is closed here and in ``wire``: a lock, a length check before any byte is decoded, retries with a
-bound.  Requests to many servos and their answers, those of a ping to all among them, are built and taken
-apart in ``packets``: quickly, and so that the answers which did arrive are kept, with their alert bits.
+bound.  Requests to many servos and their replies, those of a ping to all among them, are built and taken
+apart in ``packets``: quickly, and so that the replies which did arrive are kept, with their alert bits.
 """
 
 from __future__ import annotations
@@ -31,27 +31,27 @@ from robot_ik.hardware.packets import (
     whole_fast_status,
     write_request,
 )
-from robot_ik.hardware.serial_port import ANSWER_TIME, QUIET, SleepingPortHandler, Wire
+from robot_ik.hardware.serial_port import QUIET, RESPONSE_TIME, SleepingPortHandler, Wire
 
 # ------------------------------------------------------------------------------------------
-# How long servos take to answer, learned from their answers: how long to wait, when to watch the port.
+# How long servos take to answer, learned from their replies: how long to wait, when to watch the port.
 
 
 SHORTEST_WAIT = 0.005
 """s; a servo has at least so long to answer, however quick it used to be: computers pause."""
 
 SLOWNESS = 3.0
-"""A servo has so many times the longest recent answer time."""
+"""A servo has so many times the longest recent response time."""
 
 STEADY = 1e-4
-"""s; answers whose times scatter by less are worth watching for: who sleeps wakes up about so late."""
+"""s; replies whose times scatter by less are worth watching for: who sleeps wakes up about so late."""
 
-_FORGET = 0.98  # share of the longest answer time kept from one answer to the next
+_FORGET = 0.98  # share of the longest response time kept from one reply to the next
 _GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
 
 
 class RoundTripEstimator:
-    """Times from question to answer, s, without those of the bytes.
+    """Times from request to reply, s, without those of the bytes.
 
     The usual time and its spread are the running mean and mean deviation of Jacobson, "Congestion avoidance
     and control" (1988), appendix A.
@@ -63,7 +63,7 @@ class RoundTripEstimator:
         self._spread = 1.0  # at first nothing is known
 
     def add(self, took: float) -> None:
-        """One more answer; ``took`` may be a little below 0, for adapters hand bytes over in pieces."""
+        """One more reply; ``took`` may be a little below 0, for adapters hand bytes over in pieces."""
         if self._longest is None:
             self._longest, self._usual = took, took
         self._longest = max(took, _FORGET * self._longest)
@@ -72,14 +72,14 @@ class RoundTripEstimator:
         self._spread += _SPREAD_GAIN * (min(abs(miss), 1.0) - self._spread)
 
     def patience(self, at_most: float) -> float:
-        """s to wait for an answer."""
+        """s to wait for a reply."""
         if self._longest is None:
             return at_most
         return min(max(SLOWNESS * self._longest, SHORTEST_WAIT), at_most)
 
     @property
     def expected(self) -> float | None:
-        """s after which an answer usually comes; None where that is not known to within ``STEADY``."""
+        """s after which a reply usually comes; None where that is not known to within ``STEADY``."""
         return self._usual if self._spread < STEADY else None
 
 
@@ -87,13 +87,11 @@ class RoundTripEstimator:
 # Many servos in one go: goals out, measurements back, within the time a control cycle has.
 #
 # Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
-# in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE``
-# failures in
-# a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
+# in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE`` failures
+# in a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
-# An answer does not say which question it answers.  So in a control cycle, after an answer was missed,
-# the next
-# question asks for a byte more than the last: an answer that comes late has another length, and is known.
+# A reply does not say which question it answers.  So in a control cycle, after a reply was missed, the next
+# question asks for a byte more than the last: a reply that comes late has another length, and is known.
 
 
 log = logging.getLogger(__name__)
@@ -105,7 +103,7 @@ FAST_PATIENCE = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
 PHASES = 4
-"""Lengths in turn: an answer is known to be late unless it comes just so many questions after its own."""
+"""Lengths in turn: a reply is known to be late unless it comes just so many questions after its own."""
 
 
 class _ReadPlan(NamedTuple):
@@ -165,14 +163,14 @@ class GroupTraffic:
         return bool(self.fast_ids) and self._fast_misses < FAST_PATIENCE
 
     def write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """Servo id -> register and value, in one packet, which has no answer.
+        """Servo id -> register and value, in one packet, which has no reply.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
             BusDisconnectedError, BusNotOpenError.
         """
         request = write_request(values) if values else b""
-        # It has no answer, so an answer still outstanding keeps belonging to the question before.
+        # It has no reply, so a reply still outstanding keeps belonging to the question before.
         with self._wire.transaction(None) as port:
             if request:
                 port.send(request)
@@ -191,7 +189,7 @@ class GroupTraffic:
             registers: Servo id -> what is read from it.
             writes: As for ``write``; leave in the same piece as the question.
             within: s; after that no servo is asked again.  The first question always gets its full time.
-            guarded: Late answers are recognised by their length; ``PHASES`` - 1 bytes behind each register
+            guarded: Late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
                 must be readable as well.
 
         Returns:
@@ -203,7 +201,7 @@ class GroupTraffic:
         """
         before = write_request(writes) if writes else b""
         found: dict[int, BusStatus] = {}
-        # A servo waits for the answers of those named before it: silent ones go last and hide no other.
+        # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
         with self._wire.transaction(plan.asks) as port:
@@ -262,12 +260,12 @@ class GroupTraffic:
         return plan
 
     def _patience(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
-        """s from sending the question to giving up the answers."""
-        wait = self._times.patience(self._wire.answer_time)
+        """s from sending the question to giving up the replies."""
+        wait = self._times.patience(self._wire.response_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
-        """One request and the answers to it; puts the usable ones into ``wanted.found``."""
+        """One request and the replies to it; puts the usable ones into ``wanted.found``."""
         port.clear()
         port.send(before + plan.request)
         sent = self._wire.now()
@@ -299,7 +297,7 @@ class GroupTraffic:
             self._judge_fast(failed=bool(waiting))
 
     def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
-        """Takes the answers of a fast read where nothing is wrong with any of them; else takes nothing."""
+        """Takes the replies of a fast read where nothing is wrong with any of them; else takes nothing."""
         registers, asked, found = wanted
         if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
             return False
@@ -309,12 +307,12 @@ class GroupTraffic:
         self._counters.answered += len(values)
         return True
 
-    def _take(self, answers: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
-        """Takes the answers that somebody waits for; how many of them cannot be what was asked."""
+    def _take(self, packets: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
+        """Takes the replies that somebody waits for; how many of them cannot be what was asked."""
         registers, asked, found = wanted
         last_good, now = self._wire.last_good, self._wire.now()
         strange = 0
-        for id, code, alert, data in answers:
+        for id, code, alert, data in packets:
             if id not in waiting:
                 continue
             register, value = registers[id], None
@@ -347,7 +345,7 @@ PING, _REBOOT = 0x01, 0x08
 PING_DATA = 3
 """Bytes of data: model number 2, firmware 1."""
 PING_BYTES = SHORTEST_STATUS + PING_DATA
-"""Of the answer to a ping."""
+"""Of the reply to a ping."""
 
 _IDS = 253
 _SLOT = 0.003  # s that each id may take to answer a ping to all (as the Dynamixel SDK waits)
@@ -366,8 +364,8 @@ class DynamixelBus:
         port: Path or name of the serial port.
         baud: bit/s, one the servos know.
         retries: How often an unanswered or corrupt request is repeated.
-        answer_time: s a servo is given to answer, beyond the time of the bytes.
-        make_handler: Makes what reads and writes the port; takes name, rate, counters and answer time.
+        response_time: s a servo is given to answer, beyond the time of the bytes.
+        make_handler: Makes what reads and writes the port; takes name, rate, counters and response time.
         now: The clock of ages and deadlines, s.
     """
 
@@ -377,14 +375,14 @@ class DynamixelBus:
         baud: int = 1_000_000,
         *,
         retries: int = 2,
-        answer_time: float = ANSWER_TIME,
+        response_time: float = RESPONSE_TIME,
         make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
         self.port = port
         self.baud = baud
         self.counters = Counters()
-        self._wire = Wire(port, baud, self.counters, answer_time, make_handler, now)
+        self._wire = Wire(port, baud, self.counters, response_time, make_handler, now)
         self._packet = self._wire.packet
         self._retries = retries
         self._group = GroupTraffic(self._wire, retries)
@@ -415,13 +413,13 @@ class DynamixelBus:
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError.
         """
-        answer = self._ask(id, "ping", PING_DATA, lambda port: self._bare(port, id, PING))
-        return answer.data[0] | answer.data[1] << 8
+        packet = self._ask(id, "ping", PING_DATA, lambda port: self._bare(port, id, PING))
+        return packet.data[0] | packet.data[1] << 8
 
     def broadcast_ping(self) -> dict[int, int]:
         """Servo id -> model number of everyone who answers; takes about a second, whoever answers.
 
-        Not by the SDK: it takes any packet of 14 bytes for an answer, an echoed request among them.
+        Not by the SDK: it takes any packet of 14 bytes for a reply, an echoed request among them.
 
         Raises:
             BusDisconnectedError, BusNotOpenError.
@@ -435,9 +433,9 @@ class DynamixelBus:
             while data and not over:
                 over = self._wire.now() > end  # a line may never fall silent: this is the last look
                 data = port.receive(end)
-                for answer in parser.feed(data):
-                    if len(answer.data) == PING_DATA:
-                        found[answer.id] = answer.data[0] | answer.data[1] << 8
+                for packet in parser.feed(data):
+                    if len(packet.data) == PING_DATA:
+                        found[packet.id] = packet.data[0] | packet.data[1] << 8
         self.counters.corrupt += parser.damaged
         return dict(sorted(found.items()))
 
@@ -447,13 +445,13 @@ class DynamixelBus:
         Raises:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
         """
-        answer = self._ask(
+        packet = self._ask(
             id,
             register.name,
             register.size,
             lambda port: self._packet.readTx(port, id, register.address, register.size),
         )
-        return BusStatus(id, register.decode(answer.data), 0, answer.alert)
+        return BusStatus(id, register.decode(packet.data), 0, packet.alert)
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
         """One register of one servo; no servo answers one to ``BROADCAST_ID``.
@@ -471,8 +469,8 @@ class DynamixelBus:
             with self._wire.transaction(None) as port:
                 send(port)
             return BusStatus(id, None)
-        answer = self._ask(id, register.name, 0, send)
-        return BusStatus(id, None, 0, answer.alert)
+        packet = self._ask(id, register.name, 0, send)
+        return BusStatus(id, None, 0, packet.alert)
 
     def reboot(self, id: int) -> None:
         """Restarts one servo; it is deaf for some tenths of a second after.
@@ -485,7 +483,7 @@ class DynamixelBus:
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet, which has no answer.
+        """The same register of many servos in one packet, which has no reply.
 
         Raises:
             ValueError: A value does not fit the register; nothing is sent.
@@ -494,7 +492,7 @@ class DynamixelBus:
         self._group.write({id: (register, value) for id, value in values.items()})
 
     def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """A register of its own of every servo in one packet, which has no answer.
+        """A register of its own of every servo in one packet, which has no reply.
 
         Raises:
             ValueError: A value does not fit its register; nothing is sent.
@@ -564,19 +562,19 @@ class DynamixelBus:
                     port.drain(QUIET)
                 send(port)
                 port.setPacketTimeout(SHORTEST_STATUS + size)
-                answer = self._answer(port, id, size)
-                if answer is not None and answer.code != GARBLED:
+                packet = self._receive_status(port, id, size)
+                if packet is not None and packet.code != GARBLED:
                     break
                 self._wire.missed()
-        if answer is not None:
+        if packet is not None:
             self._wire.last_good[id] = self._wire.now()
-            if answer.code:
-                reason = ERROR_REASONS.get(answer.code, "unknown error")
-                raise ServoRefusedError(id=id, register=what, code=answer.code, reason=reason)
-            return answer
+            if packet.code:
+                reason = ERROR_REASONS.get(packet.code, "unknown error")
+                raise ServoRefusedError(id=id, register=what, code=packet.code, reason=reason)
+            return packet
         if self.counters.corrupt > corrupt:
             raise BusCorruptError(
-                f"answers of servo id {id} on {self.port} ({what}) are damaged: checksum or length wrong",
+                f"replies of servo id {id} on {self.port} ({what}) are damaged: checksum or length wrong",
                 hint="check the cable, the baud rate and whether two servos have this id",
             )
         self.counters.asked += 1
@@ -585,15 +583,15 @@ class DynamixelBus:
         age = None if since is None else self._wire.now() - since
         raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
 
-    def _answer(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
+    def _receive_status(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
         """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
         while True:
-            answer = self._wire.receive(port)
-            if answer is None:
+            packet = self._wire.receive(port)
+            if packet is None:
                 return None
-            if answer.id == id:
-                if answer.code or len(answer.data) == size:
-                    return answer
+            if packet.id == id:
+                if packet.code or len(packet.data) == size:
+                    return packet
                 self.counters.corrupt += 1
                 return None
             if port.isPacketTimeout():

@@ -2,12 +2,12 @@
 
 The two lie 68 bytes apart.  Indirect addresses put them side by side: one byte more than the position, and a
 servo that has lost its torque, by a restart of its own or by another's doing, shows in the same cycle.  After
-a restart the indirect addresses are gone too and the torque byte reads 0: such an answer is not believed.
+a restart the indirect addresses are gone too and the torque byte reads 0: such a reply is not believed.
 Servos that do not take indirect addresses are read plainly.
 
 Of joints with thresholds (``[joints.stop_at]``) one servo a cycle, in turn, is asked for more in the same
 question: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
-which questions differ (``dynamixel``), so that a late answer is still known by its length.
+which questions differ (``dynamixel``), so that a late reply is still known by its length.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Feedback:
         self._thresholds = {
             servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
         }
-        self._turn = 0
+        self._health_index = 0
         self._asked: Mapping[int, Register] = self.registers
         self._beyond: MotorFaultError | None = None
         for id in self._servos:
@@ -129,15 +129,18 @@ class Feedback:
         if not self._thresholds:
             return self.registers
         ids = tuple(self._thresholds)
-        self._turn = (self._turn + 1) % len(ids)
-        self._asked = {**self.registers, ids[self._turn]: self._health[ids[self._turn]].register}
+        self._health_index = (self._health_index + 1) % len(ids)
+        self._asked = {
+            **self.registers,
+            ids[self._health_index]: self._health[ids[self._health_index]].register,
+        }
         return self._asked
 
     def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
-        """What an answer says.
+        """What a reply says.
 
         Args:
-            status: The answer.
+            status: The reply.
             now: When it came, s; for thresholds.
         """
         value, id = status.data, status.id

@@ -130,8 +130,8 @@ WATCHDOG_FIRMWARE = 38
 _LATE = 4e-3
 """s; a latency timer of 1 ms, the computer and its USB stay below."""
 
-_ASKED = 6  # questions whose quickest answer counts
-_READ_BYTES = 14 + 15  # a read of four bytes, and its answer
+_ASKED = 6  # questions whose quickest reply counts
+_READ_BYTES = 14 + 15  # a read of four bytes, and its reply
 _CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
 
 _WARM = 10  # C below its limit, a servo is worth a word
@@ -171,17 +171,17 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
 
 def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
-    """How late answers come, beyond the time that their bytes take, and how many cycles that leaves."""
+    """How late replies come, beyond the time that their bytes take, and how many cycles that leaves."""
     heard = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
     if not heard:
         return []
-    seconds = _answer_time(port, heard[0])
+    seconds = _response_time(port, heard[0])
     if seconds is None:
         return []
     byte, n = 10.0 / config.baud, len(config.servo_ids)
     late = max(seconds - _READ_BYTES * byte - 1e-6 * (heard[0].return_delay or 0), 0.0)
     rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
-    said = f"an answer comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
+    said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, said)]
     name = os.path.basename(os.path.realpath(port))
@@ -190,8 +190,8 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", do)]
 
 
-def _answer_time(port: str, servo: FoundServo) -> float | None:
-    """s from a question to its answer, the best of some: a busy computer is not the adapter's fault."""
+def _response_time(port: str, servo: FoundServo) -> float | None:
+    """s from a question to its reply, the best of some: a busy computer is not the adapter's fault."""
     table = servo.table or control_table("XM430-W350")
     times = []
     try:
@@ -217,7 +217,7 @@ def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) 
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
     if len(found) > 1 or found[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
-        return CheckRow(what, PROBLEM, "answers collide: two servos with this id", do)
+        return CheckRow(what, PROBLEM, "replies collide: two servos with this id", do)
     one = found[0]
     for status, problem, do in _findings(servo, one, config):
         return CheckRow(what, status, f"{_about(one)}: {problem}", do)
@@ -261,6 +261,6 @@ def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[s
     if f.table is not None and "fast_read" not in f.table.abilities:
         rows.append((NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"))
     if f.return_delay:
-        text = f"it waits {f.return_delay} us before each answer"
+        text = f"it waits {f.return_delay} us before each reply"
         rows.append((NOTE, text, "nothing: every start of the arm sets 0"))
     return rows

@@ -18,7 +18,7 @@ from pydantic import Field
 from robot_ik.hardware.control_table import (
     MULTI_TURN_TICKS,
     RADIANS_PER_TICK,
-    TICKS_PER_TURN,
+    TICKS_PER_REVOLUTION,
     ControlTable,
     OperatingMode,
     control_table,
@@ -31,13 +31,13 @@ MODES = {
 }
 """Word in the arm file -> operating mode."""
 MODE_TICKS = {
-    OperatingMode.POSITION: (0, TICKS_PER_TURN - 1),
+    OperatingMode.POSITION: (0, TICKS_PER_REVOLUTION - 1),
     OperatingMode.EXTENDED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
     OperatingMode.CURRENT_BASED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
 }
 """Operating mode -> smallest and largest goal, ticks."""
 
-HOMING_ONE_TURN = TICKS_PER_TURN // 4
+POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
 (ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""
 HOMING_CURES = (
@@ -46,7 +46,7 @@ HOMING_CURES = (
 )
 
 BESIDE_TICKS = 60
-"""About 5 degrees beyond a range: backlash and a soft stop, not a lost turn."""
+"""About 5 degrees beyond a range: backlash and a soft stop, not a lost revolution."""
 
 ARM = "arm"
 """Group of the joints that make up q."""
@@ -183,7 +183,7 @@ class Twin:
 
     id: Annotated[int, Field(ge=0, le=252)]
     direction: Sign = 1
-    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_TURN // 2
+    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_REVOLUTION // 2
     shadow: bool = False
     reverse: bool | None = None
 
@@ -194,7 +194,8 @@ class JointMap:
 
     Attributes:
         name: Joint name in the model; ``id``, ``model``, ``mode``: of its servo.
-        direction: +1 or -1; ``zero_ticks``: servo position at q = 0; ``ratio``: servo turns per joint turn.
+        direction: +1 or -1; ``zero_ticks``: servo position at q = 0; ``ratio``: servo per joint
+            revolutions.
         lower, upper: Range allowed in software, rad at the joint.
         velocity, acceleration: Caps, rad/s and rad/s^2 at the joint (of a slide all four are in m).
         current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
@@ -349,22 +350,22 @@ class JointMap:
         lower, upper = self.limits
         return min(max(ticks, first), last) if lower <= q <= upper else ticks
 
-    def lost_turns(self, ticks: int) -> int:
-        """Whole turns of the servo that are to be added to a reading; 0: it may stand where it says.
+    def lost_revolutions(self, ticks: int) -> int:
+        """Whole revolutions of the servo that are to be added to a reading; 0: it may stand where it says.
 
-        A reading outside the range that lies inside it a turn further on is a lost turn, not a joint outside:
-        led back to its range it would go on in the wrong direction.  A shaft that was wound up by hand reads
-        the same, so nothing is added by itself.
+        A reading outside the range that lies inside it a revolution further on is a lost revolution, not a
+        joint outside: led back to its range it would go on in the wrong direction.  A shaft that was wound up
+        by hand reads the same, so nothing is added by itself.
         """
         first, last = self.ticks_range
         outside = max(first - ticks, ticks - last)
         if self.mode == OperatingMode.POSITION or outside <= BESIDE_TICKS:
             return 0
-        turns = round(((first + last) / 2 - ticks) / TICKS_PER_TURN)
-        there = ticks + TICKS_PER_TURN * turns
-        one_turn = last - first < TICKS_PER_TURN
-        inside = one_turn and first - BESIDE_TICKS <= there <= last + BESIDE_TICKS
-        return turns if inside or outside > TICKS_PER_TURN / 2 else 0
+        revolutions = round(((first + last) / 2 - ticks) / TICKS_PER_REVOLUTION)
+        there = ticks + TICKS_PER_REVOLUTION * revolutions
+        single_revolution = last - first < TICKS_PER_REVOLUTION
+        inside = single_revolution and first - BESIDE_TICKS <= there <= last + BESIDE_TICKS
+        return revolutions if inside or outside > TICKS_PER_REVOLUTION / 2 else 0
 
     @cached_property
     def reach(self) -> tuple[float, float]:

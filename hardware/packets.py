@@ -1,7 +1,7 @@
-"""Bytes of the control cycle, on the host's side: group requests, and the answers to them; the ping to all.
+"""Bytes of the control cycle, on the host's side: group requests, and the replies to them; the ping to all.
 
 A cycle is the one thing that must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
-an answer apart byte by byte in Python; here whole answers are found and checked at once.  The tests hold the
+a reply apart byte by byte in Python; here whole replies are found and checked at once.  The tests hold the
 requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
 """
 
@@ -72,7 +72,7 @@ def build(id: int, instruction: int, params: bytes) -> bytes:
     return head + crc(head).to_bytes(2, "little")
 
 
-def _same_place(registers: Iterable[Register]) -> bool:
+def _same_address(registers: Iterable[Register]) -> bool:
     rows = iter(registers)
     first = next(rows)
     return all(r is first or (r.address, r.size) == (first.address, first.size) for r in rows)
@@ -96,7 +96,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
         ValueError: A value does not fit its register.
     """
     registers = [register for register, _ in values.values()]
-    if registers.count(registers[0]) == len(registers) or _same_place(registers):
+    if registers.count(registers[0]) == len(registers) or _same_address(registers):
         numbers = [number for id, (_, value) in values.items() for number in (id, value)]
         try:  # all at once; what does not fit is reported by the register
             packed = _packer(len(registers), registers[0].size, registers[0].signed).pack(*numbers)
@@ -111,7 +111,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
 
 def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
     """Sync read if all registers lie at one place, else bulk read; fast: one status packet for all."""
-    if _same_place(registers.values()):
+    if _same_address(registers.values()):
         first = next(iter(registers.values()))
         return build(BROADCAST_ID, FAST_SYNC_READ if fast else SYNC_READ, _where(first) + bytes(registers))
     body = b"".join(bytes((id,)) + _where(register) for id, register in registers.items())
@@ -130,7 +130,7 @@ class StatusParser:
         self.damaged = 0
 
     def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Answers that are complete now.
+        """Replies that are complete now.
 
         Args:
             data: The next bytes.
@@ -138,7 +138,7 @@ class StatusParser:
                 passed over, for it may be noise with packets behind it.
         """
         buffer = self._buffer + data
-        answers = []
+        packets = []
         at = 0
         while True:
             at = buffer.find(HEADER, at)
@@ -151,16 +151,16 @@ class StatusParser:
             end = at + 7 + length
             if not last and length <= LONGEST and len(buffer) < end:
                 break
-            answer = _status(buffer[at:end]) if len(buffer) >= end else None
-            if answer is None:
+            packet = _status(buffer[at:end]) if len(buffer) >= end else None
+            if packet is None:
                 if len(buffer) < end or buffer.startswith(_STATUS, at + 7):
                     self.damaged += 1
                 at += len(HEADER)
                 continue
-            answers.append(answer)
+            packets.append(packet)
             at = end
         self._buffer = buffer[at:]
-        return answers
+        return packets
 
 
 def _status(packet: bytes) -> StatusPacket | None:
@@ -179,19 +179,19 @@ class _FastLayout(NamedTuple):
     """Where things are in a fast status in which all servos asked have their part."""
 
     head: bytes
-    places: tuple[tuple[int, int, int], ...]
+    spans: tuple[tuple[int, int, int], ...]
     """Of each servo: its id, the first byte of its data, the first behind them; error and id lie before."""
     total: int
 
 
 @lru_cache(maxsize=256)
 def _fast_layout(expected: tuple[tuple[int, int], ...]) -> _FastLayout:
-    places, at = [], FAST_HEAD
+    spans, at = [], FAST_HEAD
     for id, size in expected:
-        places.append((id, at + 2, at + 2 + size))
+        spans.append((id, at + 2, at + 2 + size))
         at += size + FAST_FRAME
     head = HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + _STATUS
-    return _FastLayout(head, tuple(places), at)
+    return _FastLayout(head, tuple(spans), at)
 
 
 def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
@@ -204,12 +204,12 @@ def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> lis
     Returns:
         None where anything is wrong, an error or an alert among it: then ``FastParser`` says what.
     """
-    head, places, total = _fast_layout(expected)
+    head, spans, total = _fast_layout(expected)
     # The last checksum runs over all bytes before it.
     if len(data) != total or not data.startswith(head) or crc(data[:-2]) != data[-2] | data[-1] << 8:
         return None
     values = []
-    for id, first, end in places:
+    for id, first, end in spans:
         if data[first - 2] or data[first - 1] != id:
             return None
         values.append(data[first:end])
@@ -237,16 +237,16 @@ class FastParser:
         self.damaged = 0
 
     def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Answers that are complete now; ``last``: nothing more will come."""
-        answers: list[StatusPacket] = []
+        """Replies that are complete now; ``last``: nothing more will come."""
+        packets: list[StatusPacket] = []
         if self.damaged:
-            return answers
+            return packets
         buffer = self._buffer + data
         if not self._at:
             buffer = self._from_head(buffer)
         self._buffer = buffer = buffer[: self._total]
         if not self._at:
-            return answers
+            return packets
         while self._next < len(self._expected) and not self.damaged:
             id, size = self._expected[self._next]
             end = self._at + size + FAST_FRAME
@@ -257,11 +257,11 @@ class FastParser:
             if value != frame[-2] | frame[-1] << 8 or frame[1] != id:
                 self.damaged = 1
                 break
-            answers.append(StatusPacket(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
+            packets.append(StatusPacket(id, frame[0] & ~ALERT_BIT, bool(frame[0] & ALERT_BIT), frame[2:-2]))
             self._crc = crc(frame[-2:], value)
             self._at = end
             self._next += 1
-        return answers
+        return packets
 
     def _from_head(self, buffer: bytes) -> bytes:
         """The bytes from the head of a fast status on, or what may begin one; sets ``_at`` behind it."""

@@ -15,7 +15,7 @@ from robot_ik.errors import (
 from robot_ik.hardware.bus import ServoBus, joint_named, read_all
 from robot_ik.hardware.calibration import check_beside
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.samples import Samples
@@ -64,7 +64,7 @@ class ServoReset:
         joint, id: Whose.
         before: Hardware errors, and ``WATCHDOG`` if that had tripped; empty: nothing to reset.
         after: The same now; None: it does not answer.
-        turned: Ticks by which its reading changed: whole turns that it has forgotten.
+        turned: Ticks by which its reading changed: whole revolutions that it has forgotten.
         silence: The error of the bus, where it does not answer.
     """
 
@@ -83,7 +83,7 @@ class ServoReset:
     @property
     def ok(self) -> bool:
         """Healthy now, and its angle is what it was."""
-        return self.after == () and abs(self.turned) < TICKS_PER_TURN // 2
+        return self.after == () and abs(self.turned) < TICKS_PER_REVOLUTION // 2
 
 
 def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoReset]:
@@ -189,8 +189,8 @@ def find_again(
         clock.sleep_until(clock.now() + _POLL)
 
 
-def check_turns_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
-    """A servo that restarted counts its turns anew: then its angle is wrong by whole turns.
+def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
+    """A servo that restarted counts its revolutions anew: then its angle is wrong by whole revolutions.
 
     Args:
         bus: Open.
@@ -198,15 +198,15 @@ def check_turns_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
         before: The samples until the fault.
 
     Raises:
-        HardwareError: A shaft stands more than half a servo turn from where it was last seen.
+        HardwareError: A shaft stands more than half a servo revolution from where it was last seen.
     """
     for id, ticks in read_all(bus, config, "present_position").items():
         last = before.jumped.get(id, before.ticks.get(id))
-        if last is not None and abs(ticks - last) > TICKS_PER_TURN / 2:
+        if last is not None and abs(ticks - last) > TICKS_PER_REVOLUTION / 2:
             servo = next(s for s in config.servos if s.id == id)
             there, here = (servo.text(servo.to_radians(t)) for t in (last, ticks))
             raise HardwareError(
                 f"joint {servo.name!r} was at {there} and reads {here} after the fault",
-                hint="its servo has lost count of its turns: turn the joint by hand until it reads right, or "
-                "close the arm and correct zero_ticks",
+                hint="its servo has lost count of its revolutions: turn the joint by hand until it reads "
+                "right, or close the arm and correct zero_ticks",
             )

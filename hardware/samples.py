@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_TURN
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.ports import Array
 
 SILENCE = 0.13
 """s without a sample after which a servo is asked by itself, three times.  It shows in the next cycle (0.14 s
-after the last answer, at 100 Hz); without an answer it is given up 0.14 s later at 1 Mbit/s."""
+after the last reply, at 100 Hz); without a reply it is given up 0.14 s later at 1 Mbit/s."""
 
 SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
@@ -75,7 +75,7 @@ class Samples:
                 continue
             self._missed[k] = 0
             before = self.ticks.get(servo.id, value)
-            if abs(value - before) > TICKS_PER_TURN / 2 + self._speeds[k] * (now - self._times[k]):
+            if abs(value - before) > TICKS_PER_REVOLUTION / 2 + self._speeds[k] * (now - self._times[k]):
                 self.jumped.setdefault(servo.id, before)
             self.ticks[servo.id] = value
             self._angles[k] = servo.to_radians(value)

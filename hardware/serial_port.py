@@ -30,7 +30,7 @@ from robot_ik.hardware.packets import SHORTEST_STATUS, StatusPacket
 LONGEST_DRAIN = 0.1
 """s after which a line that does not fall silent is no longer waited for."""
 
-ANSWER_TIME = 0.034
+RESPONSE_TIME = 0.034
 """s a servo is given beyond the bytes' own time: twice a 16 ms USB latency timer and 2 ms, as in the SDK."""
 
 OVERTIME = 1024
@@ -40,7 +40,7 @@ WRITE_TIMEOUT = 0.5
 """s beyond the bytes' own time; a port that has not taken them by then is gone."""
 
 WATCH = 1.5e-4
-"""s before and after the moment an answer is expected in which the port is watched without sleeping.
+"""s before and after the moment a reply is expected in which the port is watched without sleeping.
 
 A sleep ends up to 50 µs late by the timer's slack (prctl(2), PR_SET_TIMERSLACK), and waking takes time.
 """
@@ -64,7 +64,7 @@ class SleepingPortHandler(PortHandler):
         port_name: As the system names it.
         baud: bit/s.
         counters: Its bytes are added here.
-        answer_time: s a servo is given to answer.
+        response_time: s a servo is given to answer.
         posix: A port is a file on which one can wait and which must be locked; else (Windows) a handle that
             the system itself gives to one program only.
         make_serial: Opens a port, as ``serial.Serial``.
@@ -75,7 +75,7 @@ class SleepingPortHandler(PortHandler):
         port_name: str,
         baud: int,
         counters: Counters,
-        answer_time: float = ANSWER_TIME,
+        response_time: float = RESPONSE_TIME,
         *,
         posix: bool = os.name == "posix",
         make_serial: Callable[..., Any] = serial.Serial,
@@ -84,7 +84,7 @@ class SleepingPortHandler(PortHandler):
         self._posix = posix
         self._make_serial = make_serial
         self.baudrate = baud
-        self.answer_time = answer_time
+        self.response_time = response_time
         self.seconds_per_byte = 10.0 / baud
         self._counters = counters
         self._file = -1
@@ -123,8 +123,8 @@ class SleepingPortHandler(PortHandler):
         return time.monotonic() * 1000.0
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Until when an answer of so many bytes is waited for, from now."""
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.answer_time)
+        """Until when a reply of so many bytes is waited for, from now."""
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.response_time)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """So many milliseconds from now."""
@@ -141,8 +141,8 @@ class SleepingPortHandler(PortHandler):
         Args:
             deadline: On the monotonic clock, s.  After it there is one look at what is there: who calls again
                 and again looks at the clock himself, for a line may never fall silent.
-            expected: When the answer usually comes, where that is known: shortly before and after it the
-                port is watched without sleeping, for who sleeps notices an answer late.
+            expected: When the reply usually comes, where that is known: shortly before and after it the
+                port is watched without sleeping, for who sleeps notices a reply late.
         """
         if not self._posix:
             while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
@@ -285,7 +285,7 @@ def holders(port: str) -> list[str]:
 # The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
 # (Ctrl-C, a
 # pulled cable) ends it; every later write, torque off among them, is then refused.  Here the mark is cleared
-# whatever happens, and a line on which answers may still be under way is emptied before the next request.
+# whatever happens, and a line on which replies may still be under way is emptied before the next request.
 
 
 log = logging.getLogger(__name__)
@@ -304,7 +304,7 @@ class Wire:
         port: Its name.
         baud: bit/s.
         counters: What happens is added here.
-        answer_time: s a servo is given to answer, beyond the time of the bytes.
+        response_time: s a servo is given to answer, beyond the time of the bytes.
         make_handler: Makes the port handler; takes the four above.
         now: The clock of ages and deadlines, s.
 
@@ -317,7 +317,7 @@ class Wire:
         port: str,
         baud: int,
         counters: Counters,
-        answer_time: float,
+        response_time: float,
         make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -325,13 +325,13 @@ class Wire:
         self.baud = baud
         self.counters = counters
         self.packet = Protocol2PacketHandler()
-        self.answer_time = answer_time
+        self.response_time = response_time
         self.last_good: dict[int, float] = {}
         self.now = now
         self._make_handler = make_handler
         self._lock = threading.RLock()
         self._handler: SleepingPortHandler | None = None
-        self._dirty = False  # answers to an earlier request may still be under way …
+        self._dirty = False  # replies to an earlier request may still be under way …
         self._asked = ""  # … to this one
 
     @property
@@ -348,7 +348,7 @@ class Wire:
         with self._lock:
             if self._handler is not None:
                 return
-            handler = self._make_handler(self.port, self.baud, self.counters, self.answer_time)
+            handler = self._make_handler(self.port, self.baud, self.counters, self.response_time)
             if handler.getCFlagBaud(self.baud) <= 0:
                 rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
                 raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
@@ -372,12 +372,12 @@ class Wire:
 
     @contextmanager
     def transaction(self, asks: str | None) -> Iterator[SleepingPortHandler]:
-        """The open port, for one request and its answers.
+        """The open port, for one request and its replies.
 
         Args:
-            asks: What is asked, in a word; None where there is no answer.  A packet does not say which
-                request it answers.  So after an answer was missed, another question waits until that answer
-                cannot come any more; the same question need not: a late answer to it is as good as any.
+            asks: What is asked, in a word; None where there is no reply.  A packet does not say which
+                request it answers.  So after a reply was missed, another question waits until that reply
+                cannot come any more; the same question need not: a late reply to it is as good as any.
 
         Raises:
             BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
@@ -391,7 +391,7 @@ class Wire:
                 handler.is_using = False
                 if asks is not None:
                     if self._dirty:
-                        handler.drain(QUIET if asks == self._asked else self.answer_time)
+                        handler.drain(QUIET if asks == self._asked else self.response_time)
                         self._dirty = False
                     self._asked = asks
                 yield handler
@@ -407,7 +407,7 @@ class Wire:
                 self._dirty = self._dirty or not clean
 
     def missed(self) -> None:
-        """An answer is outstanding: whatever is asked next must not take it for its own."""
+        """A reply is outstanding: whatever is asked next must not take it for its own."""
         self._dirty = True
 
     def receive(self, port: SleepingPortHandler) -> StatusPacket | None:

@@ -1,7 +1,7 @@
 """A servo bus without a wire: the driver itself, on a port that calls the virtual bus as a function.
 
 The same code drives servos here and on metal, packets, checks and repetitions included; only time differs:
-an answer is there at once or never, and requests take no time on the clock.
+a reply is there at once or never, and requests take no time on the clock.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class SimBus(DynamixelBus):
     def __init__(self, virtual_bus: VirtualBus, *, retries: int = 2) -> None:
         self.virtual_bus = virtual_bus
 
-        def handler(name: str, baud: int, counters: Counters, answer_time: float) -> InProcessPort:
+        def handler(name: str, baud: int, counters: Counters, response_time: float) -> InProcessPort:
             return InProcessPort(virtual_bus, name, baud, counters)
 
         super().__init__("sim", retries=retries, make_handler=handler, now=virtual_bus.clock.now)

@@ -29,7 +29,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.joint_map import HOMING_CURES, HOMING_ONE_TURN, JointMap
+from robot_ik.hardware.joint_map import HOMING_CURES, POSITION_MODE_HOMING, JointMap
 
 # ------------------------------------------------------------------------------------------
 # How hard servos in current-based position mode may press.
@@ -40,7 +40,7 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
 
     Args:
         bus: Open.
-        config: The arm; its ``current_ma`` is the most there is, and so is the servo's Current Limit.
+        config: The arm; its ``current_ma`` is the maximum, and so is the servo's Current Limit.
         wanted: Joint name -> mA.  Empty: all joints of that mode, what the arm file says.
 
     Raises:
@@ -60,9 +60,9 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
     for servo in config.servos:
         if servo.mode != OperatingMode.CURRENT_BASED_POSITION or (wanted and servo.name not in wanted):
             continue
-        most = bus.read(servo.id, servo.table["current_limit"]).data or 0
+        limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
         given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
-        counts = min([most, *(int(mA / current_unit(servo.table)) for mA in given)])
+        counts = min([limit, *(int(mA / current_unit(servo.table)) for mA in given)])
         register = servo.table["goal_current"]
         bus.write(servo.id, register, counts)
         if bus.read(servo.id, register).data != counts:
@@ -74,7 +74,7 @@ log = logging.getLogger(__name__)
 NO_SECONDARY_ID = 255
 """Secondary ID of a servo that takes no other servo's packets."""
 
-ALL_ANSWERS = 2
+RETURN_ALL = 2
 """Status Return Level: answer everything."""
 
 SPEED_HEADROOM = 1.5
@@ -98,7 +98,7 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     _check_models(bus, config)
     with joint_named(config):
         for joint in config.servos:
-            _answer_everything(bus, joint)
+            _return_all(bus, joint)
     faulty = [row for row in _by_joint(config, read_all(bus, config, "hardware_error_status")) if row[1]]
     if faulty:
         joint, value = faulty[0]
@@ -133,7 +133,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
 
     Raises:
         ArmStateError: An EEPROM setting must change and torque is on (left so by another program).
-        ConfigError: A one-turn servo's own limits are narrower than the arm file's, or it ignores its offset.
+        ConfigError: A servo in position mode has limits narrower than the arm file's, or ignores its offset.
         HardwareError: A servo is reversed by its own setting and not by the arm file, or the other way round.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
@@ -183,13 +183,13 @@ def _check_reverse(servo: JointMap, found: bool) -> None:
 
 
 def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
-    """In position mode a servo ignores a Homing Offset of more than a quarter turn: its zero is elsewhere.
+    """In position mode a servo ignores a Homing Offset beyond a quarter revolution: its zero is elsewhere.
 
     ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md.  LeRobot writes such offsets.
     """
     offsets = read_all(bus, config, "homing_offset")
     for servo in config.servos:
-        if servo.mode == OperatingMode.POSITION and abs(offsets[servo.id]) > HOMING_ONE_TURN:
+        if servo.mode == OperatingMode.POSITION and abs(offsets[servo.id]) > POSITION_MODE_HOMING:
             raise ConfigError(
                 f"{servo.name!r} (servo id {servo.id}) has a Homing Offset of {offsets[servo.id]} ticks, "
                 "which servos in position mode ignore",
@@ -218,7 +218,7 @@ def _check_models(bus: ServoBus, config: ArmConfig) -> None:
     if len(found) < len(config.servos):
         found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
     expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.servos}
-    models = dict.fromkeys(damaged, "damaged answers") | {id: _model_name(n) for id, n in found.items()}
+    models = dict.fromkeys(damaged, "damaged replies") | {id: _model_name(n) for id, n in found.items()}
     raise ServoMismatchError(expected, models, port=bus.port, hint=_mismatch_hint(set(found), damaged))
 
 
@@ -227,7 +227,7 @@ def _mismatch_hint(found: set[int], damaged: set[int]) -> str:
     if damaged and found:
         return "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
     if damaged:
-        return "no answer arrives whole: check the cable, its contacts and the adapter"
+        return "no reply arrives whole: check the cable, its contacts and the adapter"
     if not found:
         return (
             "nobody answers at all: check the servos' power and the cable; "
@@ -241,19 +241,19 @@ def _model_name(number: int) -> str:
     return table.model if table else f"model number {number}"
 
 
-def _answer_everything(bus: ServoBus, joint: JointMap) -> None:
+def _return_all(bus: ServoBus, joint: JointMap) -> None:
     """Status Return Level 2: a servo at 0 or 1 would look dead."""
     register = joint.table["status_return_level"]
     try:
-        if bus.read(joint.id, register).data == ALL_ANSWERS:
+        if bus.read(joint.id, register).data == RETURN_ALL:
             return
     except BusTimeoutError:
         log.debug("servo %d does not answer reads; raising its status return level", joint.id)
     try:
-        bus.write(joint.id, register, ALL_ANSWERS)
+        bus.write(joint.id, register, RETURN_ALL)
     except BusTimeoutError:
         log.debug("servo %d did not answer the write either, as expected below level 2", joint.id)
-    if bus.read(joint.id, register).data != ALL_ANSWERS:
+    if bus.read(joint.id, register).data != RETURN_ALL:
         raise HardwareError(f"servo id {joint.id} (joint {joint.name!r}) keeps its status return level")
 
 
@@ -339,7 +339,7 @@ def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
-    """A one-turn servo refuses goals outside its own limits, and a sync write has no answer to say so."""
+    """In position mode a servo refuses goals outside its limits, and a sync write has no reply to say so."""
     lowest, highest = (read_all(bus, config, f"{end}_position_limit") for end in ("min", "max"))
     for joint in config.servos:
         first, last = joint.ticks_range

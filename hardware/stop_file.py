@@ -2,7 +2,7 @@
 
 A running arm has a file in the user's runtime folder and keeps it locked, so that a dead program's file is
 known for what it is.  Who asks writes a request beside it; the arm looks for it in its control cycle and with
-every beat of its heartbeat, stops, and writes an answer.
+every beat of its heartbeat, stops, and writes a reply.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 POLICIES = ("hold", "torque_off")
 """What may be asked for."""
 
-_POLL = 0.01  # s between two looks for an answer
+_POLL = 0.01  # s between two looks for a reply
 
 
 def runtime_folder() -> Path:
@@ -93,7 +93,7 @@ class StopFile:
             policy = None
         return policy if policy in POLICIES else "hold"  # whatever it says, somebody wants it to stop
 
-    def answer(self, *, ok: bool, text: str) -> None:
+    def acknowledge(self, *, ok: bool, text: str) -> None:
         """What became of the request; it is over."""
         if self._stem is None:
             return
@@ -108,7 +108,7 @@ class StopFile:
         file, self._file = self._file, -1
         stem, self._stem, self._request = self._stem, None, ""
         if stem is not None:
-            for ending in (".arm", ".stop"):  # an answer stays for who waits for it
+            for ending in (".arm", ".stop"):  # a reply stays for who waits for it
                 with suppress(OSError):
                     stem.with_suffix(ending).unlink()
         if file >= 0:
@@ -130,7 +130,7 @@ class RunningArm:
     stem: Path
 
     def stop(self, policy: str = "hold", timeout: float = 3.0) -> tuple[bool, str]:
-        """Asks it to stop and waits for the answer.
+        """Asks it to stop and waits for the reply.
 
         Args:
             policy: One of ``POLICIES``.
@@ -139,15 +139,15 @@ class RunningArm:
         Returns:
             Whether every servo confirmed it; what happened, in words.
         """
-        answer, request = self.stem.with_suffix(".done"), self.stem.with_suffix(".stop")
-        answer.unlink(missing_ok=True)
+        reply, request = self.stem.with_suffix(".done"), self.stem.with_suffix(".stop")
+        reply.unlink(missing_ok=True)
         write_atomically(request, json.dumps({"policy": policy}))
         end = time.monotonic() + timeout
         while time.monotonic() < end:
-            if answer.exists():
-                said = json.loads(answer.read_text("utf-8"))
-                answer.unlink(missing_ok=True)
-                return bool(said["ok"]), str(said["text"])
+            if reply.exists():
+                outcome = json.loads(reply.read_text("utf-8"))
+                reply.unlink(missing_ok=True)
+                return bool(outcome["ok"]), str(outcome["text"])
             time.sleep(_POLL)
         request.unlink(missing_ok=True)
         return False, f"no answer for {timeout:g} s; cut the power if it still moves"

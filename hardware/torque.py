@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_TURN, hardware_error_names
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
@@ -25,8 +25,9 @@ PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
 
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
-_ATTEMPTS = 3  # a sync write has no answer: it is read back, and repeated if it was lost
-_REBASE_TICKS = TICKS_PER_TURN // 8  # a shaft does not move so far while torque comes on; a lost turn does
+_ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
+_REBASE_TICKS = TICKS_PER_REVOLUTION // 8
+"""Ticks; a shaft moves less while torque comes on, and a lost revolution is more."""
 
 
 # ------------------------------------------------------------------------------------------------- on
@@ -39,13 +40,13 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
         Servo id -> goal position, ticks: where the arm now holds.
 
     Raises:
-        HardwareError: A goal was not taken, or a multi-turn servo has lost its turns.  Torque may be on then:
-            the caller switches it off.
+        HardwareError: A goal was not taken, or a multi-turn servo has lost revolutions.  Torque may be on
+            then: the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     goals = read_all(bus, config, "present_position")
-    _check_turns(config, goals)
+    _check_revolutions(config, goals)
     _check_twins(config, goals)
     missing = _sync_set(bus, config, "goal_position", goals)
     if missing:
@@ -65,7 +66,7 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
         if abs(after - goals[joint.id]) > _REBASE_TICKS:
             raise HardwareError(
                 f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
-                hint="a servo may count its turns anew when torque comes on: check zero_ticks",
+                hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
     return goals
 
@@ -104,16 +105,16 @@ def _names(servos: list[JointMap]) -> str:
     return ", ".join(dict.fromkeys(servo.name for servo in servos))
 
 
-def _check_turns(config: ArmConfig, present: dict[int, int]) -> None:
-    """A servo that lost power counts its turns anew: then its angle is wrong by whole turns."""
+def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:
+    """A servo that lost power counts its revolutions anew: then its angle is wrong by whole revolutions."""
     for joint in config.servos:
         here = present[joint.id]
-        if turns := joint.lost_turns(here):
+        if revolutions := joint.lost_revolutions(here):
             lower, upper = joint.limits
-            zero = joint.zero_ticks - TICKS_PER_TURN * turns
+            zero = joint.zero_ticks - TICKS_PER_REVOLUTION * revolutions
             raise HardwareError(
                 f"joint {joint.name!r} reads {joint.text(joint.to_radians(here))}, outside "
-                f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its turns; "
+                f"{joint.text(lower)} .. {joint.text(upper)}: the servo has lost count of its revolutions; "
                 "nothing was switched on",
                 hint="is it wound up? then turn it back by hand. Else, until its power goes again, "
                 f"zero_ticks = {zero} in the arm file is right",
@@ -238,7 +239,7 @@ def force_torque_off(
         bus: Open.
         config: Whose servos they are; what it says of limits and health does not matter.
         ids: Of the servos; each is read back.
-        everyone: All servos on the wire at once first, which needs no answer.
+        everyone: All servos on the wire at once first, which needs no reply.
 
     Returns:
         Servo id -> why it did not confirm; empty: all have no torque.
@@ -271,7 +272,7 @@ def _torque_off(
     """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
     torque = shared_register(config, "torque_enable")
     end = clock.now() + PATIENCE
-    # Needs no answer, so it works even where no answer arrives.  Twice: a signal may have cut off a packet,
+    # Needs no reply, so it works even where no reply arrives.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
     for _ in range(2 if bus.is_open else 0):
         with _tolerant("torque off for all", reported):

@@ -29,7 +29,7 @@ class Motor:
         stall_torque: N m, and ``stall_current``, A, at ``volts``.
         no_load_rpm: rev/min at ``volts``.
         volts: At which these were measured, V.
-        gear_ratio: Turns of the motor for one of the shaft.
+        gear_ratio: Revolutions of the motor for one of the shaft.
         standby: Current without torque, A.
         sensed_at_supply: Present Current is what the supply gives, not what flows through the motor.
     """

@@ -32,14 +32,9 @@ def virtual_arm_config() -> ArmConfig:
 @pytest.fixture
 def virtual_arm_start(virtual_arm_config: ArmConfig) -> Array | None:
     """(n,) rad where the arm stands at first: the robot's home, or zeros where its model is not at hand."""
-    from robot_ik.errors import RobotIkError
-    from robot_ik.robot import load_robot
+    from robot_ik.hardware.virtual.bus import home_of
 
-    try:
-        robot = load_robot(virtual_arm_config.robot, joints=virtual_arm_config.names)
-    except RobotIkError:
-        return None
-    return robot.home if robot.joints == virtual_arm_config.names else None
+    return home_of(virtual_arm_config)
 
 
 @pytest.fixture

@@ -93,14 +93,14 @@ _now = GoalRecorder()
 
 
 def _tap_bus(module: Any) -> None:
-    answer = module.VirtualBus.answer
+    respond = module.VirtualBus.respond
 
     def tapped(self: VirtualBus, data: bytes, baud: int | None = None) -> object:
         with self.lock:
             _now.see(self, data)
-            return answer(self, data, baud)
+            return respond(self, data, baud)
 
-    module.VirtualBus.answer = tapped
+    module.VirtualBus.respond = tapped
 
 
 def _tap_arm(module: Any) -> None:

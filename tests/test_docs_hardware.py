@@ -85,10 +85,10 @@ def test_every_call_of_a_bus_is_in_that_table() -> None:
 class Wire(VirtualBus):
     """Keeps the goals that arrive, whatever packet they come in."""
 
-    def answer(self, data: bytes, baud: int | None = None) -> Any:
+    def respond(self, data: bytes, baud: int | None = None) -> Any:
         for packet in Parser().feed(data, 0.0):
             self.goals_seen().update(_goals(packet))
-        return super().answer(data, baud)
+        return super().respond(data, baud)
 
     def goals_seen(self) -> set[tuple[int, int]]:
         seen: set[tuple[int, int]] = self.__dict__.setdefault("_goals_seen", set())

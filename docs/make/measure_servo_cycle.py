@@ -4,7 +4,7 @@
     python docs/make/measure_servo_cycle.py --write     and put it into docs/reference/hardware.md
 
 The servos are a process of its own behind a pty that takes no time for its bytes: it knows the requests and
-has the answers ready, so what is left is the client's software and two changes of process.  It has a core of
+has the replies ready, so what is left is the client's software and two changes of process.  It has a core of
 its own where there are two: on one core a change of process is quicker, and the system would choose by
 chance.  Rounds of all contestants alternate; of each the p50 of its quietest round counts, for a neighbour at
 work disturbs all.
@@ -44,11 +44,11 @@ BITS_PER_BYTE = 10
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []
 
 
-def serve(answers: dict[bytes, bytes], back: Connection, baud: int) -> None:
+def serve(replies: dict[bytes, bytes], back: Connection, baud: int) -> None:
     """The other process: bytes that end in a known request are answered, when the wire would have.
 
     Args:
-        answers: Request -> answer.
+        replies: Request -> reply.
         back: Takes the name of the port.
         baud: Bits/s of the wire; 0: at once.
     """
@@ -56,18 +56,18 @@ def serve(answers: dict[bytes, bytes], back: Connection, baud: int) -> None:
     master, slave = os.openpty()
     tty.setraw(slave)
     back.send(os.ttyname(slave))
-    longest = max(map(len, answers))
+    longest = max(map(len, replies))
     tail, asked = b"", 0
     while True:
         data = os.read(master, 4096)
         arrived = time.perf_counter()
         asked += len(data)
         tail = (tail + data)[-longest:]
-        for request, answer in answers.items():
+        for request, reply in replies.items():
             if tail.endswith(request):
                 if baud:
-                    wait_until(arrived + BITS_PER_BYTE * (asked + len(answer)) / baud)
-                os.write(master, answer)
+                    wait_until(arrived + BITS_PER_BYTE * (asked + len(reply)) / baud)
+                os.write(master, reply)
                 tail, asked = b"", 0
                 break
 
@@ -100,8 +100,8 @@ def port(baud: int = 0) -> Iterator[str]:
 
 
 def canned() -> dict[bytes, bytes]:
-    """Every request the contestants make -> the answer of six servos."""
-    answers = {}
+    """Every request the contestants make -> the reply of six servos."""
+    replies = {}
     value = (2048).to_bytes(4, "little")
     for register, known in ((PRESENT, value), (BLOCK, b"\x01" + value)):
         for extra in range(PHASES):  # after a miss the bus asks for a byte more
@@ -110,9 +110,9 @@ def canned() -> dict[bytes, bytes]:
             data = known + bytes(extra)
             plain = b"".join(build_status(id, 0, data) for id in IDS)
             total = 8 + len(IDS) * (4 + register.size)
-            answers[read_request(asked, fast=False)] = plain
-            answers[read_request(asked, fast=True)] = build_fast_status([(0, id, data) for id in IDS], total)
-    return answers
+            replies[read_request(asked, fast=False)] = plain
+            replies[read_request(asked, fast=True)] = build_fast_status([(0, id, data) for id in IDS], total)
+    return replies
 
 
 def sdk_cycle(path: str, *, fast: bool) -> tuple[Callable[[int], None], Callable[[], None]]:

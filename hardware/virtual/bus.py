@@ -10,27 +10,28 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, RobotIkError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.virtual import servo as instructions
 from robot_ik.hardware.virtual.faults import Fault, Injected
 from robot_ik.hardware.virtual.protocol import BROADCAST, ErrorCode, Instruction, Packet, Parser, build_status
 from robot_ik.hardware.virtual.servo import (
-    ANSWERS_ALL,
-    ANSWERS_READ,
+    RETURN_ALL,
+    RETURN_READ,
     Request,
     VirtualServo,
-    answering,
-    fast_answers,
+    fast_status_packets,
+    responding,
 )
 from robot_ik.hardware.virtual.wire import VirtualWire, WireSchedule, collide
-from robot_ik.ports import Clock
+from robot_ik.ports import Array, Clock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.world import World
+    from robot_ik.robot import Robot
 
 
-class VirtualAnswer(NamedTuple):
+class VirtualResponse(NamedTuple):
     """Bytes that come back, and how many seconds the servos waited before (Return Delay Time)."""
 
     data: bytes
@@ -41,16 +42,16 @@ class VirtualBus:
     """Servos on one wire.  Safe to call from any thread.
 
     Args:
-        servos: Ids may repeat, as they may by mistake on a real bus: answers then collide.
+        servos: Ids may repeat, as they may by mistake on a real bus: replies then collide.
         clock: Gives the times at which bytes arrive.
         seed: Of the random faults.
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
 
     Attributes:
-        wire: The way of the answers to the host.
+        wire: The way of the replies to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
-        latency: Seconds by which answers come later than they should, besides what the port was given.
+        latency: Seconds by which replies come later than they should, besides what the port was given.
     """
 
     def __init__(self, servos: Iterable[VirtualServo], clock: Clock, seed: int = 0) -> None:
@@ -192,10 +193,10 @@ class VirtualBus:
                 self.world.advance(self.clock.now())
 
     def handle(self, data: bytes, baud: int | None = None) -> bytes:
-        """``answer`` without the time."""
-        return self.answer(data, baud).data
+        """``respond`` without the time."""
+        return self.respond(data, baud).data
 
-    def answer(self, data: bytes, baud: int | None = None) -> VirtualAnswer:
+    def respond(self, data: bytes, baud: int | None = None) -> VirtualResponse:
         """Takes bytes from the host, gives back what the servos send.
 
         Args:
@@ -211,15 +212,15 @@ class VirtualBus:
                 listeners = self._listeners(baud)
                 for servo in listeners:
                     servo.hear()
-                replies += self.wire.carry(self._answer(packet, listeners))
-            return VirtualAnswer(b"".join(replies), self._delay + (self.latency if replies else 0.0))
+                replies += self.wire.carry(self._execute_all(packet, listeners))
+            return VirtualResponse(b"".join(replies), self._delay + (self.latency if replies else 0.0))
 
     def _listeners(self, baud: int | None) -> list[VirtualServo]:
         now = self.clock.now()
         awake = [s for s in self.servos if not s.silent and not s.off and now >= s.ready_at]
         return awake if baud is None else [s for s in awake if s.baud == baud]
 
-    def _answer(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
+    def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """Status packets that a packet causes, in the order they go over the wire."""
         params = packet.params
         match packet.instruction if packet.valid else None:
@@ -266,34 +267,50 @@ class VirtualBus:
                 error, data = instructions.execute(
                     servo, packet.instruction, packet.params, broadcast=broadcast
                 )
-            if ping or (not broadcast and level >= (ANSWERS_READ if read else ANSWERS_ALL)):
+            if ping or (not broadcast and level >= (RETURN_READ if read else RETURN_ALL)):
                 self._delay += delay
                 replies.setdefault(id, []).append(
                     build_status(id, error | alert | servo.status_byte(0), data)
                 )
-        return [self._on_wire(answers) for answers in replies.values()]
+        return [self._on_wire(packets) for packets in replies.values()]
 
     def _read_many(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
         """A status packet from each servo asked; those that are missing leave a gap in time only."""
         replies = []
-        by_id = answering(listeners)
+        by_id = responding(listeners)
         for id, address, length in requests:
-            answers = []
+            packets = []
             for servo in by_id.get(id, ()):
                 self._delay += servo.return_delay
                 data, error = servo.read(address, length)
-                answers.append(build_status(id, servo.status_byte(error), data))
-            if answers:
-                replies.append(self._on_wire(answers))
+                packets.append(build_status(id, servo.status_byte(error), data))
+            if packets:
+                replies.append(self._on_wire(packets))
         return replies
 
     def _read_fast(self, requests: list[Request], listeners: Sequence[VirtualServo]) -> list[bytes]:
         """One status packet to which each servo adds; it ends before the first that is missing."""
-        able = answering([s for s in listeners if "fast_read" in s.table.abilities])
+        able = responding([s for s in listeners if "fast_read" in s.table.abilities])
         first = able.get(requests[0][0]) if requests else None
         self._delay += first[0].return_delay if first else 0.0
-        packets = fast_answers(requests, able)
+        packets = fast_status_packets(requests, able)
         return [self._on_wire(packets)] if packets else []
 
-    def _on_wire(self, answers: list[bytes]) -> bytes:
-        return answers[0] if len(answers) == 1 else collide(answers, self._rng)
+    def _on_wire(self, packets: list[bytes]) -> bytes:
+        return packets[0] if len(packets) == 1 else collide(packets, self._rng)
+
+
+def robot_of(config: ArmConfig) -> Robot | None:
+    """The robot that an arm file names, with its joints alone; None where its model is not at hand."""
+    from robot_ik.robot import load_robot
+
+    try:
+        return load_robot(config.robot, joints=config.names)
+    except RobotIkError:
+        return None
+
+
+def home_of(config: ArmConfig) -> Array | None:
+    """(n,) rad, the home of that robot; None where its model is not at hand, or has not these joints."""
+    robot = robot_of(config)
+    return robot.home if robot is not None and robot.joints == config.names else None

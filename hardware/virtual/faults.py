@@ -34,7 +34,7 @@ from robot_ik.hardware.control_table import (
     BAUD_RATES,
     CONTROL_TABLES,
     HARDWARE_ERRORS,
-    TICKS_PER_TURN,
+    TICKS_PER_REVOLUTION,
 )
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.memory import TRIPPED
@@ -46,7 +46,7 @@ from robot_ik.tables import Table, WrongKey, check_table, keys_of
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
 
-TICKS_PER_DEGREE = TICKS_PER_TURN / 360.0
+TICKS_PER_DEGREE = TICKS_PER_REVOLUTION / 360.0
 
 Undo = Callable[[], None] | None
 """How to take it back; None where there is no way."""
@@ -297,8 +297,8 @@ def _set_push(servo: VirtualServo, push: float) -> None:
 
 
 def _turn(servo: VirtualServo, value: float) -> Undo:
-    servo.turn_by_hand(value * TICKS_PER_DEGREE)
-    return lambda: servo.turn_by_hand(-value * TICKS_PER_DEGREE)
+    servo.rotate_by_hand(value * TICKS_PER_DEGREE)
+    return lambda: servo.rotate_by_hand(-value * TICKS_PER_DEGREE)
 
 
 def _heat(servo: VirtualServo, value: float) -> Undo:
@@ -307,8 +307,8 @@ def _heat(servo: VirtualServo, value: float) -> Undo:
     return None
 
 
-def _lose_turns(servo: VirtualServo, value: float) -> Undo:
-    servo.shaft.lose_turns(round(value))
+def _lose_revolutions(servo: VirtualServo, value: float) -> Undo:
+    servo.shaft.lose_revolutions(round(value))
     return None
 
 
@@ -336,7 +336,7 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "push": Kind("a steady torque on the shaft, N m", _PUSH, -100, 100),
         "zero_offset": Kind("shaft ahead of its registers, degrees", _ZERO_OFFSET, -3600, 3600),
         "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, -3600, 3600),
-        "lost_turns": Kind("counts wrong by so many turns", _lose_turns, -255, 255, whole=True),
+        "lost_turns": Kind("counts wrong by so many revolutions", _lose_revolutions, -255, 255, whole=True),
         "reboot": Kind("restarts by itself", _reboot),
         "hot": Kind("is so warm, C", _heat, 0, 150),
         **{name: Kind(f"hardware error: {name}", _shutdown(name)) for name in HARDWARE_ERRORS.values()},
@@ -344,13 +344,15 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "return_delay": Kind("waits, 2 us a count", _register("return_delay_time"), 0, 254, whole=True),
         "status_level": Kind("Status Return Level", _register("status_return_level"), 0, 2, whole=True),
         "baud": Kind("its baud rate, bits/s", _BAUD, 9600, 4_500_000, whole=True),
-        "id": Kind("its id; one that is taken makes answers collide", _register("id"), 0, 252, whole=True),
+        "id": Kind(
+            "its id; one that is taken makes status packets collide", _register("id"), 0, 252, whole=True
+        ),
         "model": Kind("says it is this model number", _register("model_number"), among=_MODELS),
         "supply": Kind("volts it gets; far too low: it restarts", _SUPPLY, 0, 30),
         "extra": Kind("one servo more, with this id", _add_servo, 0, 252, whole=True, servo=False),
         **{name: Kind(row.help, _chance(name), 0, 1, servo=False) for name, row in SPOILS.items()},
         "echo": Kind("the adapter returns what was sent", _attribute("echo"), servo=False),
-        "latency": Kind("answers come so much later, ms", _LATENCY, 0, 1000, servo=False),
+        "latency": Kind("status packets come so much later, ms", _LATENCY, 0, 1000, servo=False),
         "port_unplugged": Kind("the port is gone", _attribute("unplugged"), servo=False),
     }
 )

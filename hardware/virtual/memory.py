@@ -196,8 +196,8 @@ def _position(memory: Memory, name: str, value: int) -> ErrorCode:
     if _tripped(memory):
         return ErrorCode.DATA_RANGE
     values = memory.values
-    one_turn = values["operating_mode"] == OperatingMode.POSITION
-    if one_turn and not values["min_position_limit"] <= value <= values["max_position_limit"]:
+    position_mode = values["operating_mode"] == OperatingMode.POSITION
+    if position_mode and not values["min_position_limit"] <= value <= values["max_position_limit"]:
         return ErrorCode.DATA_LIMIT
     return ErrorCode.NONE
 

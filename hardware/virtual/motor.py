@@ -9,7 +9,7 @@ from enum import IntEnum
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     RADIANS_PER_TICK,
-    TICKS_PER_TURN,
+    TICKS_PER_REVOLUTION,
     VELOCITY_UNIT,
     OperatingMode,
 )
@@ -51,7 +51,7 @@ class Load:
     """
 
     gravity: float = 0.0
-    level_ticks: float = TICKS_PER_TURN / 2.0
+    level_ticks: float = TICKS_PER_REVOLUTION / 2.0
     friction: float = 0.0
     push: float = 0.0
 
@@ -112,7 +112,7 @@ class Electrics:
 # How a shaft gets to its goal: pieces of constant acceleration, known in closed form at any time.
 #
 # Positions are encoder ticks, velocities ticks/s, accelerations ticks/s^2.  Because a motion is a formula
-# and not an integration, asking for the position often or rarely gives the same answer.
+# and not an integration, asking for the position often or rarely gives the same result.
 # Source: ROBOTIS e-manual, "Profile Acceleration", "Profile Velocity" and "Moving Status" of the X series.
 
 
@@ -181,7 +181,9 @@ def brake(t: float, position: float, velocity: float, acceleration: float) -> Mo
     return MotorMotion((slowing, (t + seconds, stop, 0.0, 0.0)), t + seconds, ProfileKind.TRIANGULAR)
 
 
-def turn(t: float, position: float, velocity: float, wanted: float, acceleration: float) -> MotorMotion:
+def constant_velocity(
+    t: float, position: float, velocity: float, wanted: float, acceleration: float
+) -> MotorMotion:
     """Ramp to the ``wanted`` velocity and keep it."""
     seconds = abs(wanted - velocity) / acceleration
     ramp = (t, position, velocity, math.copysign(acceleration, wanted - velocity))
@@ -307,17 +309,19 @@ def effort(memory: Memory, volts: float) -> float:
     return memory.get("goal_pwm") / PWM_FULL * motor.stall_torque * volts / motor.volts
 
 
-def turning(now: float, position: float, velocity: float, memory: Memory, sign: int) -> MotorMotion:
+def velocity_control(now: float, position: float, velocity: float, memory: Memory, sign: int) -> MotorMotion:
     """Velocity mode: to Goal Velocity, as steeply as Profile Acceleration says (0: as the motor can)."""
     wanted = sign * memory.get("goal_velocity") * VELOCITY_TICKS
     steepness = memory.get("profile_acceleration")
     acceleration = steepness * ACCELERATION_TICKS
     if memory.values.get("drive_mode", 0) & TIME_BASED:
         acceleration = abs(wanted - velocity) / (steepness / 1000.0) if steepness else 0.0
-    return turn(now, position, velocity, wanted, min(acceleration or math.inf, PHYSICAL_ACCELERATION))
+    return constant_velocity(
+        now, position, velocity, wanted, min(acceleration or math.inf, PHYSICAL_ACCELERATION)
+    )
 
 
-def pushed(
+def torque_control(
     now: float, position: float, velocity: float, torque: float, load: Load, memory: Memory, volts: float
 ) -> MotorMotion:
     """Current and PWM mode without a model of the arm: speeds up to where the motor has no torque to spare.
@@ -335,7 +339,11 @@ def pushed(
     stall = motor.stall_torque * volts / motor.volts
     net = torque - load.holding(position)
     if abs(net) <= load.friction:
-        return rest(now, position) if velocity == 0.0 else turn(now, position, velocity, 0.0, _coasting())
+        return (
+            rest(now, position)
+            if velocity == 0.0
+            else constant_velocity(now, position, velocity, 0.0, _coasting())
+        )
     net -= math.copysign(load.friction, net)
     share = net / stall
     if memory.get("operating_mode") == OperatingMode.CURRENT:
@@ -345,14 +353,14 @@ def pushed(
     else:
         acceleration = PHYSICAL_ACCELERATION
     top = motor.no_load_rpm / 60.0 * 4096.0 * volts / motor.volts
-    return turn(now, position, velocity, share * top, acceleration)
+    return constant_velocity(now, position, velocity, share * top, acceleration)
 
 
 def _coasting() -> float:
     return 0.05 * PHYSICAL_ACCELERATION
 
 
-def moving(
+def position_control(
     now: float, position: float, velocity: float, goal: float, memory: Memory, physical_top: float
 ) -> MotorMotion:
     """Position modes: the profile that the registers ask for.

@@ -117,7 +117,7 @@ class Packet:
 
     @property
     def is_status(self) -> bool:
-        """An answer of a servo, with at least its error byte."""
+        """A reply of a servo, with at least its error byte."""
         return self.valid and self.instruction == Instruction.STATUS and len(self.params) > 0
 
     @property
@@ -148,16 +148,16 @@ def build_status(id: int, error: int, data: bytes = b"") -> bytes:
     return build(id, Instruction.STATUS, bytes([error]) + data)
 
 
-def build_fast_status(answers: Sequence[tuple[int, int, bytes]], expected: int) -> bytes:
+def build_fast_status(parts: Sequence[tuple[int, int, bytes]], expected: int) -> bytes:
     """The one packet in which several servos answer a fast read, each adding its part behind the last.
 
     Args:
-        answers: (error byte, id, data) of each servo in the order asked.
+        parts: (error byte, id, data) of each servo in the order asked.
         expected: How many bytes the whole packet will have if everyone answers.  The first servo writes the
             header with that length; a servo that keeps silent silences all behind it and leaves a torso.
     """
     packet = HEADER + bytes([BROADCAST]) + (expected - 7).to_bytes(2, "little") + bytes([Instruction.STATUS])
-    for error, id, data in answers:
+    for error, id, data in parts:
         packet += bytes([error, id]) + data
         packet += crc16(packet).to_bytes(2, "little")
     return packet

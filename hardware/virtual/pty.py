@@ -47,8 +47,8 @@ class PtyPort:
         bus: The servos.
         link: Also make this symbolic link to the port: a name that stays the same from run to run.
         match_baud: Servos hear only a client whose rate is theirs; without, any rate does.
-        wire_baud: Take as long as the bytes of request and answer take at this rate; 0: no time at all.
-        latency_ms: Answers come so much later, as from a USB adapter.
+        wire_baud: Take as long as the bytes of request and reply take at this rate; 0: no time at all.
+        latency_ms: Replies come so much later, as from a USB adapter.
 
     Attributes:
         path: Of the port, e.g. ``/dev/pts/7``; another one after it was unplugged.
@@ -161,7 +161,7 @@ class PtyPort:
         return self._master in ready
 
     def _serve(self) -> None:
-        """The thread: bytes to the bus, answers back, until closed."""
+        """The thread: bytes to the bus, replies back, until closed."""
         while not self._closed.is_set():
             try:
                 if not self._wait():
@@ -178,7 +178,7 @@ class PtyPort:
                 log.warning("virtual bus on %s: the port went away: %s", self.path, error)
                 return
             try:
-                reply, delay = self.bus.answer(data, self.client_baud() if self._match_baud else None)
+                reply, delay = self.bus.respond(data, self.client_baud() if self._match_baud else None)
             except Exception:
                 # A mistake in a servo must not look like a dead cable.
                 log.exception("virtual bus on %s failed on %s", self.path, data.hex(" "))
@@ -188,7 +188,7 @@ class PtyPort:
                 self._send(reply)
 
     def _pace(self, arrived: float, received: int, sent: int, delay: float) -> None:
-        """Waits until the last byte of the answer would have come over the wire."""
+        """Waits until the last byte of the reply would have come over the wire."""
         seconds = self._latency + delay if sent else 0.0
         if self._wire_baud:
             seconds += (received + sent) * _BITS_PER_BYTE / self._wire_baud

@@ -2,7 +2,7 @@
 
 What a register does follows the ROBOTIS e-manual (X series).  Where the manual is silent the choice is
 the less comfortable one for the host: Goal Position keeps its value while torque is off, so that
-switching torque on moves the shaft to a stale goal; a reboot forgets turns; a servo that has shut down
+switching torque on moves the shaft to a stale goal; a reboot forgets revolutions; a servo that has shut down
 takes Torque Enable = 1 without an error and does not obey.  Without a world a limp shaft stays.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 
-from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_TURN, OperatingMode, control_table
+from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_REVOLUTION, OperatingMode, control_table
 from robot_ik.hardware.virtual.controller import Controller
 from robot_ik.hardware.virtual.memory import TRIPPED, Memory, check_write
 from robot_ik.hardware.virtual.motor import Load
@@ -60,7 +60,7 @@ class VirtualServo:
         id: int,
         clock: Clock,
         *,
-        position_ticks: float = TICKS_PER_TURN // 2,
+        position_ticks: float = TICKS_PER_REVOLUTION // 2,
         mode: OperatingMode = OperatingMode.POSITION,
         baud: int = 1_000_000,
         zero_offset_ticks: float = 0.0,
@@ -129,7 +129,7 @@ class VirtualServo:
     _tripped = tripped
 
     def status_byte(self, error: int) -> int:
-        """The error byte of an answer: number, and the alert bit while Hardware Error Status is not 0."""
+        """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""
         return error | (ALERT if self.memory.get("hardware_error_status") else 0)
 
     @property
@@ -140,7 +140,7 @@ class VirtualServo:
 
     @property
     def true_ticks(self) -> float:
-        """Where the shaft really is: hidden offset included, homing offset, reverse and lost turns not."""
+        """True shaft position: with the hidden offset, without homing offset, reverse, lost revolutions."""
         self.controller.update()
         return self.shaft.encoder + self.zero_offset_ticks
 
@@ -174,10 +174,10 @@ class VirtualServo:
         if self.torque and not self.tripped:
             self.shaft.go()
 
-    def turn_by_hand(self, ticks: float) -> None:
+    def rotate_by_hand(self, ticks: float) -> None:
         """Turns the shaft of a servo without torque by so many ticks; with torque it does not give."""
         if not self.torque:
-            self.shaft.turn_by(ticks)
+            self.shaft.rotate_by(ticks)
 
     def hear(self) -> None:
         """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
@@ -226,7 +226,7 @@ class VirtualServo:
         return self.write(address, data)
 
     def clear(self, params: bytes) -> ErrorCode:
-        """Clear multi-turn: the reading falls back into one turn; only while the shaft stands."""
+        """Clear multi-turn: the reading falls back into one revolution; only while the shaft stands."""
         self.controller.update()
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
@@ -237,7 +237,7 @@ class VirtualServo:
         return ErrorCode.NONE
 
     def reboot(self) -> None:
-        """RAM at its defaults, torque off, errors gone, turns forgotten; also what power coming back does."""
+        """RAM at its defaults, torque off, errors gone, revolutions forgotten; as when power comes back."""
         memory = self.memory
         volts = memory.get("present_input_voltage")
         memory.reset(eeprom=False)
@@ -306,7 +306,7 @@ class VirtualServo:
             (self.switch_off if starved else self.switch_on)()
 
     def switch_off(self) -> None:
-        """Takes its power away: no torque, no answers, RAM lost."""
+        """Takes its power away: no torque, no replies, RAM lost."""
         self.controller.update()
         self.off = True
         self.reboot()
@@ -323,7 +323,7 @@ class VirtualServo:
 # Source: ROBOTIS e-manual, "DYNAMIXEL Protocol 2.0", Instruction Details.
 
 
-ANSWERS_READ, ANSWERS_ALL = 1, 2
+RETURN_READ, RETURN_ALL = 1, 2
 """What a servo answers at each Status Return Level: 0 ping only, 1 also reads, 2 everything."""
 
 Request = tuple[int, int, int]
@@ -409,7 +409,7 @@ SINGLE: Mapping[int, Callable[[VirtualServo, bytes], tuple[ErrorCode, bytes]]] =
 def execute(
     servo: VirtualServo, instruction: int, params: bytes, *, broadcast: bool
 ) -> tuple[ErrorCode, bytes]:
-    """What ``servo`` does on an instruction that is meant for it, and answers if it may."""
+    """What ``servo`` does on an instruction that is meant for it, and replies if it may."""
     guarded = broadcast and params == b"\xff" and "guarded_reset" in servo.table.abilities
     if instruction == Instruction.FACTORY_RESET and guarded:
         return ErrorCode.RESULT_FAIL, b""
@@ -417,16 +417,16 @@ def execute(
     return action(servo, params) if action else (ErrorCode.INSTRUCTION, b"")
 
 
-def answering(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo]]:
+def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo]]:
     """Servos that answer reads, by id."""
     found: dict[int, list[VirtualServo]] = {}
     for servo in listeners:
-        if servo.memory.get("status_return_level") >= ANSWERS_READ:
+        if servo.memory.get("status_return_level") >= RETURN_READ:
             found.setdefault(servo.id, []).append(servo)
     return found
 
 
-def fast_answers(requests: list[Request], able: Mapping[int, list[VirtualServo]]) -> list[bytes]:
+def fast_status_packets(requests: list[Request], able: Mapping[int, list[VirtualServo]]) -> list[bytes]:
     """The packet in which those asked answer together, ended before the first that is missing.
 
     Args:

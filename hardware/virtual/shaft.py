@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from robot_ik.hardware.control_table import TICKS_PER_TURN, OperatingMode
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.motor import (
@@ -22,8 +22,8 @@ from robot_ik.hardware.virtual.motor import (
 from robot_ik.hardware.x_series import REVERSE, SLAVE
 from robot_ik.ports import Clock
 
-# Homing Offset beyond a quarter turn is ignored in the one-turn mode.
-_HOMING_ONE_TURN = TICKS_PER_TURN // 4
+# Homing Offset beyond a quarter revolution is ignored in position mode.
+_POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 _IN_POSITION_TICKS = 2.0
 _FOLLOWING_ERROR_TICKS = 50.0
 # PWM counts of 885 that a tick of error gives, for each count of Position P Gain.
@@ -37,14 +37,14 @@ class Body(Protocol):
     velocity: float
     torque: float
 
-    def turn_by(self, ticks: float) -> None:
+    def rotate_by(self, ticks: float) -> None:
         """Is turned from outside."""
 
 
 class Shaft:
     """The moving part of a servo.
 
-    ``reading = sign * encoder + homing offset + whole turns``; the encoder counts from where the servo
+    ``reading = sign * encoder + homing offset + whole revolutions``; the encoder counts from where the servo
     was built.
 
     Args:
@@ -73,14 +73,14 @@ class Shaft:
         self._memory = memory
         self._values = memory.values
         self._clock = clock
-        self._turns = 0.0
+        self._revolutions = 0.0
         self._unreached: float | None = None
 
     # ---------------------------------------------------------------- where it is
 
     @property
     def encoder(self) -> float:
-        """Ticks as they are now, any number of turns."""
+        """Ticks as they are now, any number of revolutions."""
         return self._actual()[0]
 
     @property
@@ -128,7 +128,7 @@ class Shaft:
     def top(self) -> float:
         """Ticks/s in position modes: what the motor does at its supply, and no more than Velocity Limit."""
         motor = self._memory.table.motor
-        unloaded = motor.no_load_rpm / 60.0 * TICKS_PER_TURN * self.volts / motor.volts
+        unloaded = motor.no_load_rpm / 60.0 * TICKS_PER_REVOLUTION * self.volts / motor.volts
         return min(unloaded, self._values["velocity_limit"] * VELOCITY_TICKS)
 
     def registers(self) -> dict[str, Callable[[], int]]:
@@ -174,18 +174,18 @@ class Shaft:
         memory, now = self._memory, self._clock.now()
         position, velocity = self._planned()
         if self._mode == OperatingMode.VELOCITY:
-            self.motion = drive.turning(now, position, velocity, memory, self.sign)
+            self.motion = drive.velocity_control(now, position, velocity, memory, self.sign)
         elif self._mode in drive.TORQUE_MODES:
             torque = self.sign * drive.effort(memory, self.volts)
-            self.motion = drive.pushed(now, *self._actual(), torque, self.load, memory, self.volts)
+            self.motion = drive.torque_control(now, *self._actual(), torque, self.load, memory, self.volts)
         else:
-            goal = self.sign * (memory.get("goal_position") - self._homing - self._turns)
+            goal = self.sign * (memory.get("goal_position") - self._homing - self._revolutions)
             if self._too_weak(goal - position):
                 self.stop()
                 self._unreached = goal
                 return
             self._unreached = None
-            self.motion = drive.moving(now, position, velocity, goal, memory, self.top)
+            self.motion = drive.position_control(now, position, velocity, goal, memory, self.top)
 
     def _too_weak(self, way: float) -> bool:
         """Goal PWM or Goal Current is too small for the load and the friction that way."""
@@ -205,10 +205,10 @@ class Shaft:
         """Slowed down from time ``t`` (s, past) on."""
         self.motion = brake(t, *self.motion.at(t), PHYSICAL_ACCELERATION)
 
-    def turn_by(self, ticks: float) -> None:
+    def rotate_by(self, ticks: float) -> None:
         """Is turned from outside, at once."""
         if self.body is not None:
-            self.body.turn_by(ticks)
+            self.body.rotate_by(ticks)
             ticks = 0.0
         self.motion = rest(self._clock.now(), self.encoder + ticks)
         if self.stuck_at is not None:
@@ -217,16 +217,18 @@ class Shaft:
     # ------------------------------------------------------------------ counting
 
     def fold(self) -> None:
-        """Counts within one turn from here on: the encoder knows the angle, not how many turns there were.
+        """Counts within one revolution from here on: the encoder knows the angle, not the number of them.
 
         The manual: when the mode becomes Position, when torque goes on in that mode, at power on and by
         Clear.  The homing offset comes on top.
         """
-        self._turns = -TICKS_PER_TURN * math.floor(round(self.sign * self.encoder) / TICKS_PER_TURN)
+        self._revolutions = -TICKS_PER_REVOLUTION * math.floor(
+            round(self.sign * self.encoder) / TICKS_PER_REVOLUTION
+        )
 
-    def lose_turns(self, turns: int) -> None:
-        """The count is wrong by so many turns from here on, as after a power cycle."""
-        self._turns += TICKS_PER_TURN * turns
+    def lose_revolutions(self, revolutions: int) -> None:
+        """The count is wrong by so many revolutions from here on, as after a power cycle."""
+        self._revolutions += TICKS_PER_REVOLUTION * revolutions
 
     @property
     def _mode(self) -> int:
@@ -242,7 +244,7 @@ class Shaft:
         offset = self._values["homing_offset"]
         if not offset:
             return 0
-        ignored = self._mode == OperatingMode.POSITION and abs(offset) > _HOMING_ONE_TURN
+        ignored = self._mode == OperatingMode.POSITION and abs(offset) > _POSITION_MODE_HOMING
         return 0 if ignored else offset
 
     def _planned(self) -> tuple[float, float]:
@@ -266,4 +268,4 @@ class Shaft:
         return (position, velocity) if low <= position <= high else (min(max(position, low), high), 0.0)
 
     def _to_reading(self, encoder: float) -> float:
-        return self.sign * encoder + self._homing + self._turns
+        return self.sign * encoder + self._homing + self._revolutions

@@ -72,11 +72,11 @@ _SPREAD_BITS = 12
 """Two servos begin within so many bit times of each other: they do not share a clock."""
 
 
-def collide(answers: Sequence[bytes], rng: random.Random) -> bytes:
-    """The bytes received when ``answers`` are on the wire at once, each a little late by chance."""
-    starts = [0, *(rng.randrange(1, _SPREAD_BITS) for _ in answers[1:])]
+def collide(packets: Sequence[bytes], rng: random.Random) -> bytes:
+    """The bytes received when ``packets`` are on the wire at once, each a little late by chance."""
+    starts = [0, *(rng.randrange(1, _SPREAD_BITS) for _ in packets[1:])]
     rng.shuffle(starts)
-    lines = [[1] * start + _bits(answer) for start, answer in zip(starts, answers, strict=True)]
+    lines = [[1] * start + _bits(packet) for start, packet in zip(starts, packets, strict=True)]
     length = max(map(len, lines))
     wire = [min(line[k] if k < len(line) else 1 for line in lines) for k in range(length)]
     return _received(wire)
@@ -119,13 +119,13 @@ class VirtualWire:
     """The way of status packets to the host.
 
     Args:
-        taken: Ids on the wire; no foreign id is one of them, so that its answers differ from theirs.
+        taken: Ids on the wire; no foreign id is one of them, so that its replies differ from theirs.
         seed: Of random faults; equal seeds and equal traffic give equal faults.
 
     Attributes:
         rng: Random generator of all faults.
         foreign: Ids that no servo has.
-        held: Packets that come before the answers to the next request.
+        held: Packets that come before the replies to the next request.
         behind: A packet that comes after the next one.
     """
 
@@ -151,7 +151,7 @@ class VirtualWire:
         self._clean = not any(self._chances.values())
 
     def carry(self, packets: list[bytes]) -> list[bytes]:
-        """What of the answers to one request arrives at the host, in the order in which it does."""
+        """What of the replies to one request arrives at the host, in the order in which it does."""
         if self._clean and not self.held:
             return packets
         arriving, self.held = self.held, []
@@ -176,11 +176,11 @@ def _late(wire: VirtualWire, packet: bytes) -> bytes:
 
 def _shorten(wire: VirtualWire, packet: bytes) -> bytes:
     """The same status with one byte of data less; one without data, or no status at all, stays."""
-    answers = Parser().feed(packet, 0.0) if packet[4] != BROADCAST else []
-    if not answers or not answers[0].is_status:  # servos that talk over each other, the torso of a fast read
+    parsed = Parser().feed(packet, 0.0) if packet[4] != BROADCAST else []
+    if not parsed or not parsed[0].is_status:  # servos that talk over each other, the torso of a fast read
         return packet
-    answer = answers[0]
-    return build_status(answer.id, answer.params[0], answer.data[:-1])
+    status = parsed[0]
+    return build_status(status.id, status.params[0], status.data[:-1])
 
 
 def _refuse(wire: VirtualWire, packet: bytes) -> bytes:
@@ -202,19 +202,21 @@ def _swap(wire: VirtualWire, packet: bytes) -> bytes:
 
 SPOILS: Mapping[str, Spoil] = MappingProxyType(
     {
-        "late": Spoil("an answer comes before those to the next request", _late),
-        "drop": Spoil("an answer is lost", lambda wire, packet: b""),
-        "short": Spoil("an answer has fewer data than asked, checksum right", _shorten),
-        "error": Spoil("an answer has an error number and no data", _refuse),
-        "corrupt": Spoil("one bit of an answer flips", _flip),
-        "truncate": Spoil("an answer breaks off", lambda w, p: p[: w.rng.randrange(1, len(p))]),
-        "duplicate": Spoil("an answer comes twice", lambda wire, packet: 2 * packet),
+        "late": Spoil("a status packet comes before those to the next request", _late),
+        "drop": Spoil("a status packet is lost", lambda wire, packet: b""),
+        "short": Spoil("a status packet has fewer data than asked, checksum right", _shorten),
+        "error": Spoil("a status packet has an error number and no data", _refuse),
+        "corrupt": Spoil("one bit of a status packet flips", _flip),
+        "truncate": Spoil("a status packet breaks off", lambda w, p: p[: w.rng.randrange(1, len(p))]),
+        "duplicate": Spoil("a status packet comes twice", lambda wire, packet: 2 * packet),
         "wrong_id": Spoil(
-            "an answer with a foreign id comes first",
+            "a status packet with a foreign id comes first",
             lambda w, p: build_status(w.rng.choice(w.foreign), 0, w.rng.randbytes(4)) + p,
         ),
-        "garbage": Spoil("bytes before an answer", lambda w, p: w.rng.randbytes(w.rng.randrange(1, 9)) + p),
-        "reorder": Spoil("an answer comes after the next one", _swap),
+        "garbage": Spoil(
+            "bytes before a status packet", lambda w, p: w.rng.randbytes(w.rng.randrange(1, 9)) + p
+        ),
+        "reorder": Spoil("a status packet comes after the next one", _swap),
     }
 )
 """What the faults of the wire do, in the order in which they are tried on a packet."""

@@ -109,7 +109,7 @@ class JointMotor:
         self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
         self.velocity = float(data.qvel[self._seat.dof]) * self._ticks_per
 
-    def turn_by(self, ticks: float) -> None:
+    def rotate_by(self, ticks: float) -> None:
         """Somebody turns the joint by hand."""
         seat = self._seat
         seat.data.qpos[seat.at] = self._angle(self.position + ticks)
@@ -128,8 +128,8 @@ class JointMotor:
         q, dq = float(data.qpos[self._seat.at]), float(data.qvel[self._seat.dof])
         error = self._angle(position) - q
         if servo.memory.get("operating_mode") == OperatingMode.VELOCITY:
-            most = 0.1 * self._row.lever  # it minds its speed, not how far it has fallen behind
-            error = max(-most, min(most, error))
+            limit = 0.1 * self._row.lever  # it minds its speed, not how far it has fallen behind
+            error = max(-limit, min(limit, error))
         rate = velocity / self._ticks_per - dq
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
 

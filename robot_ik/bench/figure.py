@@ -142,7 +142,7 @@ def measure_motion(
     shown = ("hip", "knee", "ankle", "shoulder", "elbow", "head")
     peak = {
         part: max(
-            float(np.abs(forward[:, figure.place(j)[1]]).max()) for j in figure.robot.joints if part in j
+            float(np.abs(forward[:, figure.addresses(j)[1]]).max()) for j in figure.robot.joints if part in j
         )
         for part in shown
         if any(part in j for j in figure.robot.joints)
@@ -244,7 +244,9 @@ def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeas
             at = strike + np.linspace(0, 1, 11) * (after - strike)
             stance.append((off - strike) / (after - strike))
             for joint, rows in strides.items():
-                rows.append(np.interp(at, times, np.degrees(q[:, figure.place(f"{name}_{joint}_pitch")[0]])))
+                rows.append(
+                    np.interp(at, times, np.degrees(q[:, figure.addresses(f"{name}_{joint}_pitch")[0]]))
+                )
     curves = {joint: np.mean(rows, axis=0) for joint, rows in strides.items()}
     norm = {joint: np.array(values) for joint, values in NORM_DEG.items()}
     middle = (times >= strikes[2]) & (times <= strikes[min(4, len(strikes) - 2)])

@@ -83,10 +83,10 @@ def by_figure(figure: Figure, goals: FrameGoals) -> Peer:
     rows = FrameRows(figure, len(goals.q))
     for frame, (position, matrix) in goals.feet.items():
         rows.position(frame, position)
-        rows.turned(frame, matrix)
+        rows.orientation(frame, matrix)
     rows.center(goals.center, axes="xy")
-    rows.turned(figure.pelvis, goals.pelvis[1], 60.0)
-    rows.turned(figure.trunk, goals.chest, 60.0)
+    rows.orientation(figure.pelvis, goals.pelvis[1], 60.0)
+    rows.orientation(figure.trunk, goals.chest, 60.0)
     rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
     assert figure.gaze is not None
     rows.aim(figure.gaze, goals.gaze_target, 5.0, figure.neck or None)

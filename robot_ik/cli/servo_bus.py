@@ -117,7 +117,7 @@ def scanned(port: str, bauds: Sequence[int]) -> list[FoundServo]:
 
 def _state(servo: FoundServo) -> str:
     if servo.shared:
-        return "damaged answers"
+        return "damaged replies"
     pings_only = servo.torque is None and servo.voltage is None
     return ", ".join(servo.errors) or ("answers pings only" if pings_only else "none")
 

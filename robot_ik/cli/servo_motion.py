@@ -211,7 +211,7 @@ class ServoResetFaultOptions(BusOptions):
     """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
 
     Remove the cause first. A restarted servo has no torque: support the arm. Nothing is switched on.
-    Exit code 1 when an error is still there, or a servo has forgotten whole turns.
+    Exit code 1 when an error is still there, or a servo has forgotten whole revolutions.
     """
 
     joints: Positional[Annotated[tuple[str, ...], several("JOINT")]] = ()
@@ -243,4 +243,4 @@ def _advice(row: ServoReset) -> str:
         return "check power, cable, id and baud rate"
     if row.after:
         return "the cause is still there: load, heat, supply?"
-    return f"its reading changed by {row.turned} ticks: it forgot whole turns; turn the joint by hand"
+    return f"its reading changed by {row.turned} ticks: it forgot whole revolutions; turn the joint by hand"

@@ -89,8 +89,8 @@ def run(options: SimBusOptions) -> int:
         from robot_ik.hardware import no_pty
 
         raise no_pty(reason) from reason
+    from robot_ik.hardware.virtual.bus import VirtualBus, home_of
     from robot_ik.hardware.virtual.faults import load_faults
-    from robot_ik.jobs.virtual_arm import add_world, virtual_arm
     from robot_ik.ports import RealClock
 
     _check_numbers(options)
@@ -98,10 +98,13 @@ def run(options: SimBusOptions) -> int:
     config = load_arm(options.arm)
     file = None if options.faults is None else load_faults(options.faults, config)
     seed = (file.seed if file else 0) if options.seed is None else options.seed
-    bus = virtual_arm(config, RealClock(), seed=seed)
+    bus = VirtualBus.from_config(config, RealClock(), home_of(config), seed=seed)
     bus.inject(*_faults(options, config))
     if options.physics:
-        add_world(config, bus)
+        from robot_ik.hardware.virtual.world import World
+        from robot_ik.robot import load_robot
+
+        World(load_robot(config.robot).model, config, bus)
     bus.inject(*(file.faults if file else ()))
     with (
         _ended_by_signal() as ended,
@@ -191,9 +194,9 @@ def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
 
 def _client(arm: str, config: ArmConfig) -> str:
     """A command that works on these servos: reach, where the model is at hand and moved by them."""
-    from robot_ik.jobs.virtual_arm import model_of
+    from robot_ik.hardware.virtual.bus import robot_of
 
     servos = f"--arm {shlex.quote(arm)}"
-    if model_of(config) is None:
+    if robot_of(config) is None:
         return f"robot-ik servo monitor {servos}"
     return f"robot-ik reach --robot {arm}" if arm in catalogue() else f"robot-ik reach {servos}"

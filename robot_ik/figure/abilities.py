@@ -1,6 +1,6 @@
 """What a figure can do: reach standing, bend, jump; computed from its own model, and kept as a map on disk.
 
-All balls here are seen from the middle between the feet, x ahead: what a figure can do depends on nothing
+All balls here are seen from the middle between the feet, x forward: what a figure can do depends on nothing
 else.
 """
 
@@ -28,9 +28,9 @@ from robot_ik.motion.pose_prior import mirrored
 Array = NDArray[np.float64]
 
 _GRID = 0.15  # m
-# So far aside of the palm may the ball be of a jump, which leans a little, m (docs/theory/figure.md); and the
-# least rise of the centre of mass, m.
-ASIDE, _HOP = 0.05, 0.01
+# Largest horizontal distance of palm and ball in a jump, which leans a little, m (docs/theory/figure.md); and
+# the least rise of the centre of mass, m.
+LATERAL_TOLERANCE, _HOP = 0.05, 0.01
 # The girdle brings an arm by so much farther than its length, m.
 _GIRDLE = 0.06
 # A palm that stays farther from where a ball needs it, m, comes there in no other way.
@@ -45,7 +45,7 @@ _FARTHEST = 1.7
 MAP_FILE = "abilities.npz"
 """Beside a model that ships: its maps."""
 _FAR = -32768
-_PER_UNIT = 1e4  # of a stored pose: angles and places within 3.2 rad and m
+_PER_UNIT = 1e4  # of a stored pose: angles and positions within 3.2 rad and m
 # A ball that is so much nearer, m, to a point of the map than this share of the miss there is out of reach:
 # local minima report a miss too large, far misses more so.
 SLACK, SHARE = 0.04, 0.75
@@ -122,14 +122,14 @@ class Abilities:
     Attributes:
         figure: Whose.
         maps: ``(kind, arm)`` to its map.
-        ahead: How far before its middle the centre of mass takes off, m.
+        take_off_forward: How far before its middle the centre of mass takes off, m.
         raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
             stretched arm.
     """
 
     figure: Figure
     maps: dict[tuple[str, str], Map]
-    ahead: float
+    take_off_forward: float
     raised: dict[str, tuple[Array, float]] = field(repr=False)
 
     @cached_property
@@ -139,7 +139,7 @@ class Abilities:
 
     def under(self, arm: str) -> Array:
         """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
-        return np.asarray(self.raised[arm][0][:2] + np.array([self.ahead, 0.0]))
+        return np.asarray(self.raised[arm][0][:2] + np.array([self.take_off_forward, 0.0]))
 
     def can(self, kind: str, ball: Array, arm: str, starts: int = _ASKED) -> FigurePose | None:
         """An admissible pose, confirmed by a solve from so many poses; None where map or solve says no."""
@@ -162,9 +162,9 @@ class Abilities:
         return float(self.figure.workspace[key])
 
     def _highest(self, arm: str, xy: Array) -> Array:
-        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest place is remembered.
+        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered.
 
-        All stand points from which a figure would jump see a ball at the same place.
+        All stand points from which a figure would jump see a ball at the same point.
         """
         key = f"highest {arm}"
         known: tuple[Array, Array] | None = self.figure.workspace.get(key)
@@ -179,21 +179,21 @@ class Abilities:
         lower for a ball that needs hardly a jump; confirmed by a solve.
         """
         shoulder, length = self.raised[arm]
-        over = ball - [self.ahead, 0.0, highest_take_off(self.figure)]
+        over = ball - [self.take_off_forward, 0.0, highest_take_off(self.figure)]
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
-        aside = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - ASIDE, 0.0)
-        if over[2] <= 0.0 or np.hypot(aside, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
+        lateral = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - LATERAL_TOLERANCE, 0.0)
+        if over[2] <= 0.0 or np.hypot(lateral, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
             return None
         if least - 1e-3 > self._summit(arm):
             return None
         for palm in self._palms(arm, over, least, shoulder[:2]):
-            if float(np.linalg.norm(palm[:2] - over[:2])) <= ASIDE and palm[2] >= least - 1e-3:
+            if float(np.linalg.norm(palm[:2] - over[:2])) <= LATERAL_TOLERANCE and palm[2] >= least - 1e-3:
                 rise = float(np.clip(over[2] - palm[2] + _SPARE, _HOP, over[2] - least))
                 return float(np.sqrt(2 * GRAVITY * rise))
         return None
 
     def _palms(self, arm: str, over: Array, least: float, shoulder: Array) -> Iterator[Array]:
-        """Places of the palm over the centre of mass, one of which a ball may need.
+        """Points of the palm over the centre of mass, one of which a ball may need.
 
         As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
         the shoulder, and as low as a jump allows.
@@ -204,7 +204,7 @@ class Abilities:
         if np.linalg.norm(palm[:2] - over[:2]) > _RIM or palm[2] < least - _RIM:
             return
         inwards = shoulder - over[:2]
-        inwards *= 0.9 * ASIDE / max(float(np.linalg.norm(inwards)), ASIDE)
+        inwards *= 0.9 * LATERAL_TOLERANCE / max(float(np.linalg.norm(inwards)), LATERAL_TOLERANCE)
         if palm[2] < least:
             yield palm_over_center(self.figure, arm, over[:2] + inwards, None)
         yield palm_over_center(self.figure, arm, over[:2], least, 0.05)
@@ -212,9 +212,9 @@ class Abilities:
 
 
 def shoulder_of(figure: Figure, arm: str) -> Array:
-    """(3,) the place about which an arm turns, at home.
+    """(3,) the point about which an arm rotates, at home.
 
-    The third place from the hand about which joints turn.
+    The third point from the hand about which joints rotate.
     """
     return _shoulder_at(figure, figure.home, arm)
 
@@ -244,7 +244,9 @@ def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
     return at - figure.center(q), float(np.linalg.norm(palm - at))
 
 
-def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
+def palm_over_center(
+    figure: Figure, arm: str, xy: Array, z: float | None, lateral_weight: float = 1.0
+) -> Array:
     """(3,) where the palm comes, seen from the centre of mass, the trunk upright and the legs as at home.
 
     Args:
@@ -252,23 +254,23 @@ def palm_over_center(figure: Figure, arm: str, xy: Array, z: float | None, aside
         arm: Which hand.
         xy: (2,) where it shall be, m.
         z: At which height; None: as high as it comes.
-        aside: How much less the place counts than the height.
+        lateral_weight: Of the horizontal position, relative to the height's.
     """
-    q = _lifted(figure, arm, xy, z, aside)
+    q = _lifted(figure, arm, xy, z, lateral_weight)
     return np.asarray(figure.pose(q, figure.hands[arm])[0] - figure.center(q))
 
 
-def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, aside: float = 1.0) -> Array:
+def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, lateral_weight: float = 1.0) -> Array:
     steps = 10
     s = np.minimum(1.0, np.arange(1, steps + 1) / (0.7 * steps))[:, None]
     start = figure.posture({f"{arm}_shoulder_pitch": 2.0, f"{arm}_elbow_pitch": 0.4})
     rows, center = FrameRows(figure, steps), figure.center(start)
     hand = figure.pose(start, figure.hands[arm])[0]
     goal = center + np.array([xy[0], xy[1], 1.6 if z is None else z])
-    rows.position(figure.hands[arm], hand + (goal - hand) * s, 3e4 * aside, axes="xy")
+    rows.position(figure.hands[arm], hand + (goal - hand) * s, 3e4 * lateral_weight, axes="xy")
     rows.position(figure.hands[arm], hand + (goal - hand) * s, 30.0 if z is None else 3e4, axes="z")
     rows.center(center)
-    rows.turned(figure.trunk, np.eye(3))
+    rows.orientation(figure.trunk, np.eye(3))
     stiff = figure.stiffnesses(
         {"*": 0.3, "*hip*": 3e4, "*knee*": 3e4, "*ankle*": 3e4, "torso*": 3e4, "pelvis*": 3e4}
     )
@@ -289,14 +291,14 @@ def load_abilities(
     """
     where = folder or cache_folder().parents[1] / "abilities"
     digest = _digest(figure)
-    kept = where / f"{figure.robot.name}-{digest}.npz"
+    cached = where / f"{figure.robot.name}-{digest}.npz"
     symmetric = _is_mirrored(figure)
     arms = [arm for arm in figure.hands if not symmetric or arm == "right"]
     keys = [(kind, arm) for arm in arms for kind in (REACH, BEND)]
-    found = next((m for f in (figure.robot.folder / MAP_FILE, kept) if (m := _read(f, digest, keys))), None)
+    found = next((m for f in (figure.robot.folder / MAP_FILE, cached) if (m := _read(f, digest, keys))), None)
     if found is None and keys:
         found = _make_maps(figure, keys, progress)
-        write_maps(kept, digest, found)
+        write_maps(cached, digest, found)
     found = found or {}
     if symmetric:
         found |= {(kind, "left"): _reflected(figure, found[kind, "right"]) for kind in (REACH, BEND)}
@@ -306,9 +308,9 @@ def load_abilities(
 
 def _reflected(figure: Figure, right: Map) -> Map:
     """The other arm's map: the grid is its own mirror image."""
-    place = np.full(right.miss.shape, -1)
-    place[right.miss == 0.0] = np.arange(len(right.poses))
-    flipped = place[:, ::-1]
+    row = np.full(right.miss.shape, -1)
+    row[right.miss == 0.0] = np.arange(len(right.poses))
+    flipped = row[:, ::-1]
     poses = mirrored(figure.robot, right.poses[flipped[flipped >= 0]])
     return Map(right.origin, right.miss[:, ::-1].copy(), poses)
 
@@ -330,7 +332,7 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
 def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
     """Misses as whole millimetres, poses as tenths of a milliradian or of a millimetre.
 
-    -1000 mm is -1, what is not worth a look is ``_FAR``.
+    -1000 mm is -1, what is too far to be tried is ``_FAR``.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
@@ -420,9 +422,9 @@ def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], pose
     kind, arm = key
     fresh = np.flatnonzero(miss == 0.0)
     while len(fresh):
-        found, places = [], POINTS[fresh]
+        found, positions = [], POINTS[fresh]
         for i in np.flatnonzero((miss != 0.0) & (miss < 2.0 * _GRID)).tolist():
-            if np.abs(places - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
+            if np.abs(positions - POINTS[i]).max(axis=1).min() > 1.1 * _GRID:
                 continue
             best = best_pose(figure, POINTS[i], arm, kind, poses[_nearest(i, miss == 0.0)[0]])
             assert best is not None

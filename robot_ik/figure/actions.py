@@ -2,7 +2,7 @@
 
 All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a
 motion does
-not depend on place and heading.
+not depend on position and heading.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
 # durations, s.
 _REACH_SPEED, _BEND_SPEED, _LEAST = 1.6, 0.7, 0.45
-# Fastest glance, rad/s (head turns of 3 to 6, a usual value).
+# Fastest glance, rad/s (head rotations take 3 to 6, a usual value).
 _GLANCE = 2.5
 # Cosine of the trunk's lean up to which a hand goes straight to a ball: 15 degrees.
 _UPRIGHT = 0.966
@@ -35,10 +35,10 @@ _INSIDE, _ROUNDS = 0.005, 3
 # Frames that lose balance or change a joint's speed by more than this, rad/s a frame, are planned again so
 # much slower; those that touch the body with the elbow so much farther from it, rad; so often.
 _ABRUPT, _SLOWER, _AWAY, _TRIES = 1.8, 1.35, 0.35, 4
-# A hand that the posture leads is drawn to its ball from this share of the way on, so strongly.
+# A hand that the posture leads is drawn to its ball from this share of the path on, so strongly.
 _LATE, _CLOSE = 0.8, 300.0
-# Of these frames one each is looked at.
-_LOOK_EACH = 2
+# Self-contact is checked in every so many frames.
+_CHECK_EVERY = 2
 # A motion that is left decays into the next in this time, s.
 BLEND = 0.4
 
@@ -84,7 +84,7 @@ def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
     return figure.placed(q, x, y, -stance[2])
 
 
-def seen_from(stance: Array, point: Array) -> Array:
+def in_stance_frame(stance: Array, point: Array) -> Array:
     """A point (3,) of the world seen from a stance."""
     return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
@@ -105,21 +105,23 @@ def _standing(action: str, frames: Frames, center: Array, **more: object) -> Mot
     )  # fmt: skip
 
 
-def _look(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
+def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
     """The eyes go to the ball within that time, s; a target that jumps at once would snap the neck."""
     if figure.gaze is None:
         return
     eyes, matrix = figure.pose(q, figure.gaze)
-    far = max(float(np.linalg.norm(ball - eyes)), 0.1)
-    ahead, to = matrix[:, 0], (ball - eyes) / far
-    angle = float(np.arccos(np.clip(ahead @ to, -1.0, 1.0)))
+    distance = max(float(np.linalg.norm(ball - eyes)), 0.1)
+    forward, to = matrix[:, 0], (ball - eyes) / distance
+    angle = float(np.arccos(np.clip(forward @ to, -1.0, 1.0)))
     s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
     arc = (
-        np.sin((1 - s) * angle) * ahead + np.sin(s * angle) * to if angle > 1e-3 else (1 - s) * ahead + s * to
+        np.sin((1 - s) * angle) * forward + np.sin(s * angle) * to
+        if angle > 1e-3
+        else (1 - s) * forward + s * to
     )
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
-    rows.aim(figure.gaze, (eyes + far * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
+    rows.aim(figure.gaze, (eyes + distance * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
 
 
 def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
@@ -140,25 +142,25 @@ def _duration(distance: float, speed: float) -> float:
     return max(_LEAST, 1.875 * distance / speed)
 
 
-def rest(figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
+def rest(figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
     """Back to standing at ease, the feet where they are."""
-    return finished(rest_slices(figure, q, look=look, dt=dt))
+    return finished(rest_slices(figure, q, gaze_target=gaze_target, dt=dt))
 
 
 def rest_slices(
-    figure: Figure, q: Array, *, look: Array | None = None, dt: float = 1.0 / RATE
+    figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE
 ) -> Slices[Motion]:
     """``rest``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
-    way = figure.robot.difference(start, figure.home)[6:]
+    difference = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    least = max(_LEAST, 1.875 * float((np.abs(way) / np.minimum(0.6 * limit, 2.5)).max()))
-    seen = None if look is None else seen_from(stance, look)
+    least = max(_LEAST, 1.875 * float((np.abs(difference) / np.minimum(0.6 * limit, 2.5)).max()))
+    seen = None if gaze_target is None else in_stance_frame(stance, gaze_target)
     least = max(least, glance_time(figure, start, seen))
     here, home = figure.center(start)[:2], figure.center_at_home[:2]
     matrix = figure.pose(start, figure.trunk)[1]
 
-    def plan(duration: float, aside: float) -> Slices[_Try]:
+    def plan(duration: float, abduction: float) -> Slices[_Try]:
         t = _times(duration, 0.1, dt)
         s = minimum_jerk(t / duration)
 
@@ -166,11 +168,11 @@ def rest_slices(
             rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
-            rows.turned(figure.trunk, _turned(matrix, np.eye(3), s), 3.0)
+            rows.orientation(figure.trunk, _interpolated_rotation(matrix, np.eye(3), s), 3.0)
             if seen is not None:
-                _look(figure, rows, start, seen, t)
+                _gaze(figure, rows, start, seen, t)
             posture = start + (figure.home - start) * s[:, None]
-            posture += _elbows(figure, s, aside)
+            posture += _elbows(figure, s, abduction)
             return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
 
         return _balanced(figure, solve, here + (home - here) * s[:, None], dt)
@@ -179,8 +181,8 @@ def rest_slices(
     return placed_motion(figure, _standing("rest", frames, home), stance)
 
 
-def _turned(start: Array, end: Array, s: Array) -> Array:
-    """(n, 3, 3) from one rotation to another along the shortest way."""
+def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
+    """(n, 3, 3) from one rotation to another along the shortest arc."""
     vector = rotation_log(matrix_to_quat(end @ start.T))
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
 
@@ -233,35 +235,35 @@ def _balanced(
         center = center + compensate(error, omega2, dt)
     change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
     yield
-    return _Try(frames, inside, change, touches_itself(figure, frames.q[::_LOOK_EACH]))
+    return _Try(frames, inside, change, touches_itself(figure, frames.q[::_CHECK_EVERY]))
 
 
 def _best(plan: Callable[[float, float], Slices[_Try]], duration: float) -> Slices[Frames]:
     """The fastest of some plans that keeps its balance and does not touch itself, or the best of all.
 
-    A plan is made for a duration, s, and for how far the elbow is held away from the body, rad.
+    A plan is made for a duration, s, and for the abduction of the arm, rad.
     """
     best: _Try | None = None
-    aside = 0.0
+    abduction = 0.0
     for _ in range(_TRIES):
-        found = yield from plan(duration, aside)
+        found = yield from plan(duration, abduction)
         if best is None or found.order > best.order:
             best = found
         if not found.unsteady and not found.touching:
             break
         duration *= _SLOWER if found.unsteady else 1.0
-        aside += _AWAY if found.touching else 0.0
+        abduction += _AWAY if found.touching else 0.0
     assert best is not None
     return best.frames
 
 
-def _elbows(figure: Figure, s: Array, aside: float, arm: str | None = None) -> Array:
+def _elbows(figure: Figure, s: Array, abduction: float, arm: str | None = None) -> Array:
     """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
     out = np.zeros((len(s), figure.robot.nq))
     for side in figure.hands if arm is None else (arm,):
         joint = f"{side}_shoulder_roll"
-        if aside and joint in figure.robot.joints:
-            out[:, figure.place(joint)[0]] = aside * 16 * (s * (1 - s)) ** 2
+        if abduction and joint in figure.robot.joints:
+            out[:, figure.addresses(joint)[0]] = abduction * 16 * (s * (1 - s)) ** 2
     return out
 
 
@@ -305,20 +307,20 @@ def take_slices(
     the joints on the way; this one is drawn to it.
     """
     start, stance = to_stance(figure, q)
-    ball = seen_from(stance, np.asarray(ball, dtype=float))
+    ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     hand = figure.pose(start, figure.hands[arm])[0]
     goal = find_pose(figure, ball, arm, kind).q if end is None else end
     # A hand that is led along a line while the trunk leans far straightens elbow and knees on the way.
     upright = kind == REACH and figure.pose(goal, figure.trunk)[1][2, 2] > _UPRIGHT
-    way = figure.robot.difference(start, goal)[6:]
+    difference = figure.robot.difference(start, goal)[6:]
     limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
-    slowest = 1.875 * float((np.abs(way) / limit).max())
+    slowest = 1.875 * float((np.abs(difference) / limit).max())
     length = float(np.linalg.norm(ball - hand))
     here, there = figure.center(start)[:2], figure.center(goal)[:2]
     matrices = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
-    def plan(duration: float, aside: float) -> Slices[_Try]:
+    def plan(duration: float, abduction: float) -> Slices[_Try]:
         t = _times(duration, hold, dt)
         s = minimum_jerk(t / duration)
 
@@ -326,14 +328,14 @@ def take_slices(
             rows = FrameRows(figure, len(t))
             pinned(figure, start, rows)
             rows.center(_flat(center), axes="xy")
-            rows.turned(figure.trunk, _turned(*matrices, s), 20.0 if upright else 3.0)
+            rows.orientation(figure.trunk, _interpolated_rotation(*matrices, s), 20.0 if upright else 3.0)
             if upright:
                 rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
             else:  # the last millimetres
                 last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
                 rows.position(figure.hands[arm], ball, _CLOSE * last)
-            _look(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-            posture = start + (goal - start) * s[:, None] + _elbows(figure, s, aside, arm)
+            _gaze(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
+            posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, arm)
             return rows.slices(posture, stiff, start, dt=dt)
 
         return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
@@ -351,7 +353,7 @@ def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
 
 
 def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
-    """(6, ...) coefficients, highest first, of a quintic with place, speed, acceleration of both ends."""
+    """(6, ...) coefficients, highest first, of a quintic with position, speed, acceleration of both ends."""
     matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
     right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
     return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
@@ -366,8 +368,8 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     """
     n = min(len(motion), round(BLEND / dt) + 3)
     speed = figure.robot.difference(second, first) / dt
-    ahead = figure.robot.integrate(first, speed * dt)
-    gap = figure.robot.difference(motion.q[0], ahead)
+    predicted = figure.robot.integrate(first, speed * dt)
+    gap = figure.robot.difference(motion.q[0], predicted)
     own = figure.robot.difference(motion.q[0], motion.q[1]) / dt if len(motion) > 1 else 0 * speed
     if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
         return motion
@@ -386,7 +388,7 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
     shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
-    rows.turned(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
+    rows.orientation(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
     frames = rows.solve(
         wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds, dt=dt
     )

@@ -60,7 +60,7 @@ class Box:
     heading_deg: float = 0.0
 
     def distance(self, xy: Array) -> Array:
-        """(n,) distances of places on the floor, 0 inside; inf where the figure passes under or over it."""
+        """(n,) distances of points on the floor, 0 inside; inf where the figure passes under or over it."""
         if self.center[2] - self.half[2] > _TALL or self.center[2] + self.half[2] < 0.0:
             return np.full(len(xy), np.inf)
         local = (xy - np.array(self.center[:2])) @ rotation("z", np.radians(self.heading_deg))[:2, :2]
@@ -75,7 +75,7 @@ class HalfSpace:
     normal: tuple[float, float, float]
 
     def distance(self, xy: Array) -> Array:
-        """(n,) distances of places on the floor, negative behind the wall."""
+        """(n,) distances of points on the floor, negative behind the wall."""
         n = np.array(self.normal[:2]) / max(float(np.linalg.norm(self.normal[:2])), 1e-12)
         return np.asarray((xy - np.array(self.point[:2])) @ n)
 
@@ -92,7 +92,7 @@ class Decision:
         arm: The arm that acts, after the walk if it walks.
         reason: A sentence for the user.
         stand_point: (x, y, heading) to walk to.
-        way: Stand points on the way there, the last is ``stand_point``.
+        waypoints: Stand points to walk through, the last is ``stand_point``.
         then: What it will do there.
         speed: At take-off of a jump, at least, m/s.
     """
@@ -101,7 +101,7 @@ class Decision:
     arm: str | None
     reason: str
     stand_point: tuple[float, float, float] | None = None
-    way: tuple[tuple[float, float, float], ...] = ()
+    waypoints: tuple[tuple[float, float, float], ...] = ()
     then: str | None = None
     speed: float | None = None
 
@@ -139,7 +139,7 @@ class Decider:
             InvalidGoalError: Not three numbers.
         """
         stance = np.asarray(stance, dtype=float)
-        point, refusal = self._look(ball, stance)
+        point, refusal = self._checked_ball(ball, stance)
         if refusal:
             return Decision("nothing", None, refusal)
         local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
@@ -150,7 +150,7 @@ class Decider:
             found = (self._still(local, last) if lesser else None) or found
         return found or self._walk(point, stance)
 
-    def _look(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:
+    def _checked_ball(self, ball: ArrayLike | None, stance: Array) -> tuple[Array, str]:
         """The ball as numbers, or why it is out of every reach."""
         try:
             point = np.full(3, np.nan) if ball is None else np.asarray(ball, dtype=float)
@@ -174,9 +174,9 @@ class Decider:
 
     def _arms(self, local: Array, last: Decision | None) -> list[str]:
         """Arms, the one to use first."""
-        far = {arm: float(np.linalg.norm(at - local)) for arm, at in self.abilities.shoulders.items()}
-        arms = sorted(far, key=lambda arm: (far[arm], arm != "right"))
-        if len(arms) == 2 and far[arms[1]] - far[arms[0]] < _SAME_ARM:
+        distance = {arm: float(np.linalg.norm(at - local)) for arm, at in self.abilities.shoulders.items()}
+        arms = sorted(distance, key=lambda arm: (distance[arm], arm != "right"))
+        if len(arms) == 2 and distance[arms[1]] - distance[arms[0]] < _SAME_ARM:
             first = last.arm if last is not None and last.arm in arms else "right"
             arms.sort(key=lambda arm: arm != first)
         return arms
@@ -224,11 +224,13 @@ class Decider:
                     able[seen] = self._able(kind, local, arm)
                 if not able.get(seen):
                     continue
-                way = self.path(stance, stand)
-                if way is not None:
-                    far = float(np.linalg.norm(ball[:2] - stance[:2]))
-                    reason = f"the ball is {far:.2f} m away: it can be {verb} with the {arm} hand from nearer"
-                    return Decision("walk", arm, reason, way[-1], way, kind)
+                waypoints = self.path(stance, stand)
+                if waypoints is not None:
+                    distance = float(np.linalg.norm(ball[:2] - stance[:2]))
+                    reason = (
+                        f"the ball is {distance:.2f} m away: it can be {verb} with the {arm} hand from nearer"
+                    )
+                    return Decision("walk", arm, reason, waypoints[-1], waypoints, kind)
         if self.obstacles:
             return Decision("nothing", None, "no free stand point brings the ball within reach")
         return Decision(
@@ -256,19 +258,19 @@ class Decider:
             balls.append(np.tile(seen, (len(headings), 1)))
             sides.append(np.full(len(headings) * len(cells), side))
         points, locals_, which = np.concatenate(stands), np.concatenate(balls), np.concatenate(sides)
-        way = points[:, :2] - stance[:2]
+        offsets = points[:, :2] - stance[:2]
         angle = np.abs((points[:, 2] - stance[2] + np.pi) % (2 * np.pi) - np.pi)
-        far = np.linalg.norm(way, axis=1)
+        distance = np.linalg.norm(offsets, axis=1)
         # Comfortable: the ball before the chest on the side of the arm, half an arm away.
-        aside = np.array([0.2 if arm == "left" else -0.2 for arm in arms])[which]
-        comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - aside)
-        cost = far + _PER_RADIAN * angle + 0.8 * comfort
+        lateral = np.array([0.2 if arm == "left" else -0.2 for arm in arms])[which]
+        comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - lateral)
+        cost = distance + _PER_RADIAN * angle + 0.8 * comfort
         cost[~self.free(points[:, :2])] = np.inf
         few = min(4 * _TRIES, len(cost))
         least = np.sort(np.argpartition(cost, few - 1)[:few])
         order = least[np.argsort(cost[least], kind="stable")]
         picks = [i for i in order if np.isfinite(cost[i])]
-        # Alternatives that differ: the best, then those some way from it.
+        # Alternatives that differ: the best, then those at some distance from it.
         spread = [i for n, i in enumerate(picks) if n < 2 or n % 4 == 0]
         return [(points[i], arms[which[i]], locals_[i]) for i in spread]
 
@@ -280,7 +282,7 @@ class Decider:
         return out
 
     def clear(self, a: Array, b: Array) -> bool:
-        """Whether the straight way is free."""
+        """Whether the straight path is free."""
         n = max(2, int(np.linalg.norm(b - a) / 0.05) + 1)
         return bool(self.free(a + (b - a) * np.linspace(0, 1, n)[:, None])[1:].all())
 
@@ -305,7 +307,7 @@ class Decider:
         return tuple(out)
 
     def _search(self, a: Array, b: Array) -> list[Array] | None:
-        """A* over a grid of 0.1 m between two places and a margin about them."""
+        """A* over a grid of 0.1 m between two points and a margin about them."""
         low = np.minimum(a, b) - 3.0
         shape = np.ceil((np.maximum(a, b) + 3.0 - low) / _CELL).astype(int) + 1
         grid = low + np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij"), axis=-1) * _CELL
@@ -338,11 +340,11 @@ class Decider:
 
 
 def inside_body(figure: Figure, local: Array) -> str:
-    """Name of the body part, arms aside, that holds a point seen from the feet; empty where none does."""
+    """Name of the body part, arms excepted, that holds a point seen from the feet; empty where none does."""
     model = figure.model
-    geoms, places, matrices = _trunk_shapes(figure)
+    geoms, positions, matrices = _trunk_shapes(figure)
     kinds = mujoco.mjtGeom
-    away = local - places
+    away = local - positions
     for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
         g = int(geoms[i])
         x, size = matrices[i].T @ away[i], model.geom_size[g]
@@ -362,7 +364,7 @@ def inside_body(figure: Figure, local: Array) -> str:
 
 
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
-    """Colliding geoms that belong to no arm, and their (g, 3) places and (g, 3, 3) rotations at home."""
+    """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
     known: tuple[NDArray[np.int64], Array, Array] | None = figure.robot.memory.get("figure.shapes")
     if known is None:
         model, data = figure.model, figure.data

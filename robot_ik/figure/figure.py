@@ -87,15 +87,15 @@ def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
 
 
 def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[Array, Array]:
-    """(a, g) heights and (a, g, 3) places of the lowest points of geoms; as ``shape_points``."""
-    height, place = np.empty((len(up), len(geoms))), np.empty((len(up), len(geoms), 3))
+    """(a, g) heights and (a, g, 3) positions of the lowest points of geoms; as ``shape_points``."""
+    height, position = np.empty((len(up), len(geoms))), np.empty((len(up), len(geoms), 3))
     rows = np.arange(len(up))
     for index, g in enumerate(geoms):
         points = shape_points(model, g, up)
         heights = np.einsum("kai,ai->ka", points, up)
         low = heights.argmin(axis=0)
-        height[:, index], place[:, index] = heights[low, rows], points[low, rows]
-    return height, place
+        height[:, index], position[:, index] = heights[low, rows], points[low, rows]
+    return height, position
 
 
 @dataclass(frozen=True)
@@ -189,8 +189,8 @@ class Figure:
         """Of the whole body, kg."""
         return float(self.inertia[:, 0].sum())
 
-    def place(self, name: str) -> tuple[int, int]:
-        """Where a hinge or slide stands in q and in dq."""
+    def addresses(self, name: str) -> tuple[int, int]:
+        """Addresses of a hinge or slide in q and in dq."""
         node = self.robot.joints.index(name)
         return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
 
@@ -204,7 +204,7 @@ class Figure:
             names = [f"{s}_{key.removeprefix('both_')}" for s in SIDES] if key.startswith("both_") else [key]
             for name in names:
                 if name in self.robot.joints:
-                    q[self.place(name)[0]] = value
+                    q[self.addresses(name)[0]] = value
         return q
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
@@ -216,20 +216,20 @@ class Figure:
         return np.asarray(known)
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
-        """(3,) place and (3, 3) rotation of a frame, by MuJoCo."""
-        places, matrices = self.poses(q[None], frame)
-        return places[0], matrices[0]
+        """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
+        positions, matrices = self.poses(q[None], frame)
+        return positions[0], matrices[0]
 
     def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
-        """(n, 3) places and (n, 3, 3) rotations of a frame in frames (n, nq)."""
+        """(n, 3) positions and (n, 3, 3) rotations of a frame in frames (n, nq)."""
         at, data = self.robot.frame(frame), self.data
-        place, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
+        position, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
         for i, row in enumerate(q):
             data.qpos[:] = row
             mujoco.mj_kinematics(self.model, data)
-            place[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
+            position[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
         matrices = matrix.reshape(-1, 3, 3)
-        return place + matrices @ at.local.position, matrices @ at.local.rotation
+        return position + matrices @ at.local.position, matrices @ at.local.rotation
 
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
@@ -238,7 +238,7 @@ class Figure:
 
     @cached_property
     def hands_at_home(self) -> dict[str, Array]:
-        """(3,) places of the hands at home."""
+        """(3,) positions of the hands at home."""
         return {side: self.pose(self.home, frame)[0] for side, frame in self.hands.items()}
 
     @cached_property
@@ -254,7 +254,7 @@ class Figure:
         return np.array(self.data.subtree_com[0])
 
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
-        """``q`` (nq,) moved as a whole: turned about the world's origin by ``heading``, then shifted."""
+        """``q`` (nq,) moved as a whole: rotated about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
         quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
         moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
@@ -265,8 +265,8 @@ class Figure:
         """(3,) x, y and heading of the middle between the feet."""
         poses = [self.pose(q, foot.frame) for foot in self.feet.values()]
         middle = (poses[0][0] + poses[1][0]) / 2
-        ahead = poses[0][1][:, 0] + poses[1][1][:, 0]
-        return np.array([middle[0], middle[1], np.arctan2(ahead[1], ahead[0])])
+        forward = poses[0][1][:, 0] + poses[1][1][:, 0]
+        return np.array([middle[0], middle[1], np.arctan2(forward[1], forward[0])])
 
 
 def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
@@ -346,18 +346,18 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
     if below:
         joint = int(model.body_jntadr[below[0]])
         toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-    place, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
+    position, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
     hip, knee, ankle = _leg(model, data, body, robot.frame(pelvis).body, frame)
-    foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ place
+    foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
     at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
     return Foot(
-        side, frame, parts, toes, _sole(model, parts[0][1], place, np.asarray(matrix)),
+        side, frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
         float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
     )  # fmt: skip
 
 
 def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, name: str) -> list[Array]:
-    """Hip, knee and ankle in the world at qpos0: the three places about which the joints of a leg turn."""
+    """Hip, knee and ankle in the world at qpos0: the three points about which the joints of a leg rotate."""
     found: list[Array] = []
     while foot not in (0, pelvis):
         first = int(model.body_jntadr[foot])
@@ -368,19 +368,19 @@ def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, nam
         foot = int(model.body_parentid[foot])
     if len(found) != 3:
         raise ModelError(
-            f"the leg of {name!r} turns about {len(found)} places, not about hip, knee and ankle"
+            f"the leg of {name!r} rotates about {len(found)} points, not about hip, knee and ankle"
         )
     return found[::-1]
 
 
-def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], place: Array, matrix: Array) -> Sole:
-    """``place`` and ``matrix``: the foot's frame in its body."""
+def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], position: Array, matrix: Array) -> Sole:
+    """``position`` and ``matrix``: the foot's frame in its body."""
     up = np.column_stack([-np.sin(_PITCHES), 0.0 * _PITCHES, np.cos(_PITCHES)]) @ matrix.T
     lowest, points = lowest_points(model, list(geoms), up)
-    height = up @ place - lowest.min(axis=1)
+    height = up @ position - lowest.min(axis=1)
     steps = (height[1:] + height[:-1]) / 2 * np.diff(_PITCHES)
     rolled = np.concatenate([[0.0], np.cumsum(steps)])
     flat = int(np.abs(_PITCHES).argmin())
     # Where the sole ends: the lowest points just before and behind flat.
-    ends = [float(((points[i, lowest[i].argmin()] - place) @ matrix)[0]) for i in (flat - 8, flat + 8)]
+    ends = [float(((points[i, lowest[i].argmin()] - position) @ matrix)[0]) for i in (flat - 8, flat + 8)]
     return Sole(_PITCHES, height, rolled - rolled[flat], front=ends[1], rear=ends[0])

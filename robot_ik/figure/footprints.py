@@ -11,7 +11,7 @@ from robot_ik.figure.figure import SIDES, Figure
 
 Array = NDArray[np.float64]
 
-# A foot turns so far in a step at most, rad: legs do not cross, and the outer knee does not stretch.
+# A foot rotates by so much in a step at most, rad: legs do not cross, and the outer knee does not stretch.
 _STEP_TURN = np.radians(22.0)
 
 
@@ -96,9 +96,9 @@ class Footprint:
     y: float
     yaw: float
 
-    def on(self, ahead: float) -> Array:
-        """(2,) a point that far before the ankle."""
-        return np.array([self.x + ahead * np.cos(self.yaw), self.y + ahead * np.sin(self.yaw)])
+    def on(self, forward: float) -> Array:
+        """(2,) a point so far forward of the ankle."""
+        return np.array([self.x + forward * np.cos(self.yaw), self.y + forward * np.sin(self.yaw)])
 
 
 def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Footprint:
@@ -114,9 +114,11 @@ def prints_of(figure: Figure, q: Array) -> tuple[Footprint, Footprint]:
     """Where the feet stand at q."""
     found = []
     for side, name in enumerate(SIDES):
-        place, matrix = figure.pose(q, figure.feet[name].frame)
+        position, matrix = figure.pose(q, figure.feet[name].frame)
         found.append(
-            Footprint(side, float(place[0]), float(place[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0])))
+            Footprint(
+                side, float(position[0]), float(position[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+            )
         )
     return found[0], found[1]
 
@@ -134,7 +136,7 @@ def _wrapped(angle: float) -> float:
 def walk_prints(
     figure: Figure, start: tuple[Footprint, Footprint], goal: Array, gait: Gait = WALK
 ) -> list[Footprint]:
-    """Footsteps along a curve to a stance a metre or more away, turned by a right angle at most.
+    """Footsteps along a curve to a stance a metre or more away, rotated by a right angle at most.
 
     The first step is shorter and so is the last; the foot inside the turn begins, so that legs do not cross.
     """
@@ -153,7 +155,7 @@ def walk_prints(
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     yaw += a[2] - yaw[0]
-    # Whole steps, as long as they may be or as far turned, but for the first and the last, which make up the
+    # Whole steps, as long as they may be or as far rotated, but for the first and the last, which make up the
     # rest: 0.8 to 1.8 steps together.
     paces = np.maximum(np.diff(s) / gait.length, np.abs(np.diff(yaw)) / _STEP_TURN)
     pace = np.concatenate([[0.0], np.cumsum(paces)])
@@ -171,8 +173,8 @@ def walk_prints(
             b if last else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
         )
         # Feet that hardly pass each other keep farther apart.
-        aside = half + (gait.width / 2 - half) * min(1.0, (ways[k] / gait.length) ** 2)
-        width, toes = (half, 0.0) if last else (aside, np.radians(gait.toe_out_deg))
+        lateral = half + (gait.width / 2 - half) * min(1.0, (ways[k] / gait.length) ** 2)
+        width, toes = (half, 0.0) if last else (lateral, np.radians(gait.toe_out_deg))
         out.append(print_of(middle, foot, width, toes))
         foot = 1 - foot
     out.append(print_of(b, foot, half))
@@ -185,14 +187,14 @@ def shuffle_prints(figure: Figure, start: tuple[Footprint, Footprint], goal: Arr
     The foot on the side of the motion goes first and the other follows beside it, so that legs never cross.
     """
     a, half = stance_of(*start), figure.apart
-    angle, way = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
+    angle, displacement = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
     c, s = np.cos(a[2]), np.sin(a[2])
-    ahead, aside = c * way[0] + s * way[1], -s * way[0] + c * way[1]
-    paces = max(abs(angle) / np.radians(30.0), float(np.hypot(ahead / 0.3, aside / 0.2)))
+    forward, lateral = c * displacement[0] + s * displacement[1], -s * displacement[0] + c * displacement[1]
+    paces = max(abs(angle) / np.radians(30.0), float(np.hypot(forward / 0.3, lateral / 0.2)))
     n = max(1, int(np.ceil(paces - 1e-6)))
-    foot = 0 if (aside if abs(aside) > 0.03 else angle) > 0 else 1
+    foot = 0 if (lateral if abs(lateral) > 0.03 else angle) > 0 else 1
     out = list(start)
     for k in range(1, n + 1):
-        middle = np.array([*(a[:2] + way * k / n), a[2] + angle * k / n])
+        middle = np.array([*(a[:2] + displacement * k / n), a[2] + angle * k / n])
         out += [print_of(middle, side, half) for side in (foot, 1 - foot)]
     return out

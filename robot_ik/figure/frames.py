@@ -54,7 +54,7 @@ class FrameRows:
         share = np.ones(self.figure.robot.nv)
         if joints is not None:
             share[:] = 0.0
-            share[[self.figure.place(joint)[1] for joint in joints]] = 1.0
+            share[[self.figure.addresses(joint)[1] for joint in joints]] = 1.0
         row = np.zeros((self.frames, 12))
         row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
         self._kind.append(kind)
@@ -69,7 +69,7 @@ class FrameRows:
         """A frame's origin at (3,) or (n, 3)."""
         self._add(whole_body.POSITION, frame, target, weight, axes)
 
-    def turned(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
+    def orientation(self, frame: str, target: Array, weight: ArrayLike = HARD) -> None:
         """A frame's rotation (3, 3) or (n, 3, 3)."""
         self._add(whole_body.ROTATION, frame, target.reshape(*target.shape[:-2], 9), weight)
 
@@ -90,11 +90,11 @@ class FrameRows:
         """No angular momentum about the centre of mass between a frame and the one before."""
         self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
 
-    def feet(self, place: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
+    def feet(self, positions: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
         """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
         for side, foot in self.figure.feet.items():
-            self.position(foot.frame, place[side])
-            self.turned(foot.frame, matrices[side])
+            self.position(foot.frame, positions[side])
+            self.orientation(foot.frame, matrices[side])
 
     def solve(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,

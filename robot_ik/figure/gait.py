@@ -67,7 +67,7 @@ class _Footfall:
 
 
 class _Plan:
-    """Times and places of the feet, the zero-moment point and the centre of mass, of all frames at once."""
+    """Times and positions of feet, zero-moment point and centre of mass, of all frames at once."""
 
     def __init__(self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array, dt: float) -> None:
         self.figure, self.prints, self.gait = figure, prints, gait
@@ -88,7 +88,7 @@ class _Plan:
             mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
         self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
         self.com, self.zmp = self.center.at(self.times)
-        self.place = np.empty((2, len(self.times), 3))
+        self.foot_positions = np.empty((2, len(self.times), 3))
         self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
         self.toes = np.zeros((2, len(self.times)))
         self.contact = np.full((2, len(self.times)), FLAT)
@@ -151,13 +151,13 @@ class _Plan:
             self.toes[side, rolling] = np.maximum(pitch, 0.0)[rolling]
             h = 1e-3  # toes stay level while the sole rolls, then go on with its speed and straighten
             around = clamped_curve(knots, values, fall.off + np.array([-h, 0.0, h]), drop)
-            ahead = (around[2] - around[0]) / (2 * h), float(np.diff(around, n=2)[0]) / h**2
+            slope = (around[2] - around[0]) / (2 * h), float(np.diff(around, n=2)[0]) / h**2
             loose = (t > fall.off) & (t < after.strike)
-            offset = decay(around[1:2], np.array([ahead[0]]), gait.level_time, np.array([ahead[1]]))
+            offset = decay(around[1:2], np.array([slope[0]]), gait.level_time, np.array([slope[1]]))
             self.toes[side, loose] = np.maximum(offset(t[loose] - fall.off)[:, 0], 0.0)
         rolled, height = sole.stand(pitch)
         up = self._eased(falls, height + clear)
-        self.place[side] = np.column_stack(
+        self.foot_positions[side] = np.column_stack(
             [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), up]
         )
         self.yaw[side], self.pitch[side] = yaw, pitch
@@ -183,15 +183,19 @@ class _Plan:
         share = 0.5 - 0.5 * np.cos(np.pi * (s - self.gait.late * s * (1 - s)))
         share = share - self.gait.arrive * s**5 * (1 - s) - self.gait.depart * s**2 * (1 - s) ** 4
         start = np.array([fall.print.x, fall.print.y])
-        way = np.array([after.print.x, after.print.y]) - start
+        displacement = np.array([after.print.x, after.print.y]) - start
         other = max(
             (f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike
         ).print
         beside = np.array([-np.sin(other.yaw), np.cos(other.yaw)]) * (1 - 2 * side)
         to = np.array([other.x, other.y])
-        u = float(np.clip((to - start) @ way / max(way @ way, 1e-9), 0.0, 1.0))
-        bulge = max(0.0, self.gait.gap - float((start + u * way - to) @ beside))
-        out = start + way * share[:, None] + beside * (bulge * 64 * (share * (1 - share)) ** 3)[:, None]
+        u = float(np.clip((to - start) @ displacement / max(displacement @ displacement, 1e-9), 0.0, 1.0))
+        bulge = max(0.0, self.gait.gap - float((start + u * displacement - to) @ beside))
+        out = (
+            start
+            + displacement * share[:, None]
+            + beside * (bulge * 64 * (share * (1 - share)) ** 3)[:, None]
+        )
         return out, fall.print.yaw + (after.print.yaw - fall.print.yaw) * share
 
     def _phases(self) -> tuple[Array, Array]:
@@ -228,10 +232,10 @@ class _Plan:
         away = np.abs(self.times[:, None] - np.array([*offs, np.inf])).min(axis=1)
         return minimum_jerk(1.0 - away / _LEAVING)
 
-    def pelvis_height(self, pelvis: Array, place: Array, knee_deg: float) -> Array:
+    def pelvis_height(self, pelvis: Array, pelvis_xy: Array, knee_deg: float) -> Array:
         """The highest pelvis that leaves the knees bent by that, as one wave a step.
 
-        place: (n, 2) of the pelvis.
+        pelvis_xy: (n, 2) of the pelvis.
         """
         gait, t = self.gait, self.times
         top = np.full(len(t), np.inf)
@@ -240,8 +244,8 @@ class _Plan:
             bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
             leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
             matrix = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
-            ankle, hip = self.place[side] + matrix @ foot.ankle, pelvis @ foot.hip
-            flat = ((ankle[:, :2] - place - hip[:, :2]) ** 2).sum(axis=1)
+            ankle, hip = self.foot_positions[side] + matrix @ foot.ankle, pelvis @ foot.hip
+            flat = ((ankle[:, :2] - pelvis_xy - hip[:, :2]) ** 2).sum(axis=1)
             top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
         stand = float(self.figure.pose(self.figure.home, self.figure.pelvis)[0][2])
         top = np.minimum(top, stand)
@@ -295,14 +299,15 @@ class Walk:
     falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]
 
 
-# The spine's two pitches are all but the same axis: against each other they would turn far for a little roll.
+# The spine's two pitches are all but the same axis: against each other they rotate far for a little roll.
 _STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis_pitch": 10.0, "head*": 3.0}
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 
 def walk(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, look: Array | None = None,
-    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
+    gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
+    corrections: int = 4,
 ) -> Walk:  # fmt: skip
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
@@ -311,19 +316,22 @@ def walk(
         q: (nq,) standing still.
         prints: Footsteps, alternating sides after the first two.
         gait: How.
-        look: (3,) what it looks at; default: ahead.
+        gaze_target: (3,) what it looks at; default: straight forward.
         second: (nq,) the frame before q.
         dt: Time between frames, s.
         corrections: Rounds of the dynamics filter.
     """
     return finished(
-        walk_slices(figure, q, prints, gait, look=look, second=second, dt=dt, corrections=corrections)
+        walk_slices(
+            figure, q, prints, gait, gaze_target=gaze_target, second=second, dt=dt, corrections=corrections
+        )
     )
 
 
 def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, look: Array | None = None,
-    second: Array | None = None, dt: float = 1.0 / RATE, corrections: int = 4,
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
+    gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
+    corrections: int = 4,
 ) -> Slices[Walk]:  # fmt: skip
     """``walk``, a few milliseconds at a time."""
     yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
@@ -344,8 +352,8 @@ def walk_slices(
             share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / dt)
             shift = shift + compensate(error, plan.omega**2 * share, dt)
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
-        frames = yield from _solve(plan, q, second, height, shift, look, dt)
-        offset = _pelvis_place(figure, frames.q) - plan.com - shift
+        frames = yield from _solve(plan, q, second, height, shift, gaze_target, dt)
+        offset = _pelvis_position(figure, frames.q) - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
     return Walk(
@@ -366,36 +374,42 @@ def solve_walk_once(
     return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
 
 
-def _pelvis_place(figure: Figure, q: Array) -> Array:
+def _pelvis_position(figure: Figure, q: Array) -> Array:
     return figure.poses(q, figure.pelvis)[0][:, :2]
 
 
 def _solve(
-    plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, look: Array | None, dt: float
+    plan: _Plan,
+    q: Array,
+    second: Array | None,
+    height: Array,
+    shift: Array,
+    gaze_target: Array | None,
+    dt: float,
 ) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
     rows.feet(
-        {name: plan.place[side] for side, name in enumerate(SIDES)},
+        {name: plan.foot_positions[side] for side, name in enumerate(SIDES)},
         {s: rotation("z", plan.yaw[k]) @ rotation("y", plan.pitch[k]) for k, s in enumerate(SIDES)},
     )  # fmt: skip
     rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
     pelvis, chest, heading = plan.trunk()
     # What it does not come from at once: the pose it begins in goes over into the walk.
     start = minimum_jerk(plan.times / 0.5)
-    rows.turned(figure.pelvis, pelvis, 60.0 * start + 1e-3)
-    rows.turned(figure.trunk, chest, 60.0 * start + 1e-3)
+    rows.orientation(figure.pelvis, pelvis, 60.0 * start + 1e-3)
+    rows.orientation(figure.trunk, chest, 60.0 * start + 1e-3)
     here = float(figure.pose(q, figure.pelvis)[0][2])
     z = here + (height - here) * start
     rows.position(figure.pelvis, np.column_stack([0 * z, 0 * z, z]), 2000.0, axes="z")
     if figure.gaze is not None:
         eyes, matrix = figure.pose(q, figure.gaze)
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
-        ahead = (
+        forward = (
             np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
             + 3.0 * rotation("z", heading)[:, :, 0]
         )
-        to = ahead if look is None else np.broadcast_to(look, ahead.shape)
+        to = forward if gaze_target is None else np.broadcast_to(gaze_target, forward.shape)
         rows.aim(
             figure.gaze,
             before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None],
@@ -421,7 +435,7 @@ def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
         }
         for joint, angles in moves.items():
             if joint in figure.robot.joints:
-                postures[:, figure.place(joint)[0]] += angles
+                postures[:, figure.addresses(joint)[0]] += angles
     postures = q + (postures - q) * start[:, None]
     for side, name in enumerate(SIDES):
         toes = figure.feet[name].toes

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, seen_from, to_stance
+from robot_ik.figure.actions import Motion, glance_time, in_stance_frame, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
 from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
@@ -54,7 +54,7 @@ _SOFT, _TIED, _TYING, _LOOSING = 0.04, 2.0, 0.15, 0.1
 the first are drawn in flight to the frames of the round before, smoothed over so long, s, and so strongly,
 more and more in so long before take-off, s, and less and less in so long before landing, s."""
 _WAYS = (0.0, 0.0), (0.35, 0.0), (0.35, 0.5), (0.35, 0.9)
-"""How far the other arm is held aside, rad, and by how much faster it jumps, m/s, so that the acting arm need
+"""Abduction of the other arm, rad, and by how much faster it jumps, m/s, so that the acting arm need
 not stretch over the head: the next of these where bodies touch."""
 _MIDDLE = 0.01
 """Where the weight stands at rest, m before the ankles: hips back, so that the heels stay down in the
@@ -72,7 +72,7 @@ class JumpPlan:
         ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
         rising: From when on before take-off the heels rise, s.
         palm: (3,) the ball seen from the centre of mass at the apex.
-        aside: Of the other arm from the trunk in flight, rad.
+        abduction: Of the other arm from the trunk in flight, rad.
     """
 
     figure: Figure = field(repr=False)
@@ -86,7 +86,7 @@ class JumpPlan:
     landed: float
     ends: Array
     rising: float
-    aside: float = 0.0
+    abduction: float = 0.0
 
     @property
     def flight(self) -> float:
@@ -166,7 +166,7 @@ def _ready(figure: Figure) -> Array:
     share = minimum_jerk(np.linspace(0.1, 1, 12))[:, None]
     goal = np.array([_MIDDLE, 0.0, center[2] - _READY])
     rows.center(center + (goal - center) * share)
-    rows.turned(figure.trunk, np.eye(3), 40.0)
+    rows.orientation(figure.trunk, np.eye(3), 40.0)
     return rows.solve(home, figure.stiffnesses(STIFF), home, speeds=None).q[-1]
 
 
@@ -270,15 +270,15 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
     def curve(values: list[float]) -> Array:
         return np.interp(t, grid, smooth(monotone_curve(knots, np.array(values), grid), 0.03 / 0.005))
 
-    # An arm that rises in flight turns the whole body: most of its way is done before.
-    way = {"elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
+    # An arm that rises in flight rotates the whole body: most of its motion is done before.
+    elbow = {"elbow_pitch": [0.35, 0.7, 0.7, 0.6]}
     out: dict[str, Array] = {}
     for joint in figure.robot.joints:
         part = joint.removeprefix(f"{arm}_")
         if part != joint and any(k in part for k in ("shoulder", "elbow", "wrist", "clavicle")):
-            a = figure.place(joint)[0]
+            a = figure.addresses(joint)[0]
             x0, x1 = float(figure.home[a]), float(top[a])
-            w = way.get(part, [x0, x0 + 0.6 * (x1 - x0), x0 + 0.5 * (x1 - x0), x0])
+            w = elbow.get(part, [x0, x0 + 0.6 * (x1 - x0), x0 + 0.5 * (x1 - x0), x0])
             if part == "shoulder_pitch":
                 w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
@@ -289,8 +289,8 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
         if joint in figure.robot.joints:
             out[joint] = curve(values)
     roll = f"{other}_shoulder_roll"
-    if plan.aside and roll in figure.robot.joints:
-        out[roll] = figure.home[figure.place(roll)[0]] + curve([0.0, 0.0, *[plan.aside] * 5, 0.0])
+    if plan.abduction and roll in figure.robot.joints:
+        out[roll] = figure.home[figure.addresses(roll)[0]] + curve([0.0, 0.0, *[plan.abduction] * 5, 0.0])
     return out
 
 
@@ -300,7 +300,7 @@ def _palm(plan: JumpPlan, forward: _Forward) -> Array:
 
 
 def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
-    """(nq,) the arm's angles with the palm at its place beside the centre of mass, the trunk upright."""
+    """(nq,) the arm's angles with the palm at its position beside the centre of mass, the trunk upright."""
     figure, arm = plan.figure, plan.arm
     q = figure.home
     raised = {f"{arm}_shoulder_pitch": 2.75, f"{arm}_elbow_pitch": 0.3, f"{arm}_clavicle_roll": 0.5}
@@ -308,7 +308,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
         rows = FrameRows(figure, 8)
         hand, goal = figure.pose(q, figure.hands[arm])[0], figure.center(q) + palm
         rows.position(figure.hands[arm], hand + (goal - hand) * np.linspace(0.125, 1, 8)[:, None])
-        rows.turned(figure.trunk, np.eye(3))
+        rows.orientation(figure.trunk, np.eye(3))
         rows.center(figure.center(q))
         stiff = figure.stiffnesses(STIFF)
         frames = yield from rows.slices(figure.posture(raised), stiff, q, speeds=None, steps=20)
@@ -331,12 +331,12 @@ def _frames(
     pitch, lift, contact = _feet(plan, t)
     rows = FrameRows(figure, n)
     sole = figure.feet["left"].sole
-    ahead, height = sole.stand(pitch)
+    rolled, height = sole.stand(pitch)
     air = contact == AIR
-    place = {}
+    positions = {}
     for side, foot in figure.feet.items():
         at = figure.pose(plan.ready, foot.frame)[0]
-        place[side] = np.column_stack([at[0] + ahead, np.full(n, at[1]), height + lift])
+        positions[side] = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
     matrix = rotation("y", pitch)
     # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
     # leave the floor and come back to it they are where the floor wants them.
@@ -345,8 +345,8 @@ def _frames(
     near_apex = minimum_jerk((t - up) / (plan.apex - up)) * minimum_jerk((down - t) / (down - plan.apex))
     standing = np.where(loose, 10.0 ** (3.5 - _YIELD * near_apex), HARD)
     for side, foot in figure.feet.items():
-        rows.position(foot.frame, place[side], standing)
-        rows.turned(foot.frame, matrix, standing)
+        rows.position(foot.frame, positions[side], standing)
+        rows.orientation(foot.frame, matrix, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
@@ -358,7 +358,7 @@ def _frames(
     still = still + (1 - minimum_jerk((t - T[3]) / _CALM)) * (t >= T[3])
     rows.momentum(500.0 * still**2)
     deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
-    rows.turned(
+    rows.orientation(
         figure.trunk,
         rotation("y", np.radians(60.0) * deep),
         np.where(
@@ -368,8 +368,8 @@ def _frames(
         ),
     )
     if figure.gaze is not None:
-        eyes, look = figure.pose(start, figure.gaze)
-        seen = eyes + look[:, 0] * np.linalg.norm(plan.ball - eyes)
+        eyes, gaze = figure.pose(start, figure.gaze)
+        seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)
         within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)  # before the push at the latest
         to = seen + (plan.ball - seen) * minimum_jerk(t / within)[:, None]
         rows.aim(figure.gaze, to, 6.0, figure.neck or None)
@@ -411,7 +411,7 @@ def _posture(
     moves |= _arms(plan, t, top)
     for joint, angle in moves.items():
         if joint in figure.robot.joints:
-            out[:, figure.place(joint)[0]] = angle
+            out[:, figure.addresses(joint)[0]] = angle
     for foot in figure.feet.values():
         if foot.toes is not None:
             out[:, foot.toes[0]] = level
@@ -445,11 +445,11 @@ def jump_slices(
 ) -> Slices[Motion]:  # fmt: skip
     """``jump``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
-    ball = seen_from(stance, np.asarray(ball, dtype=float))
+    ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     found: Motion | None = None
-    for aside, more in _WAYS:
+    for abduction, more in _WAYS:
         plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
-        motion = yield from _motion(replace(plan, aside=aside), start, dt, corrections)
+        motion = yield from _motion(replace(plan, abduction=abduction), start, dt, corrections)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion

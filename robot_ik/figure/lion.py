@@ -31,8 +31,8 @@ NEAR = 2e-3
 LEAN, REACH, HOLD = 0.7, 0.9, 0.4
 # rad/s: quick for a lion, slow for his joints.
 _SPEED = 4.0
-# Farther aside than this from straight ahead he does not try to look, degrees.
-_ASIDE_DEG = 100.0
+# Largest angle between straight forward and his gaze, degrees.
+_GAZE_LIMIT_DEG = 100.0
 # A paw whose pose is not found by then is taken to be out of reach.
 _SEARCH = Budget(iterations=1200, restarts=6)
 _FRAME = Budget(iterations=60, restarts=0)
@@ -90,14 +90,16 @@ class Lion:
 
     def decide(self, ball: ArrayLike) -> PawDecision:
         """The paw that reaches ``ball`` (3,), the nearest first; each is tried by solving for its pose."""
-        place = _ball(ball)
-        if place is None:
-            return PawDecision(None, "there is no ball: its place is not finite")
-        if place[2] < 0.0:
-            return PawDecision(None, f"the ball lies {-1e3 * place[2]:.0f} mm under the floor")
-        for paw in sorted(self.paws, key=lambda p: float(np.linalg.norm(self._prints[p].position - place))):
-            if self._reaching(paw, place) is not None:
-                distance = float(np.linalg.norm(self._prints[paw].position - place))
+        position = _ball(ball)
+        if position is None:
+            return PawDecision(None, "there is no ball: its position is not finite")
+        if position[2] < 0.0:
+            return PawDecision(None, f"the ball lies {-1e3 * position[2]:.0f} mm under the floor")
+        for paw in sorted(
+            self.paws, key=lambda p: float(np.linalg.norm(self._prints[p].position - position))
+        ):
+            if self._reaching(paw, position) is not None:
+                distance = float(np.linalg.norm(self._prints[paw].position - position))
                 return PawDecision(paw, f"{paw} is {distance:.2f} m away, and reaches it on the other three")
         return PawDecision(None, "no paw reaches it while the other three stand")
 
@@ -119,22 +121,24 @@ class Lion:
             paw = decision.paw
         elif paw not in self.paws:
             raise TrajectoryError(f"there is no paw {paw!r}", hint=f"his paws: {', '.join(self.paws)}")
-        place = _ball(ball)
-        end = None if place is None else self._reaching(paw, place)
-        if place is None or end is None:
+        position = _ball(ball)
+        end = None if position is None else self._reaching(paw, position)
+        if position is None or end is None:
             raise TrajectoryError(f"{paw} does not reach {np.asarray(ball).tolist()} while the others stand")
-        lean = self._leaning(paw, place)
+        lean = self._leaning(paw, position)
         keys = [self.relaxed, lean, end, end, lean, self.relaxed]
         plan = Keyframes.through(
             self.robot, keys, durations=(LEAN, REACH, HOLD, REACH, LEAN), velocity=_SPEED
         )
         return self._standing(plan, paw, rate)
 
-    def look(self, ball: ArrayLike) -> Array:
+    def gaze_at(self, ball: ArrayLike) -> Array:
         """(nq,) relaxed, with his eyes on the ball as far as his neck goes, and all paws where they are."""
-        place = _ball(ball)
+        position = _ball(ball)
         return (
-            np.array(self.relaxed) if place is None else self._posed(self.paws, place, self._mass(None), [])
+            np.array(self.relaxed)
+            if position is None
+            else self._posed(self.paws, position, self._mass(None), [])
         )
 
     def support(self, paw: str | None) -> Array:
@@ -177,15 +181,15 @@ class Lion:
         return np.array(solve(self.robot, goals, solver="lm", start=self.relaxed, budget=_SEARCH).q)
 
     def _looked_at(self, ball: Array) -> Array:
-        """The ball, or where he looks at most when it lies behind him."""
+        """The ball, or the limit of his gaze when it lies behind him."""
         eye = self.robot.forward(self.relaxed, "gaze").position
-        way = ball - eye
-        ahead = self.robot.forward(self.relaxed, _body_of(self.robot)).rotation[:, 0]
-        most, aside = np.radians(_ASIDE_DEG), way - float(way @ ahead) * ahead
-        if np.linalg.norm(aside) < 1e-9 or np.arctan2(np.linalg.norm(aside), way @ ahead) <= most:
+        to_ball = ball - eye
+        forward = self.robot.forward(self.relaxed, _body_of(self.robot)).rotation[:, 0]
+        limit, lateral = np.radians(_GAZE_LIMIT_DEG), to_ball - float(to_ball @ forward) * forward
+        if np.linalg.norm(lateral) < 1e-9 or np.arctan2(np.linalg.norm(lateral), to_ball @ forward) <= limit:
             return ball
-        across = aside / np.linalg.norm(aside)
-        return np.asarray(eye + np.linalg.norm(way) * (np.cos(most) * ahead + np.sin(most) * across))
+        across = lateral / np.linalg.norm(lateral)
+        return np.asarray(eye + np.linalg.norm(to_ball) * (np.cos(limit) * forward + np.sin(limit) * across))
 
     def _needed(self, standing: Sequence[str], mass: Array) -> list[Goal]:
         prints: list[Goal] = [PoseGoal.at(paw, self._prints[paw]) for paw in standing]
@@ -224,7 +228,7 @@ class Lion:
 
 
 def inside_triangle(corners: Array, point: Array, margin: float) -> Array:
-    """``point`` (2,), or the first place on the way to the incentre that is ``margin`` inside all sides.
+    """``point`` (2,), or the first point on the way to the incentre that is ``margin`` inside all sides.
 
     Args:
         corners: (3, 2).
@@ -247,9 +251,9 @@ def inside_triangle(corners: Array, point: Array, margin: float) -> Array:
 
 
 def _ball(ball: ArrayLike) -> Array | None:
-    """Its place, if it has one."""
-    place = np.asarray(ball, dtype=float)
-    return place if place.shape == (3,) and bool(np.isfinite(place).all()) else None
+    """Its position, if it has one."""
+    position = np.asarray(ball, dtype=float)
+    return position if position.shape == (3,) and bool(np.isfinite(position).all()) else None
 
 
 def _body_of(robot: Robot) -> str:

@@ -1,6 +1,6 @@
 """Poses that take a ball: the hand as near as it comes, the feet where they are.
 
-All balls here are seen from the middle between the feet, x ahead.
+All balls here are seen from the middle between the feet, x forward.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _MOST, _DAMPING = 60, 1.0
 # No progress: so many steps that each leave more than this share of what is short.
 _PATIENCE, _GAIN = 3, 0.97
 # Of the elbow from the body, rad.
-_ASIDE = 0.7
+_ABDUCTION = 0.7
 # A body that is lower than this is held there, m.
 _CLEAR = 0.003
 # From poses nearby: most steps, those of all, and after how many a ball still so far, m, is out of reach.
@@ -87,7 +87,7 @@ def _upright(figure: Figure) -> tuple[Array, Array]:
     for joint in figure.robot.joints:
         for part, (low, high) in box.items():
             if joint.endswith(part):
-                v = figure.place(joint)[1]
+                v = figure.addresses(joint)[1]
                 lower[v], upper[v] = max(lower[v], np.radians(low)), min(upper[v], np.radians(high))
     return lower, upper
 
@@ -105,7 +105,7 @@ class FigurePose:
     Attributes:
         q: (nq,) at home in its own frame.
         miss: Distance of palm and ball, m.
-        flaw: Why it is not admissible, in words; empty where it is.
+        flaw: Why it is not admissible, as text; empty where it is.
     """
 
     q: Array
@@ -114,7 +114,7 @@ class FigurePose:
 
 
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> FigurePose:
-    """The pose nearest to a ball, standing upright (``reach``) or any way it can (``bend``).
+    """The pose nearest to a ball, standing upright (``reach``) or with any posture (``bend``).
 
     Feet where they are.  First the natural one; where it does not do, poses nearby that do (``starts``), if
     possible one in which no bodies touch.  Without those it searches: the natural one stretched as far as
@@ -135,7 +135,7 @@ def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | 
     if not natural.flaw:
         if not touches_itself(figure, natural.q[None]):
             return natural
-        wide = _attempt(figure, ball, arm, kind, aside=_ASIDE)
+        wide = _attempt(figure, ball, arm, kind, abduction=_ABDUCTION)
         if not wide.flaw and not touches_itself(figure, wide.q[None]):
             return wide
     best = best_pose(figure, ball, arm, kind, starts, untouched=True) or natural
@@ -165,8 +165,8 @@ def best_pose(
             if touches_itself(figure, pose.q[None]):
                 continue
             return pose
-        hopeless = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
-        if not pose.flaw or (quick and hopeless):
+        unreachable = pose.miss > NEARLY or (pose.miss > AT_BALL and k >= 3) or spent > _BUDGET
+        if not pose.flaw or (quick and unreachable):
             break
     return best
 
@@ -182,8 +182,8 @@ def _searched(figure: Figure, ball: Array, arm: str, kind: str, best: FigurePose
 
     def swivelled() -> Iterator[FigurePose]:
         flat = best.flaw.endswith("floor")
-        for aside in (0.0,) if flat else (0.7, 1.2):
-            pose = _attempt(figure, ball, arm, kind, aside=aside, flat=flat)
+        for abduction in (0.0,) if flat else (0.7, 1.2):
+            pose = _attempt(figure, ball, arm, kind, abduction=abduction, flat=flat)
             yield polish(pose.q, ball) if pose.flaw and pose.miss < _HOPELESS else pose
 
     def scattered() -> Iterator[FigurePose]:
@@ -226,9 +226,9 @@ class _Polish:
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
         self.figure, self.arm, self.tried = figure, arm, 0
         rows = FrameRows(figure, 1)
-        for side, (place, matrix) in figure.feet_at_home.items():
-            rows.position(figure.feet[side].frame, place, _STAND)
-            rows.turned(figure.feet[side].frame, matrix, _STAND)
+        for side, (position, matrix) in figure.feet_at_home.items():
+            rows.position(figure.feet[side].frame, position, _STAND)
+            rows.orientation(figure.feet[side].frame, matrix, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
         rows.position(figure.hands[arm], np.array([0.0, 0.0, _CLEAR]), 0.0, axes="z")  # of what is lowest
@@ -236,11 +236,11 @@ class _Polish:
         self.even, self.toes = figure.stiffnesses({"*": 1.0}), figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
-        # What the solver last stood at: place and rotation of each row's frame, and the centre of mass.
+        # Where the solver stood last: position and rotation of each row's frame, and the centre of mass.
         self.pose, self.center = self.ready.table("pose"), self.ready.table("center")
         self.node, self.local = self.ready.table("node"), self.ready.table("local")
         at_home = list(figure.feet_at_home.values())
-        self.feet = np.array([np.concatenate([place, matrix.ravel()]) for place, matrix in at_home])
+        self.feet = np.array([np.concatenate([position, matrix.ravel()]) for position, matrix in at_home])
 
     def __call__(self, start: Array, ball: Array, *, quick: bool = False, above: bool = False) -> FigurePose:
         """The pose that comes nearest to a ball (3,) from ``start`` (nq,); ``quick``: if it comes to it.
@@ -279,8 +279,8 @@ class _Polish:
             else:
                 damping *= 5.0
             stalled = len(gains) > _PATIENCE and min(gains[-_PATIENCE:]) > _GAIN
-            far = quick and any(tried >= after and short > most for after, most in _OUT)
-            if damping > 1e3 or (short > AT_BALL and (stalled or far)):
+            unreachable = quick and any(tried >= after and short > limit for after, limit in _OUT)
+            if damping > 1e3 or (short > AT_BALL and (stalled or unreachable)):
                 break
         return _judged(self.figure, q, ball, self.arm, off)
 
@@ -289,7 +289,7 @@ class _Polish:
     ) -> tuple[float, float, Array | None, tuple[int, Array] | None]:
         """What is short of the ball (with feet, balance and floor), how far the feet are off, what to hold.
 
-        That is where balance is, and the node and place of what is under the floor.  By the solver's own
+        That is where balance is, and the node and position of what is under the floor.  By the solver's own
         forward pass: MuJoCo judges the pose that is found.
         """
         _, normal, offset = support(self.figure)
@@ -301,10 +301,10 @@ class _Polish:
         under = 10.0 * min(height, 0.0)  # no finger goes into the floor for a ball
         short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2 + under**2))
         outside = inset(normal, offset, center, BALANCED + 0.001) if missing else None
-        return short, off, outside, self._place(body, point) if height < _CLEAR else None
+        return short, off, outside, self._node_and_position(body, point) if height < _CLEAR else None
 
-    def _place(self, body: int, point: Array) -> tuple[int, Array]:
-        """The solver's node and place of a point of a body."""
+    def _node_and_position(self, body: int, point: Array) -> tuple[int, Array]:
+        """The solver's node and position of a point of a body."""
         node, local = self.figure.robot.attachment(body)
         row = np.zeros(12)
         row[:3] = local[:3] + local[3:].reshape(3, 3) @ point
@@ -320,7 +320,7 @@ def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
 
 
 def _attempt(
-    figure: Figure, ball: Array, arm: str, kind: str, *, aside: float = 0.0, flat: bool = False,
+    figure: Figure, ball: Array, arm: str, kind: str, *, abduction: float = 0.0, flat: bool = False,
     upright: float = 30.0, share: float = 1.0,
 ) -> FigurePose:  # fmt: skip
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
@@ -329,19 +329,19 @@ def _attempt(
     feet = figure.feet_at_home
     rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
     here = figure.center_at_home[:2]
-    way = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
-    rows.center(way, upright, axes="xy")
+    path = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
+    rows.center(path, upright, axes="xy")
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
-    rows.turned(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
+    rows.orientation(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
     if figure.gaze is not None:
         rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
     if flat:
-        rows.turned(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
-    if aside:
-        goal = figure.posture({f"{arm}_shoulder_roll": aside, f"{arm}_shoulder_yaw": -aside}, goal)
+        rows.orientation(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
+    if abduction:
+        goal = figure.posture({f"{arm}_shoulder_roll": abduction, f"{arm}_shoulder_yaw": -abduction}, goal)
     posture = start + (goal - start) * s[:, None]
     stiff = np.minimum(figure.stiffnesses(STIFF), 0.1) + figure.stiffnesses({"*": 0.0, "*toe*": 1e4})
     frames = rows.solve(posture, stiff, start, limits=limits_of(figure, kind), speeds=None, steps=6)
@@ -434,8 +434,8 @@ def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
     near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():
         body = int(model.geom_bodyid[g])
-        low, place = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
+        low, position = lowest_points(model, [g], data.xmat[body].reshape(3, 3)[2:3])
         height = float(low[0, 0] + data.xpos[body, 2])
         if height < least[2]:
-            least = body, place[0, 0], height
+            least = body, position[0, 0], height
     return least

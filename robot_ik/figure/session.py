@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import (
     Motion,
+    in_stance_frame,
     join,
     rest_of,
     rest_slices,
-    seen_from,
     stop_walk,
     take_slices,
     walk_motion,
@@ -120,12 +120,12 @@ _SLICES, _ELSEWHERE = 2, 0.3
 # A reach, a bend or a rest is planned from where the motion under way will be in so many frames.
 _LEAD = 4
 # The end of a walk under way is planned within so many frames; so often is each frame of a walk worked on.
-_AHEAD, _PASSES = 30, 11
+_LOOKAHEAD, _PASSES = 30, 11
 # Nearer than this to home, rad, and slower than this, rad/s, it need not stand up first; farther than this
 # from a stand point, m, it steps there.
 _AT_EASE, _STILL, _AT_STAND = 0.25, 0.1, 0.01
-# Below this distance, m, and beyond this turn, rad, steps are small ones.
-_NEAR, _TURN = 1.0, np.radians(50.0)
+# Below this distance, m, and beyond this change of heading, rad, steps are small ones.
+_NEAR, _TURN_IN_PLACE = 1.0, np.radians(50.0)
 
 
 @dataclass(eq=False)
@@ -157,20 +157,21 @@ class FigureSession:
         abilities: Of the figure.
         obstacles: What it may not walk through.
         mode: ``active`` or ``passive``.
-        place: (x, y, heading) where it stands at first.
+        stance: (x, y, heading) where it stands at first.
         rate: Frames a second.
     """
 
     def __init__(
         self, abilities: Abilities, *, obstacles: Sequence[Obstacle] = (), mode: str = "active",
-        place: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: float = RATE, workspace: float = WORKSPACE,
+        stance: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: float = RATE,
+        workspace: float = WORKSPACE,
     ) -> None:  # fmt: skip
         self.decider = Decider(abilities, obstacles, workspace)
-        self.mode, self.dt, self._began = mode, 1.0 / rate, place
+        self.mode, self.dt, self._began = mode, 1.0 / rate, stance
         self._commands: deque[Command] = deque()
         self._count = self._index = self._since = 0
         self._q: Array = self.figure.home
-        self._reset(place)
+        self._reset(stance)
 
     @property
     def figure(self) -> Figure:
@@ -185,7 +186,7 @@ class FigureSession:
     @property
     def busy(self) -> bool:
         """Whether something is being done or about to be."""
-        planned = bool(self._way) or self._after is not None or self._planning is not None
+        planned = bool(self._waypoints) or self._after is not None or self._planning is not None
         return self._motion is not None or planned or bool(self._commands) or self._asked()
 
     @property
@@ -233,13 +234,13 @@ class FigureSession:
                 sink.send(out[-1].q, out[-1].t)
         return out
 
-    def _reset(self, place: tuple[float, float, float]) -> None:
-        self._q = self._before = self.figure.placed(self.figure.home, *place)
+    def _reset(self, stance: tuple[float, float, float]) -> None:
+        self._q = self._before = self.figure.placed(self.figure.home, *stance)
         self._ball: Array | None = None
         self._frozen: Array | None = None
         self._motion: Motion | None = None
         self._index, self._since = 0, 0
-        self._way: list[tuple[float, float, float]] = []
+        self._waypoints: list[tuple[float, float, float]] = []
         self._walk: tuple[Array, Walk, Gait] | None = None
         self._planning: _Planning | None = None
         self._after: Decision | None = None
@@ -275,12 +276,12 @@ class FigureSession:
             (self._count + 1) * self.dt, self._q, action, phase, contact, zmp, ball, self.decision, speeds
         )
 
-    def _asked(self, far: float = _MOVED) -> bool:
+    def _asked(self, distance: float = _MOVED) -> bool:
         """Whether the ball is not where it was when last decided upon."""
         ball = self.ball
         if ball is None or not np.isfinite(ball).all():
             return self._served is not None
-        return self._served is None or float(np.linalg.norm(ball - self._served)) > far
+        return self._served is None or float(np.linalg.norm(ball - self._served)) > distance
 
     def _leave(self) -> bool:
         """Whether the motion under way is to be left now for a ball that moved."""
@@ -298,11 +299,11 @@ class FigureSession:
         if self._walk is None:
             return
         start, walked, gait = self._walk
-        self._walk, self._way, self._after = None, [], None
+        self._walk, self._waypoints, self._after = None, [], None
         if len(walked.frames.q) - self._index < 1.2 * _settled(walked, self.dt):
             return
-        slices = stop_walk(self.figure, start, walked, self._index - 1 + _AHEAD, gait, self.dt)
-        each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _AHEAD)))
+        slices = stop_walk(self.figure, start, walked, self._index - 1 + _LOOKAHEAD, gait, self.dt)
+        each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _LOOKAHEAD)))
         self._planning = _Planning(slices, each, start, gait, replaces=True)
 
     def _plan_on(self) -> None:
@@ -337,7 +338,7 @@ class FigureSession:
 
     def _next(self) -> None:
         """What comes when nothing is under way."""
-        if self._way and not self._asked():
+        if self._waypoints and not self._asked():
             self._step_on()
         elif self._after is not None and not self._asked():
             decision, self._after = self._after, None
@@ -351,20 +352,20 @@ class FigureSession:
         seen = ball is not None and bool(np.isfinite(ball).all())
         self._served = ball.copy() if ball is not None and seen else None
         self.decision = self.decider.decide(ball, self.figure.stance(self._q), self.decision)
-        self._way, self._after, self._planning = [], None, None
+        self._waypoints, self._after, self._planning = [], None, None
         self._act(self.decision)
 
     def _act(self, decision: Decision) -> None:
         figure, q, ball = self.figure, self._q, self.ball
         away = np.abs(q - figure.home)
-        away[[*range(7), *(figure.place(joint)[0] for joint in figure.neck)]] = 0.0
+        away[[*range(7), *(figure.addresses(joint)[0] for joint in figure.neck)]] = 0.0
         speed = float(np.abs(figure.robot.difference(self._before, q)).max()) / self.dt
         away_from_home = float(away.max()) > _AT_EASE or speed > _STILL
         if decision.action in ("walk", "jump", "nothing") and away_from_home:
-            self._plan(lambda q: rest_slices(figure, q, look=ball, dt=self.dt))
+            self._plan(lambda q: rest_slices(figure, q, gaze_target=ball, dt=self.dt))
             self._after = None if decision.action == "nothing" else decision
         elif decision.action == "walk":
-            self._way = list(decision.way)
+            self._waypoints = list(decision.waypoints)
             self._step_on()
         elif decision.action == "nothing":
             self._motion = None
@@ -372,7 +373,7 @@ class FigureSession:
             assert ball is not None and decision.arm is not None
             if decision.action in (REACH, BEND):
                 arm, kind = decision.arm, decision.action
-                end = self.decider.abilities.pose(kind, seen_from(figure.stance(q), ball), arm).q
+                end = self.decider.abilities.pose(kind, in_stance_frame(figure.stance(q), ball), arm).q
                 self._plan(lambda q: take_slices(figure, q, ball, arm, kind, end=end, dt=self.dt))
             else:
                 speed = decision.speed or 0.0
@@ -386,30 +387,30 @@ class FigureSession:
         self._planning = _Planning(slices(q))
 
     def _step_on(self) -> None:
-        """The next walk on the way: a turn on the spot, a walk along a curve, or small steps."""
+        """The next walk to a waypoint: a turn on the spot, a walk along a curve, or small steps."""
         figure, q = self.figure, self._q
-        here, goal = figure.stance(q), np.array(self._way[0])
-        way = goal[:2] - here[:2]
-        far = float(np.linalg.norm(way))
-        course = float(np.arctan2(way[1], way[0]))
+        here, goal = figure.stance(q), np.array(self._waypoints[0])
+        offset = goal[:2] - here[:2]
+        distance = float(np.linalg.norm(offset))
+        course = float(np.arctan2(offset[1], offset[0]))
         gait, prints = SHUFFLE, prints_of(figure, q)
-        if far < _NEAR:
-            self._way.pop(0)
-            if far < _AT_STAND and abs(_turn(here[2], goal[2])) < 0.02:
+        if distance < _NEAR:
+            self._waypoints.pop(0)
+            if distance < _AT_STAND and abs(_heading_change(here[2], goal[2])) < 0.02:
                 self._end()
                 return
             steps = shuffle_prints(figure, prints, goal)
-        elif abs(_turn(here[2], course)) > _TURN:
+        elif abs(_heading_change(here[2], course)) > _TURN_IN_PLACE:
             steps = shuffle_prints(figure, prints, np.array([here[0], here[1], course]))
         else:
             gait = WALK
-            turned = abs(_turn(course, goal[2])) <= _TURN
-            if turned:
-                self._way.pop(0)
-            end = goal if turned else np.array([goal[0], goal[1], course])
+            aligned = abs(_heading_change(course, goal[2])) <= _TURN_IN_PLACE
+            if aligned:
+                self._waypoints.pop(0)
+            end = goal if aligned else np.array([goal[0], goal[1], course])
             steps = walk_prints(figure, prints, end, gait)
-            if not turned:
-                self._way[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
+            if not aligned:
+                self._waypoints[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
         slices = walk_slices(figure, q, steps, gait, dt=self.dt)
         self._planning, self._motion = _Planning(slices, start=q, gait=gait), None
 
@@ -422,11 +423,11 @@ class FigureSession:
         """A motion is over: after a walk it decides anew where it came to."""
         walked = self._motion is not None and self._motion.action == "walk"
         self._motion, self._walk, self._planning = None, None, None
-        if walked and not self._way:
+        if walked and not self._waypoints:
             self._served = None
 
 
-def _turn(a: float, b: float) -> float:
+def _heading_change(a: float, b: float) -> float:
     return float((b - a + np.pi) % (2 * np.pi) - np.pi)
 
 

@@ -253,12 +253,12 @@ def check_cameras(until: float) -> list[CheckRow]:
     if not usable:
         return rows
     probe = environment.run_probe(_CAMERA_CODE.format(paths=usable), timeout=time_left(until))
-    answers = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
+    results = dict(line.split("=", 1) for line in probe.text.splitlines() if "=" in line)
     for path in usable:
-        answer = answers.get(path, "no answer in time")
-        good = answer[:1].isdigit()
+        result = results.get(path, "no answer in time")
+        good = result[:1].isdigit()
         do = "" if good else "in use by another program, or this node carries no pictures"
-        found = f"{names[path]}: {answer}" if names[path] else answer
+        found = f"{names[path]}: {result}" if names[path] else result
         rows.append(CheckRow(f"camera {path}", OK if good else NOTE, found, do))
     return rows
 

@@ -75,7 +75,7 @@ class FigureRequest:
         balls: Where the ball is, one after the other; each is held until nothing goes on any more.
         path: ``circle`` or ``random``: a ball that moves, in place of ``balls``.
         seconds: How long it moves.
-        place: (x, y, heading) of the figure at first.
+        stance: (x, y, heading) of the figure at first.
         mode: ``active`` or ``passive``.
         obstacles: What it may not walk through.
         seed: Of random balls.
@@ -84,7 +84,7 @@ class FigureRequest:
     balls: tuple[tuple[float, float, float], ...] = ()
     path: Literal["", "circle", "random"] = ""
     seconds: float = 12.0
-    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stance: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mode: Literal["active", "passive"] = "active"
     obstacles: tuple[Obstacle, ...] = ()
     seed: int = 0
@@ -141,9 +141,9 @@ def _number(text: str) -> bool:
 
 
 def moving_ball(
-    kind: str, t: float, seed: int, place: tuple[float, float, float]
+    kind: str, t: float, seed: int, stance: tuple[float, float, float]
 ) -> tuple[float, float, float]:
-    """Where a ball is that goes round the figure, or jumps from place to place every three seconds."""
+    """Where a ball is that goes round the figure, or jumps to another position every three seconds."""
     if kind == "circle":
         angle = 2 * math.pi * t / 20.0
         local = np.array(
@@ -152,16 +152,16 @@ def moving_ball(
     else:
         rng = np.random.default_rng([seed, int(t / 3.0)])
         local = np.array([rng.uniform(0.2, 0.8), rng.uniform(-0.6, 0.6), rng.uniform(0.3, 1.9)])
-    x, y, z = rotation("z", place[2]) @ local + [place[0], place[1], 0.0]
+    x, y, z = rotation("z", stance[2]) @ local + [stance[0], stance[1], 0.0]
     return float(x), float(y), float(z)
 
 
 def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureFrame]:
     """Frames of a request, one after the other."""
-    session = FigureSession(abilities, obstacles=request.obstacles, mode=request.mode, place=request.place)
+    session = FigureSession(abilities, obstacles=request.obstacles, mode=request.mode, stance=request.stance)
     if request.path:
         for k in range(int(request.seconds * RATE)):
-            session.send(SetBall(moving_ball(request.path, k / RATE, request.seed, request.place)))
+            session.send(SetBall(moving_ball(request.path, k / RATE, request.seed, request.stance)))
             if k == 0 and request.mode == "passive":
                 session.send(StartPassive())
             yield session.step()
@@ -182,12 +182,12 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
 
 
 def run_marker(
-    abilities: Abilities, request: FigureRequest, places: Iterator[tuple[float, Array | None]]
+    abilities: Abilities, request: FigureRequest, positions: Iterator[tuple[float, Array | None]]
 ) -> Iterator[FigureFrame]:
-    """Frames of a figure whose ball is a marker: ``places`` at times, seen from where the world begins."""
+    """Frames of a figure whose ball is a marker: ``positions`` at times, seen from where the world begins."""
     moved = MarkerFigure(abilities, request)
-    for t, place in places:
-        moved.show(place)
+    for t, position in positions:
+        moved.show(position)
         yield from moved.until(t)
 
 
@@ -199,17 +199,17 @@ class MarkerFigure:
         frames: list[FigureFrame] | None = None,
     ) -> None:  # fmt: skip
         self._session = FigureSession(
-            abilities, obstacles=request.obstacles, mode=request.mode, place=request.place
+            abilities, obstacles=request.obstacles, mode=request.mode, stance=request.stance
         )
         self._drawn, self._shown = drawn, np.full(3, np.inf)
         self.frames: list[FigureFrame] = [] if frames is None else frames
         self.frames.clear()
 
-    def show(self, place: Array | None) -> None:
-        """The ball at ``place`` (3,); where it was last for None."""
-        if place is not None and float(np.linalg.norm(place - self._shown)) > _NOISE:
-            self._shown = place
-            self._session.send(SetBall((float(place[0]), float(place[1]), float(place[2]))))
+    def show(self, position: Array | None) -> None:
+        """The ball at ``position`` (3,); where it was last for None."""
+        if position is not None and float(np.linalg.norm(position - self._shown)) > _NOISE:
+            self._shown = position
+            self._session.send(SetBall((float(position[0]), float(position[1]), float(position[2]))))
             if self._session.mode == "passive" and self._session.ball is None:
                 self._session.send(StartPassive())
 
@@ -419,8 +419,8 @@ def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
     for key in list(spec.keys):
         spec.delete(key)
     world, kinds = spec.worldbody, mujoco.mjtGeom
-    for place, half, rgba in TILES:
-        world.add_geom(type=kinds.mjGEOM_BOX, pos=place, size=half, rgba=rgba, contype=0, conaffinity=0)
+    for position, half, rgba in TILES:
+        world.add_geom(type=kinds.mjGEOM_BOX, pos=position, size=half, rgba=rgba, contype=0, conaffinity=0)
     for one in obstacles:
         if isinstance(one, Box):
             half = np.radians(one.heading_deg) / 2
@@ -557,13 +557,13 @@ def decision_row(ball: Sequence[float], decision: Decision) -> dict[str, object]
 
 
 def decide_balls(
-    abilities: Abilities, balls: Sequence[tuple[float, float, float]], place: tuple[float, float, float],
+    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float],
     obstacles: Sequence[Obstacle] = (),
 ) -> Iterator[dict[str, object]]:  # fmt: skip
     """A decision for each ball, each on its own, without moving."""
     decider = Decider(abilities, obstacles)
     for ball in balls:
-        yield decision_row(ball, decider.decide(ball, place))
+        yield decision_row(ball, decider.decide(ball, stance))
 
 
 __all__ = [

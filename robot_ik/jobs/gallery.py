@@ -51,7 +51,7 @@ _FOCAL = 2.4
 _MARGIN = 0.06
 # A plain floor shows every fault of a shadow: more points of each light than for a table of wood.
 _QUALITY = Quality(stride=1, self_stride=2, self_spots=2, ground_stride=4, ground_spots=8)
-# Steps of the search for a place from which the robot fills the picture; each settles most of the rest.
+# Steps of the search for a viewpoint from which the robot fills the picture; each settles most of the rest.
 _FIT_STEPS = 40
 
 
@@ -175,8 +175,8 @@ def _floor_light(view: SyntheticView) -> NDArray[np.float32]:
     seen = np.ones((len(rays), 2), dtype=np.float32)
     near = np.flatnonzero(np.isfinite(depth))
     points = view.camera.position + rays[near] * depth[near, None]
-    place = tiles((len(y), len(x))).reshape(-1)[near]
-    seen[near] = view.visibility(points, place, _QUALITY.ground_spots)
+    index = tiles((len(y), len(x))).reshape(-1)[near]
+    seen[near] = view.visibility(points, index, _QUALITY.ground_spots)
     return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
 
@@ -221,16 +221,18 @@ def pose_at_work(robot: Robot, scene: GalleryScene | None, floor: float, seed: i
 
     Args:
         robot: Who.
-        scene: What it does; None: it reaches for a random place above the floor.
+        scene: What it does; None: it reaches for a random position above the floor.
         floor: Height of the floor, world.
-        seed: Of the random place and of restarts.
+        seed: Of the random position and of restarts.
     """
     if scene is None or not scene.goals:
         return solve(robot, _random_goal(robot, floor, np.random.default_rng(seed)), seed=seed)
     goals: list[Goal] = [PoseGoal.at(frame, robot.forward(robot.home, frame)) for frame in scene.keep]
     for frame, numbers in scene.goals.items():
-        place = numbers[:3]
-        goals.append(PoseGoal(frame, place, numbers[3:]) if len(numbers) == 7 else PositionGoal(frame, place))
+        position = numbers[:3]
+        goals.append(
+            PoseGoal(frame, position, numbers[3:]) if len(numbers) == 7 else PositionGoal(frame, position)
+        )
     return solve(robot, goals, seed=seed)
 
 
@@ -244,7 +246,7 @@ def _random_goal(robot: Robot, floor: float, rng: np.random.Generator) -> Goal:
 
 
 def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portrait:
-    """Draws one robot at home and at work, seen from the same place.
+    """Draws one robot at home and at work, seen from the same viewpoint.
 
     Args:
         robot: Whom.
@@ -274,14 +276,14 @@ def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portra
 
 
 def _with_goals(photo: Photo, solution: Solution) -> Image:
-    """The picture with a dot on every place that something was to reach."""
+    """The picture with a dot on every position that something was to reach."""
     image = photo.image.copy()
     radius = max(2.5, photo.image.shape[0] / 110)
     moved = [goal for goal in solution.goals if isinstance(goal, PositionGoal | PoseGoal)]
     kept = solution.robot.file.gallery.keep if solution.robot.file.gallery else ()
-    places = [goal.target.position for goal in moved if goal.frame not in kept]
-    for place in places:
-        seen = photo.camera.inverse().apply(place)
+    positions = [goal.target.position for goal in moved if goal.frame not in kept]
+    for position in positions:
+        seen = photo.camera.inverse().apply(position)
         at = photo.intrinsics.project(seen[None])[0]
         if not (seen[2] > 0 and (np.abs(at) < 2 * image.shape[1]).all()):
             continue  # an unreachable goal may be behind the lens

@@ -21,10 +21,10 @@ from robot_ik.ports import Array
 
 DEAD_ZONE = 0.15
 """Of a stick's way: what one that is let go may rest at."""
-_SPEED, _TURN = 0.12, np.radians(45.0)  # m/s and rad/s (joints, turns) of a stick at its end
+_SPEED, _ANGULAR_SPEED = 0.12, np.radians(45.0)  # m/s and rad/s (joints, rotations) of a stick at its end
 _LONGEST = 0.1  # s: after a pause a stick counts for no more
 _FULL = 32767.0  # SDL's number for a stick at its end
-_LOOK_AGAIN = 0.2  # s
+_POLL = 0.2  # s
 
 
 @dataclass(frozen=True)
@@ -112,16 +112,16 @@ class Gamepad:
         if not self.jog.hand:
             for number, share in enumerate(axes.tolist()):
                 if number not in self._grippers:
-                    self._turn(number, share)
+                    self._move_joint(number, share)
         elif axes.any():
-            self.jog.move_hand(_SPEED * axes[:3], _TURN * axes[3:])
+            self.jog.move_hand(_SPEED * axes[:3], _ANGULAR_SPEED * axes[3:])
         for number in self._grippers[:1]:
-            self._turn(number, passed * (("up" in state.pressed) - ("down" in state.pressed)))
+            self._move_joint(number, passed * (("up" in state.pressed) - ("down" in state.pressed)))
 
-    def _turn(self, number: int, share: float) -> None:
+    def _move_joint(self, number: int, share: float) -> None:
         if share and number < len(self.jog.joints):
             joint = self.jog.joints[number]
-            self.jog.move_joint(number, share * (_TURN if joint.unit == "deg" else _SPEED))
+            self.jog.move_joint(number, share * (_ANGULAR_SPEED if joint.unit == "deg" else _SPEED))
 
     def feel(self, follower: Angles) -> None:
         pass
@@ -215,7 +215,7 @@ class PadDevice:
         while not self._find():
             if time.monotonic() > end:
                 raise HardwareError("the gamepad did not come back", hint="look at its cable or its battery")
-            time.sleep(_LOOK_AGAIN)
+            time.sleep(_POLL)
 
     def close(self) -> None:
         """Lets go of it."""

@@ -18,8 +18,8 @@ from robot_ik.hardware.calibration import (
     Measured,
     Sweep,
     check_sweep,
+    counting_directions,
     measured_calibration,
-    wiggled,
 )
 from robot_ik.hardware.calibration_file import Calibration, completed, load_lerobot
 from robot_ik.hardware.joint_map import JointMap, Sign
@@ -84,13 +84,13 @@ def calibrate_by_hand(
     def swept() -> None:
         check_sweep(config, sweep)
 
-    def turned(joint: JointMap, before: Mapping[int, int]) -> dict[int, Sign]:
-        return wiggled(config, joint, before, sweep.now)
+    def directions_of(joint: JointMap, before: Mapping[int, int]) -> dict[int, Sign]:
+        return counting_directions(config, joint, before, sweep.now)
 
     _step(person, "1. sweep: move every joint from one stop to the other", sample, swept)
     for servo in config.servos:
         ticks = f"ticks {sweep.low[servo.id]} to {sweep.high[servo.id]}"
-        person.note(f"   {servo.name}: id {servo.id}, {ticks}, {servo.text(sweep.way(servo), 0)}")
+        person.note(f"   {servo.name}: id {servo.id}, {ticks}, {servo.text(sweep.travel(servo), 0)}")
     where = ", ".join(f"{name} {config.joint(name).text(q)}" for name, q in pose.items())
     text = f"2. zero: put the arm into the pose {where} and hold it"
     zero = _step(person, text, sample, lambda: _held(arm, sweep, sample))
@@ -99,7 +99,7 @@ def calibrate_by_hand(
     for k, joint in enumerate(config.joints, 1):
         about = joint.text(ASKED_WIGGLE * joint.lever, 0)
         text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
-        directions |= _step(person, text, sample, functools.partial(turned, joint, dict(sweep.now)))
+        directions |= _step(person, text, sample, functools.partial(directions_of, joint, dict(sweep.now)))
     measured = Measured(sweep, zero, pose, directions, limits)
     return measured_calibration(bus, config, measured, sweep.now, timestamp())
 

@@ -60,8 +60,8 @@ class TaughtMotion:
     def sample(self) -> None:
         """Reads all joints; a sample in which one is missing is left out."""
         config = self._arm.config
-        answers = self._arm.bus.sync_read(config.ids, self._present)
-        ticks = [answers[id].data for id in config.ids]
+        replies = self._arm.bus.sync_read(config.ids, self._present)
+        ticks = [replies[id].data for id in config.ids]
         time = self._arm.clock.now() - self._begin
         if None not in ticks and (not self._times or time > self._times[-1]):
             pairs = zip(config.joints, ticks, strict=True)

@@ -144,12 +144,12 @@ class Hand:
 
         Args:
             pose: Where to.
-            exactly: There, or not at all: steps that add up must neither drift, nor turn the hand at the end
-                of its reach.
+            exactly: There, or not at all: steps that add up must neither drift, nor rotate the hand at the
+                end of its reach.
         """
         whole = self._robot.nv >= _WHOLE
         goals: list[Goal] = [PoseGoal.at(None, pose)]
-        if not whole:  # it cannot carry every pose: the place is needed, the turn is wanted
+        if not whole:  # it cannot carry every pose: the position is needed, the orientation is wanted
             goals = [PositionGoal(None, pose.position), OrientationGoal(None, pose.wxyz, soft=True)]
         if self._problem is None:
             self._problem = Problem(self._robot, goals, budget=_BUDGET)
@@ -158,8 +158,8 @@ class Hand:
         found = self._solver.solve(self._problem, self._q).q
         if np.isfinite(found).all():
             there = self._robot.forward(found)
-            away, turned = there.distance(pose)
-            met = away < _MET[0] and (turned < _MET[1] or not whole)
+            away, angle = there.distance(pose)
+            met = away < _MET[0] and (angle < _MET[1] or not whole)
             if met or not exactly:
                 self._q = found
                 self.pose = Pose(pose.position, pose.wxyz if whole else there.wxyz) if exactly else there
@@ -263,7 +263,7 @@ HAND_KEYS: Mapping[str, tuple[int, int]] = {
 }  # fmt: skip
 """Key -> axis of the world (0 to 2: along, 3 to 5: about) and its sign."""
 MODE_KEY, FINER, COARSER, STOP, QUIT = "\t", "-", "+", " ", "\x1b"
-_STEP, _TURN = 0.01, np.radians(3.0)  # m or rad (joints and turns) of one key press
+_STEP, _ROTATION = 0.01, np.radians(3.0)  # m or rad (joints and rotations) of one key press
 _FINEST, _COARSEST = 0.1, 4.0
 
 
@@ -366,12 +366,12 @@ class KeyboardJog:
         elif not self.jog.hand:
             for number, (joint, pair) in enumerate(zip(self.jog.joints, JOINT_KEYS, strict=False)):
                 if key in pair:
-                    step = self._size * (_TURN if joint.unit == "deg" else _STEP)
+                    step = self._size * (_ROTATION if joint.unit == "deg" else _STEP)
                     self.jog.move_joint(number, step if key == pair[0] else -step)
         elif key in HAND_KEYS:
             axis, sign = HAND_KEYS[key]
             way = np.zeros(6)
-            way[axis] = sign * self._size * (_STEP if axis < 3 else _TURN)
+            way[axis] = sign * self._size * (_STEP if axis < 3 else _ROTATION)
             self.jog.move_hand(way[:3], way[3:])
 
 

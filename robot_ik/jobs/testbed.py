@@ -113,12 +113,12 @@ class CameraTab:
         frame = self._source.read()
         begin = time.monotonic()
         sighting = Sighting(frame, self._tracker.observe(frame), {})
-        looked = time.monotonic() - begin
+        search_time = time.monotonic() - begin
         lens, scene = self._source.scene.intrinsics, self._source.scene
         image = drawn(sighting, lens)
         _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
         small = np.ascontiguousarray(image[::2, ::2, ::-1])
-        return small, _line_about(sighting, looked, time.monotonic() - frame.time)
+        return small, _line_about(sighting, search_time, time.monotonic() - frame.time)
 
     def _open(self, robot: Robot) -> None:
         self._source = self._tracker = None
@@ -130,16 +130,16 @@ class CameraTab:
             self._source = SyntheticSource(synthetic, lambda: self._session.instances[0].q, quality="fast")
 
 
-def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, place: Array) -> None:
+def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Array) -> None:
     """A circle round where the ball would be seen."""
-    inside = camera.inverse().apply(place)
+    inside = camera.inverse().apply(position)
     if inside[2] > 0.0:
         x, y = np.round(16.0 * lens.project(inside[None])[0]).astype(int).tolist()
         if max(abs(x), abs(y)) < 1 << 20:
             cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
 
 
-def _line_about(sighting: Sighting, looked: float, age: float) -> str:
+def _line_about(sighting: Sighting, search_time: float, age: float) -> str:
     """Markers with distance and the noise of their corners; how old the picture is."""
     rows = "".join(
         f"<tr><td>{marker.id}</td><td>{np.linalg.norm(marker.pose.position):.3f}</td>"
@@ -150,7 +150,7 @@ def _line_about(sighting: Sighting, looked: float, age: float) -> str:
     head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
     return (
         f"<table>{head}{rows}</table><small>synthetic camera; the picture is {1e3 * age:.0f} ms old, "
-        f"{1e3 * looked:.0f} of them for finding markers; orange: the ball</small>"
+        f"{1e3 * search_time:.0f} of them for finding markers; orange: the ball</small>"
     )
 
 

@@ -33,7 +33,7 @@ STALE = 0.5
 TEACH_LIMIT = 600.0
 """Seconds that a recording may take."""
 _SETTLE = 1.0  # seconds for which the end of a recording is sent: the limiter comes after a quick hand
-_TELEMETRY_PERIOD = 0.5  # seconds between two looks at currents and temperatures
+_TELEMETRY_PERIOD = 0.5  # seconds between two readings of currents and temperatures
 _CLOSE_LIMIT = 10.0
 
 
@@ -42,7 +42,7 @@ class ArmView:
     """What is seen of the arm.
 
     Attributes:
-        state: Of the arm's life cycle, in words.
+        state: Of the arm's life cycle, as text.
         mode: What was asked for last.
         port: Where it is.
         q: (nq,) measured joint angles, in the robot's order; None before the first reading.
@@ -148,7 +148,7 @@ class ArmLink:
 
     @property
     def left(self) -> str:
-        """How the arm was left, in words."""
+        """How the arm was left, as text."""
         return self._arm.exit_report.text if self._arm.exit_report is not None else ""
 
     # ----------------------------------------------------------------------------------- the arm's thread
@@ -171,7 +171,7 @@ class ArmLink:
                 due = time.monotonic()
 
     def _cycle(self, period: float) -> None:
-        """One look at what is wanted, one cycle of the bus."""
+        """One reading of what is wanted, one cycle of the bus."""
         arm, mode = self._arm, self._mode
         if isinstance(arm.clock, VirtualClock):  # its time passes only when somebody sleeps
             arm.clock.sleep_until(arm.clock.now() + period)
@@ -201,16 +201,16 @@ class ArmLink:
             self._record(self._measured)
 
     def _replay(self) -> None:
-        """The next sample of what the hand has shown, after a slow way to where it begins; then hold."""
+        """The next sample of what the hand has shown, after a slow approach to where it begins; then hold."""
         arm, shown = self._arm, self.recording
         if shown is None:
             self._mode = "hold"
             return
         if self._plan is None:
             motion, _ = playable(shown, arm.config, 1.0)
-            way = approach(arm.read().q, motion.q[0], arm.config)
+            path = approach(arm.read().q, motion.q[0], arm.config)
             rest = np.repeat(motion.q[-1:], round(_SETTLE * arm.config.rate_hz), axis=0)
-            self._plan = iter([*way.q, *motion.q, *rest])
+            self._plan = iter([*path.q, *motion.q, *rest])
         q = next(self._plan, None)
         if q is None:
             self._mode, self._plan = "hold", None
@@ -222,14 +222,14 @@ class ArmLink:
         arm = self._arm
         self._recorder.send(q, arm.clock.now())
         if arm.virtual_bus is not None and self._wanted is not None:
-            most = arm.config.velocity / arm.config.rate_hz  # no hand is quicker than the arm
-            there = q + np.clip(self._wanted[0] - q, -most, most)
+            limit = arm.config.velocity / arm.config.rate_hz  # no hand is quicker than the arm
+            there = q + np.clip(self._wanted[0] - q, -limit, limit)
             ways = dict(zip(arm.joints, zip(q.tolist(), there.tolist(), strict=True), strict=True))
             with arm.virtual_bus.lock:
                 for servo in arm.config.servos:
                     begin, end = ways.get(servo.name, (0.0, 0.0))
                     ticks = servo.position(end) - servo.position(begin)
-                    arm.virtual_bus.servo(servo.id).turn_by_hand(ticks)
+                    arm.virtual_bus.servo(servo.id).rotate_by_hand(ticks)
         if len(self._recorder) > TEACH_LIMIT * arm.config.rate_hz:
             self._mode, self._message = "release", f"{TEACH_LIMIT:.0f} s are recorded: that is enough"
 

@@ -16,7 +16,7 @@ from robot_ik.robot import Robot
 Colour = tuple[int, int, int]
 
 INSTANCE_COLOURS: tuple[Colour, ...] = ((37, 99, 235), (13, 148, 136), (147, 51, 234), (219, 39, 119))
-"""Of plate, trail, table row, plot line and joint mark: told apart by the colour-blind, too."""
+"""Of plate, trail, table row, plot line and joint mark: distinguishable for the colour-blind, too."""
 GOAL_COLOUR: Colour = (245, 130, 32)
 """Orange, as in the gallery; no instance has it."""
 LIMIT_COLOUR: Colour = (220, 38, 38)
@@ -32,27 +32,27 @@ _SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where things stand.
+    """Where instances and their labels stand.
 
     Attributes:
         offsets: (n, 3) of each instance from the world's origin, metres.
         labels: (n, 3) on the floor in front of each instance.
-        ahead, right: (2,) unit vectors on the floor as the first view sees them.
+        forward, right: (2,) unit vectors on the floor as the first view sees them.
         extent: Of the model, metres.
     """
 
     offsets: Array
     labels: Array
-    ahead: Array
+    forward: Array
     right: Array
     extent: float
 
 
 def arranged(robot: Robot, count: int) -> Arrangement:
-    """The places of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
+    """The positions of ``count`` instances: 1 2 behind, 3 4 in front, as the first view sees them."""
     gallery = robot.file.gallery
     azimuth = math.radians(gallery.view_deg[0] if gallery else _USUAL_VIEW_DEG)
-    ahead = -np.array((math.cos(azimuth), math.sin(azimuth)))
+    forward = -np.array((math.cos(azimuth), math.sin(azimuth)))
     right = np.array((-math.sin(azimuth), math.cos(azimuth)))
     extent = float(robot.model.stat.extent)
     grid: Sequence[tuple[float, float]] = {
@@ -60,24 +60,24 @@ def arranged(robot: Robot, count: int) -> Arrangement:
         2: [(-1.0, 0.0), (1.0, 0.0)],
         4: [(-1.0, 1.25), (1.0, 1.25), (-1.0, -1.25), (1.0, -1.25)],
     }[count]
-    flat = np.array([0.5 * extent * (x * right + y * ahead) for x, y in grid])
+    flat = np.array([0.5 * extent * (x * right + y * forward) for x, y in grid])
     offsets = np.column_stack([flat, np.zeros(count)])
-    labels = offsets - np.array((*(_PLATE_DISTANCE * extent * ahead), 0.0))
-    return Arrangement(offsets, labels, ahead, right, extent)
+    labels = offsets - np.array((*(_PLATE_DISTANCE * extent * forward), 0.0))
+    return Arrangement(offsets, labels, forward, right, extent)
 
 
-def corners(robot: Robot, arrangement: Arrangement, way: Array) -> Array:
-    """(n, 3) what a camera should see: boxes round the instances at home and round the ball's way (m, 3)."""
+def corners(robot: Robot, arrangement: Arrangement, path: Array) -> Array:
+    """(n, 3) what a camera should see: boxes round the instances at home and round the ball's path (m, 3)."""
     model = robot.model
     data = mujoco.MjData(model)
     data.qpos[:] = robot.qpos(robot.home)
     mujoco.mj_kinematics(model, data)
     solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
     # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
-    reach, places = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
-    low = np.vstack([places - reach, way]).min(axis=0)
-    high = np.vstack([places + reach, way]).max(axis=0)
-    low[2] = max(low[2], min(0.0, float(way[:, 2].min())))
+    reach, positions = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
+    low = np.vstack([positions - reach, path]).min(axis=0)
+    high = np.vstack([positions + reach, path]).max(axis=0)
+    low[2] = max(low[2], min(0.0, float(path[:, 2].min())))
     box = np.array(
         [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
     )
@@ -87,26 +87,26 @@ def corners(robot: Robot, arrangement: Arrangement, way: Array) -> Array:
 def fitted_camera(
     points: Array, arrangement: Arrangement, aspect: float, *, phone: bool = False
 ) -> tuple[Array, Array]:
-    """Position (3,) and look-at (3,) of a camera that sees all points, from ahead and a little above.
+    """Position (3,) and look-at (3,) of a camera that sees all points, from the front and a little above.
 
     Args:
         points: (n, 3) what has to be seen.
-        arrangement: Says where ahead is.
+        arrangement: Says where forward is.
         aspect: Width of the picture over its height.
         phone: Keep the lower half of the picture free.
     """
-    ahead = np.array((*arrangement.ahead, -_DOWN)) / math.hypot(1.0, _DOWN)
+    forward = np.array((*arrangement.forward, -_DOWN)) / math.hypot(1.0, _DOWN)
     right = np.array((*arrangement.right, 0.0))
-    up = np.cross(right, ahead)
-    x, y, z = points @ right, points @ up, points @ ahead
+    up = np.cross(right, forward)
+    x, y, z = points @ right, points @ up, points @ forward
     wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
     tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
     middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
     away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
     depth = float(z.mean())
     drop = _SHEET[1] * math.tan(FIELD_OF_VIEW / 2.0) * (away + depth) if phone else 0.0
-    look = middle[0] * right + (middle[1] - drop) * up + depth * ahead
-    return look - (away + depth) * ahead, look
+    target = middle[0] * right + (middle[1] - drop) * up + depth * forward
+    return target - (away + depth) * forward, target
 
 
 def bodies_shown(model: mujoco.MjModel, body: int) -> list[int]:

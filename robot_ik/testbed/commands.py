@@ -133,7 +133,7 @@ class SetSpeed(Command):
 
 @dataclass(frozen=True)
 class MoveGoal(Command):
-    """The ball to a place (metres, world), turned as it was or as said; it then moves by hand."""
+    """The ball to a position (metres, world), oriented as before or as given; it then moves by hand."""
 
     position: Point
     wxyz: Wxyz | None = None
@@ -255,7 +255,7 @@ class Start:
         robot: A name of the catalogue or the path of a model.
         count: Instances side by side.
         methods: One for each of four instances; of fewer the first count.  Empty: the robot's usual ones.
-        seed: Of the random places of the ball.
+        seed: Of the random positions of the ball.
         rate: Ticks a second, Hz.
     """
 

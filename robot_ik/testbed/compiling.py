@@ -40,7 +40,7 @@ from robot_ik.testbed.setup import BUDGET, Setup, prepare, warm_drag
 
 _NICE = 10  # of the processes: the page, and the browser that loads it, come first
 ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
-"""What the loop of a method takes, in numba's words: addresses of tree, goals and work; options."""
+"""What the loop of a method takes, as numba types: addresses of tree, goals and work; options."""
 _STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more
 _SETUP = TypeAdapter(Setup)  # how the setup reaches the process
 
@@ -65,7 +65,7 @@ class Compilers:
         Args:
             setup: The choice.
             missing: Its solvers that are not compiled.
-            say: Called with what is going on, in words.
+            say: Called with what is going on, as text.
         """
         names = list(dict.fromkeys(solver.name for solver in missing))
         steps = [name for name in reversed(names) if step_of(name) is not None]

@@ -42,9 +42,9 @@ class InstanceView:
         method, options: Name of its method; (name, value) of each of its options.
         q: (nq,) joint angles, rad or m.
         xpos, xquat: (nbody, 3) and (nbody, 4) poses of MuJoCo's bodies, world, wxyz.
-        status: How the last solve ended, in words; why it cannot be solved, where it cannot.
+        status: How the last solve ended, as text; why it cannot be solved, where it cannot.
         able: Whether its method can serve what is asked.
-        note: What it does otherwise than the others, in words.
+        note: What it does otherwise than the others, as text.
         miss, angle: Metres and radians of the tool off what the ball asks, by MuJoCo's kinematics.
         iterations: Steps of the last solve.
         manipulability: Product of the singular values of the tool's Jacobian.
@@ -130,8 +130,8 @@ class Instance:
 
     def _tool(self) -> tuple[Array, Array]:
         """Rotation (3, 3) and position (3,) of the tool."""
-        turned = self.data.xmat[self._body].reshape(3, 3)
-        return turned @ self._local.rotation, self.data.xpos[self._body] + turned @ self._local.position
+        rotation = self.data.xmat[self._body].reshape(3, 3)
+        return rotation @ self._local.rotation, self.data.xpos[self._body] + rotation @ self._local.position
 
     def solve(self, goals: RobotGoals, ball: Pose) -> None:
         """Goes to what the ball asks for."""
@@ -245,21 +245,21 @@ def off(goals: RobotGoals, rotation: Array, position: Array, ball: Pose) -> tupl
 
     As ``Goal.off``, which costs 50 µs; this 5: it is asked 240 times a second.
     """
-    way = ball.position - position
+    offset = ball.position - position
     match goals.kind:
         case "position":
-            return math.sqrt(way @ way), 0.0
+            return math.sqrt(offset @ offset), 0.0
         case "pose":
-            return math.sqrt(way @ way), _angle(rotation, ball.rotation)
+            return math.sqrt(offset @ offset), _angle(rotation, ball.rotation)
         case "aim":
             axis = rotation[:, 0 if gaze_axis(goals.robot.tool) == "x" else 2]
-            sine = np.cross(axis, way)
-            return 0.0, math.atan2(math.sqrt(sine @ sine), float(axis @ way))
+            sine = np.cross(axis, offset)
+            return 0.0, math.atan2(math.sqrt(sine @ sine), float(axis @ offset))
     normal = ball.rotation[:, 2]
-    along = float(way @ normal)
+    along = float(offset @ normal)
     if goals.kind == "plane":
         return abs(along), 0.0
-    across = way - along * normal
+    across = offset - along * normal
     return math.sqrt(across @ across), 0.0
 
 

@@ -37,10 +37,10 @@ class Key:
     """One row of ``KEYMAP``.
 
     Attributes:
-        about: What it does, in words.
+        about: What it does, as text.
         browser: The key on the page; empty: none, because a control is there.
         window: The key in MuJoCo's window; empty: none.
-        command: What it asks for, as things stand; None: the front end shows or hides its overlay.
+        command: What it asks for, in this state; None: the front end shows or hides its overlay.
     """
 
     about: str

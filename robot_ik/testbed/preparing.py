@@ -55,7 +55,7 @@ class Preparer:
 
     @property
     def doing(self) -> str:
-        """In words; empty: nothing."""
+        """As text; empty: nothing."""
         return self._text if self._waiting else ""
 
     def begin(self) -> None:

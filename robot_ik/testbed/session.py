@@ -68,7 +68,7 @@ _log = logging.getLogger(__name__)
 
 MESSAGE_SECONDS = 6.0
 """How long an error stays on the page."""
-_RANDOM_PERIOD = 2.0  # seconds of ball time at each random place
+_RANDOM_PERIOD = 2.0  # seconds of ball time at each random position
 _SLOW_TICKS = 6  # between two measurements of what is too dear for each tick
 _BRANCH_TICKS = 12
 _REACH = 3.0  # extents of the model: farther away no ball is of use
@@ -76,7 +76,7 @@ _REACH = 3.0  # extents of the model: farther away no ball is of use
 
 @dataclass(frozen=True, eq=False)
 class BranchView:
-    """One way of meeting the goal: its name, angles (nq,), bodies' poses (nbody, 3) and (nbody, 4)."""
+    """One branch of the solution: its name, angles (nq,), bodies' poses (nbody, 3) and (nbody, 4)."""
 
     name: str
     q: Array
@@ -99,7 +99,7 @@ class View:
         dragged: Body that is dragged; empty: none.
         instances: One to four.
         branches: Of the first instance, where they are asked for.
-        busy: What is prepared beside the loop, in words; empty: nothing.
+        busy: What is prepared beside the loop, as text; empty: nothing.
         message: An error in one sentence, for some seconds.
         arm: The servo arm that the first instance drives; None without.
         figure: The first instance, where it is a figure that decides by itself.
@@ -134,13 +134,13 @@ class View:
     def digest(self) -> str:
         """A fingerprint of all that the commands decide: not of times, and not of a servo arm."""
         seen = hashlib.sha256()
-        words: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed, self.kind]
-        words += [[dataclasses.astuple(extra) for extra in self.extras], self.limits, self.dragged]
-        words.append(None if self.figure is None else dataclasses.astuple(self.figure))
+        fields: list[Any] = [self.tick, self.robot, self.motion, self.running, self.speed, self.kind]
+        fields += [[dataclasses.astuple(extra) for extra in self.extras], self.limits, self.dragged]
+        fields.append(None if self.figure is None else dataclasses.astuple(self.figure))
         for one in self.instances:
-            words += [one.method, one.options, one.status, one.iterations, one.statistics.count]
-            words += [one.statistics.iterations, one.statistics.solved]
-        seen.update(json.dumps(words).encode())
+            fields += [one.method, one.options, one.status, one.iterations, one.statistics.count]
+            fields += [one.statistics.iterations, one.statistics.solved]
+        seen.update(json.dumps(fields).encode())
         arrays = [self.ball.position, self.ball.wxyz]
         for one in self.instances:
             arrays += [one.q, one.xpos, one.trail, one.errors, np.array((one.miss, one.angle))]
@@ -198,7 +198,7 @@ class Session:
 
     @property
     def busy(self) -> str:
-        """What is prepared beside the loop, in words; empty: nothing."""
+        """What is prepared beside the loop, as text; empty: nothing."""
         return self._preparer.doing
 
     @property
@@ -302,8 +302,8 @@ class Session:
         """All that took effect up to now, and the digest of the present view."""
         return CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
 
-    def way(self) -> Array:
-        """(n, 3) places of the ball on its curve, for a camera that shall see all of it."""
+    def ball_path(self) -> Array:
+        """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
         curve, times = self._ready.curve, np.linspace(0.0, 8.0, 9)
@@ -381,14 +381,14 @@ class Session:
     def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
         """By hand from now on; never farther than a robot of this size could use."""
         self._motion = "hand"
-        far = _REACH * float(self.robot.model.stat.extent)
+        radius = _REACH * float(self.robot.model.stat.extent)
         middle = np.array(self.robot.model.stat.center)
         away = position - middle
         distance = float(np.linalg.norm(away))
-        position = position if distance <= far else middle + away * (far / distance)
-        turned = self._ball.wxyz if wxyz is None else np.array(wxyz)
-        if np.linalg.norm(turned) > 1e-6:
-            self._ball = Pose(position, turned / np.linalg.norm(turned))
+        position = position if distance <= radius else middle + away * (radius / distance)
+        orientation = self._ball.wxyz if wxyz is None else np.array(wxyz)
+        if np.linalg.norm(orientation) > 1e-6:
+            self._ball = Pose(position, orientation / np.linalg.norm(orientation))
 
     def _grab(self, command: DragLink) -> None:
         body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)

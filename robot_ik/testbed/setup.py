@@ -1,6 +1,6 @@
 """What a session solves: robot, methods, goals.  Commands change it; making it ready may compile kernels.
 
-``Setup`` is the choice, in words and numbers.  ``prepare`` makes of it what the loop needs; it loads models
+``Setup`` is the choice, as names and numbers.  ``prepare`` makes of it what the loop needs; it loads models
 and compiles, which takes seconds, so the session runs it beside the loop.
 """
 
@@ -186,7 +186,7 @@ class RobotGoals:
 
     Attributes:
         kept: Frames that stay where they are, whatever is dragged.
-        balanced: Whether the centre of mass stays over its place.
+        balanced: Whether the centre of mass stays over its position.
     """
 
     def __init__(self, robot: Robot, kind: GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
@@ -202,18 +202,18 @@ class RobotGoals:
     def main(self, ball: Pose) -> Goal:
         """What the ball asks of the tool."""
         rank = self.priority
-        tool, place = self.robot.tool, ball.position
+        tool, position = self.robot.tool, ball.position
         match self.kind:
             case "pose":
-                return PoseGoal(tool, place, ball.wxyz, priority=rank)
+                return PoseGoal(tool, position, ball.wxyz, priority=rank)
             case "position":
-                return PositionGoal(tool, place, priority=rank)
+                return PositionGoal(tool, position, priority=rank)
             case "aim":
-                return AimGoal(tool, place, axis=gaze_axis(tool), priority=rank)
+                return AimGoal(tool, position, axis=gaze_axis(tool), priority=rank)
             case "line":
-                return LineGoal(tool, place, ball.rotation[:, 2], priority=rank)
+                return LineGoal(tool, position, ball.rotation[:, 2], priority=rank)
             case "plane":
-                return PlaneGoal(tool, place, ball.rotation[:, 2], priority=rank)
+                return PlaneGoal(tool, position, ball.rotation[:, 2], priority=rank)
 
     def all(self, ball: Pose, solver: Solver) -> list[Goal]:
         """The ball's goal first, then the others.
@@ -305,7 +305,7 @@ class Ready:
         goals: What is asked.
         solvers: One for each instance.
         loaded: The robot within the limits of its model.
-        curve: The ball's way; the tool can follow it.
+        curve: The ball's path; the tool can follow it.
         refused: For each instance why its method cannot serve these goals; empty where it can.
         abilities: Of a figure that decides by itself; None: it does not.
     """
@@ -345,7 +345,7 @@ def prepare(
         setup: The choice.
         loaded: Its robot.
         before: What was made ready last: what did not change since is taken over.
-        say: Called with what is going on, in words.
+        say: Called with what is going on, as text.
         first: Called before anything is compiled: with the completed setup, its robot, goals and solvers.
 
     Raises:

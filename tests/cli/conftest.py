@@ -139,7 +139,7 @@ class Desk:
         """A hand turns a limp joint by so much, at once."""
         row = self.config.joint(joint)
         with self.bus.lock:
-            self.servo(row.id).turn_by_hand(math.radians(degrees) * row.ticks_per(0.0))
+            self.servo(row.id).rotate_by_hand(math.radians(degrees) * row.ticks_per(0.0))
 
     def torque(self) -> list[bool]:
         with self.bus.lock:

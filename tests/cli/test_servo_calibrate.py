@@ -88,8 +88,8 @@ def test_a_joint_that_was_not_swept(good_hand: Any, calibrate: Any, desk: Any, t
 
 
 def test_a_sweep_across_the_turns_end(good_hand: Any, calibrate: Any, desk: Any, tmp_path: Path) -> None:
-    desk.servo(3).turn_by_hand(-900)  # its horn sits so that -95 degrees are below tick 0
-    failing(calibrate(good_hand()), tmp_path, "joint3", "half a turn", "extended_position")
+    desk.servo(3).rotate_by_hand(-900)  # its horn sits so that -95 degrees are below tick 0
+    failing(calibrate(good_hand()), tmp_path, "joint3", "half a revolution", "extended_position")
 
 
 @pytest.mark.parametrize("folds", [False, True])

@@ -55,7 +55,7 @@ class Hand:
         for part in np.linspace(self.q[name], q, 12):
             for servo in self.true.joint(name).servos:
                 way = servo.position(part) - servo.position(self.q[name])
-                self.bus.servo(servo.id).turn_by_hand(way * (self.slip if servo.id == 3 else 1.0))
+                self.bus.servo(servo.id).rotate_by_hand(way * (self.slip if servo.id == 3 else 1.0))
             self.q[name] = part
             sample()
 
@@ -116,7 +116,7 @@ def test_two_servos_that_slip_are_refused() -> None:
 
 def test_a_shadow_that_counts_the_other_way_is_refused() -> None:
     def reverse(bus: VirtualBus) -> None:
-        bus.servo(3).turn_by_hand(300)
+        bus.servo(3).rotate_by_hand(300)
 
     with pytest.raises(HardwareError, match=r"shadow of joint 'lift' \(servo id 3\) stands 13\.2 deg beside"):
         measured(SHADOW, fault=reverse)

@@ -57,7 +57,7 @@ def test_an_arm_file_or_model_that_was_changed_is_refused(robot_ik: Any, mine: P
 
 
 def test_a_lost_turn_is_refused(robot_ik: Any, mine: Path, desk: Any) -> None:
-    desk.servo(2).shaft.lose_turns(1)
+    desk.servo(2).shaft.lose_revolutions(1)
     run = robot_ik("servo", "move", "joint1=3", "--bus", desk.port, "--arm", mine)
     run.assert_one_screen_error()
     assert "joint2  present position" in run.err
@@ -111,7 +111,7 @@ def test_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None
 
 def test_out_to_lerobot_and_in_again(robot_ik: Any, mine: Path, desk: Any, tmp_path: Path) -> None:
     text = mine.with_name("mine.calibration.toml")
-    text.write_text(  # within one turn, as LeRobot needs it
+    text.write_text(  # within one revolution, as LeRobot needs it
         "".join(
             "range_min = 700\n" if (at.startswith("range_min = -")) else at
             for at in text.read_text().splitlines(keepends=True)

@@ -220,7 +220,7 @@ def test_reset_fault_tells_of_turns_that_were_forgotten(robot_ik: Any, desk: Any
     desk.turn("joint2", -180.0)
     desk.servo(2).inject_error("overload")
     run = robot_ik("servo", "reset-fault", "joint2", *desk.at)
-    assert run.code == 1 and "whole turns" in run.out
+    assert run.code == 1 and "whole revolutions" in run.out
 
 
 def test_reset_fault_of_the_silent(robot_ik: Any, desk: Any) -> None:

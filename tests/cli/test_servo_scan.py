@@ -231,11 +231,11 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ([FoundServo(1, 57_600), FoundServo(2, 1_000_000)], ["different rates (57600: id 1; 1000000: id 2)"]),
         (
             [FoundServo(1, 57_600, shared=True), FoundServo(2, 57_600)],
-            ["id 1 at 57600: damaged answers. Two"],
+            ["id 1 at 57600: damaged replies. Two"],
         ),
         (
             [FoundServo(id, 57_600, shared=True) for id in (1, 2)],
-            ["every answer is damaged: check the cable"],
+            ["every reply is damaged: check the cable"],
         ),
     ],
 )

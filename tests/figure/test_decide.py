@@ -97,9 +97,9 @@ def test_it_never_walks_into_obstacles(abilities: Abilities) -> None:
     box, wall = Box((1.5, 0.0, 0.5), (0.2, 1.0, 0.5)), HalfSpace((0.0, 1.6, 0.0), (0.0, -1.0, 0.0))
     walled = Decider(abilities, [box, wall])
     found = walled.decide((3.2, 0.0, 1.2))
-    assert found.action == "walk" and len(found.way) > 1
+    assert found.action == "walk" and len(found.waypoints) > 1
     at = np.zeros(2)
-    for x, y, _ in found.way:
+    for x, y, _ in found.waypoints:
         line = at + (np.array([x, y]) - at) * np.linspace(0, 1, 200)[:, None]
         assert box.distance(line).min() > 0.3 and wall.distance(line).min() > 0.3
         at = np.array([x, y])
@@ -110,7 +110,7 @@ def test_it_never_walks_into_obstacles(abilities: Abilities) -> None:
         == "nothing"
     )
     low_beam = Box((1.5, 0.0, 2.5), (0.2, 3.0, 0.2))
-    assert len(Decider(abilities, [low_beam]).decide((3.2, 0.0, 1.2)).way) == 1
+    assert len(Decider(abilities, [low_beam]).decide((3.2, 0.0, 1.2)).waypoints) == 1
 
 
 @settings(max_examples=10)

@@ -74,13 +74,13 @@ def test_a_ball_that_no_paw_reaches_is_left_alone(lion: Lion, ball: tuple[float,
 
 def test_he_looks_at_a_ball_and_keeps_his_paws(lion: Lion) -> None:
     ball = np.array([1.5, 0.8, 0.4])
-    q = lion.look(ball)
+    q = lion.gaze_at(ball)
     gaze = lion.robot.measure(q, "gaze")
     way = ball - gaze.position
     assert np.degrees(np.arccos(gaze.rotation[:, 0] @ way / np.linalg.norm(way))) < 5.0
     for paw in lion.paws:
         assert lion.robot.measure(q, paw).distance(lion.robot.measure(lion.relaxed, paw))[0] < 1e-4
-    assert (lion.look((np.inf, 0, 0)) == lion.relaxed).all()
+    assert (lion.gaze_at((np.inf, 0, 0)) == lion.relaxed).all()
 
 
 def test_a_model_without_paws_is_refused() -> None:

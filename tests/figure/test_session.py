@@ -54,7 +54,7 @@ def test_active_mode_follows_a_ball_that_moves_and_teleports(abilities: Abilitie
 
 
 def test_it_walks_to_a_ball_and_reaches_it(abilities: Abilities) -> None:
-    session = FigureSession(abilities, place=(1.0, -1.0, 0.6))
+    session = FigureSession(abilities, stance=(1.0, -1.0, 0.6))
     session.send(SetBall((2.4, 0.2, 1.2)))
     frames = play(session, 0.1)
     while session.busy and len(frames) < 1200:

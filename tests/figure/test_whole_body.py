@@ -51,7 +51,7 @@ def test_a_momentum_row_keeps_the_angular_momentum(figure: Figure) -> None:
     goal = figure.posture({"right_shoulder_pitch": 1.5, "left_shoulder_pitch": -0.5})
     postures = figure.home + (goal - figure.home) * minimum_jerk(np.linspace(0, 1, frames))[:, None]
     q = rows.solve(postures, figure.stiffnesses({"*": 1.0}), figure.home, speeds=None).q
-    assert abs(q[-1, figure.place("right_shoulder_pitch")[0]] - 1.5) < 0.2
+    assert abs(q[-1, figure.addresses("right_shoulder_pitch")[0]] - 1.5) < 0.2
     model, data = figure.model, mujoco.MjData(figure.model)
     matrix, way = np.zeros((3, model.nv)), np.zeros(model.nv)
     moved = 0.0

@@ -85,7 +85,7 @@ def servo_parser(data: bytes) -> None:
 
 
 def host_parser(data: bytes) -> None:
-    """Answers are real, the same in pieces and at once; none is lost that is there whole."""
+    """Replies are real, the same in pieces and at once; none is lost that is there whole."""
     story = [piece for piece in pieces(data) if piece]
     stream = b"".join(story)
     parser, at_once = StatusParser(), StatusParser()
@@ -155,7 +155,7 @@ def servos(data: bytes) -> None:
 
 
 class Line(InProcessPort):
-    """A port on which answers are what the fuzzer says, a piece for every request."""
+    """A port on which replies are what the fuzzer says, a piece for every request."""
 
     def __init__(self, story: Iterator[bytes | None], name: str, baud: int, counters: Counters) -> None:
         self._story = story
@@ -174,11 +174,11 @@ def _nobody() -> VirtualBus:
 
 
 def driver(data: bytes) -> None:
-    """Every question ends: in an answer that was really given, or in an error of the hardware."""
+    """Every question ends: in a reply that was really given, or in an error of the hardware."""
     story, lines = iter(pieces(data)), []
     clock = VirtualClock()
 
-    def line(name: str, baud: int, counters: Counters, answer_time: float) -> Line:
+    def line(name: str, baud: int, counters: Counters, response_time: float) -> Line:
         lines.append(Line(story, name, baud, counters))
         return lines[-1]
 
@@ -232,12 +232,12 @@ def _arm_config() -> ArmConfig:
 
 
 def arm(data: bytes) -> None:
-    """Damaged answers never move an arm: while it is asked to stay, every goal is where it stands."""
+    """Damaged replies never move an arm: while it is asked to stay, every goal is where it stands."""
     config, clock = _arm_config(), VirtualClock()
     bus = VirtualBus.from_config(config, clock)
     driven = Arm(config, SimBus(bus), clock, virtual_bus=bus, on_exit="torque_off")
     story = [piece for piece in pieces(data) if piece is not None]
-    # A forged answer with a right checksum is a lie that no client can see: not what is asked here.
+    # A forged reply with a right checksum is a lie that no client can see: not what is asked here.
     noise = iter([p for p in story if not any(kind == Instruction.STATUS for _, kind, _ in checked(p))])
     before = [servo.true_ticks for servo in bus.servos]
     answer = bus.handle

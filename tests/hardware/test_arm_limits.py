@@ -27,7 +27,7 @@ def test_no_command_whatsoever_puts_a_goal_beyond_the_limits_on_the_wire(
 ):
     """Also from a start outside the limits: joint1 is turned by hand up to 26 degrees beyond."""
     servos = VirtualBus.from_config(arm_config, VirtualClock(), start=[np.radians(159.0), 0, 0, 0, 0, 0])
-    servos.servo(1).turn_by_hand(turned)
+    servos.servo(1).rotate_by_hand(turned)
     before = goal_recorder.goals
     with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
         arm.enable()

@@ -102,7 +102,7 @@ def test_a_jump_is_walked(arm, arm_config, stream, start, dt):
 
 def test_a_start_outside_the_limits_is_walked_back(arm_config, stream):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
-    servos.servo(1).turn_by_hand(arm_config.joints[0].to_ticks(arm_config.upper[0] + 0.3) - 2048)
+    servos.servo(1).rotate_by_hand(arm_config.joints[0].to_ticks(arm_config.upper[0] + 0.3) - 2048)
     with open_arm(arm_config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         q = arm.read().q

@@ -51,7 +51,7 @@ def test_a_restarted_servo_joins_in_again_and_the_others_never_let_go(any_arm, s
 
 def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stream, start):
     overloaded(arm, stream, start)
-    arm.virtual_bus.servo(6).turn_by_hand(150)
+    arm.virtual_bus.servo(6).rotate_by_hand(150)
     arm.reset_fault()
     arm.enable()
     before = arm.virtual_bus.true_angles(arm.config)
@@ -63,7 +63,7 @@ def test_after_a_reset_the_limiter_starts_from_where_everything_stands(arm, stre
 def test_a_servo_that_lost_its_turns_with_the_restart_is_refused_and_the_fault_stays(
     arm_config, stream, smooth
 ):
-    beyond = np.array([0.0, 0.0, 2.7, 0.0, 0.0, 0.0])  # joint3: ratio 2, its servo is beyond one turn
+    beyond = np.array([0.0, 0.0, 2.7, 0.0, 0.0, 0.0])  # joint3: ratio 2, its servo is beyond one revolution
     with open_arm(arm_config, "sim", start=beyond) as arm:
         overloaded(arm, stream, beyond, id=3)
         with pytest.raises(HardwareError, match=r"(?s)joint3' was at 154.*lost count"):

@@ -148,21 +148,21 @@ def test_firmware_without_a_watchdog_is_taken_only_by_those_who_say_so(arm_confi
 
 def test_lost_turns_are_refused_before_torque(arm_config):
     servos = VirtualBus.from_config(arm_config, VirtualClock())
-    servos.servo(1).turn_by_hand(2 * 4096)
+    servos.servo(1).rotate_by_hand(2 * 4096)
     with (
         open_arm(arm_config, "sim", virtual_bus=servos) as arm,
-        pytest.raises(HardwareError, match=r"lost count of its turns(.|\n)*zero_ticks = 10240"),
+        pytest.raises(HardwareError, match=r"lost count of its revolutions(.|\n)*zero_ticks = 10240"),
     ):
         arm.enable()
     assert not any(servo.torque for servo in servos.servos)
 
 
 def test_a_lost_turn_beside_a_wide_range_is_no_joint_outside(arm_config):
-    """At 160 of +-170 degrees, one turn lost: it reads -200, and led back to -170 it would go on to 190."""
+    """At 160 of +-170 degrees, a revolution lost: it reads -200; led back to -170 it would go on to 190."""
     joints = (dataclasses.replace(arm_config.joints[0], lower=-2.967, upper=2.967), *arm_config.joints[1:])
     config = dataclasses.replace(arm_config, joints=joints)
     servos = VirtualBus.from_config(config, VirtualClock(), np.radians([160.0, 0, 0, 0, 0, 0]))
-    servos.servo(1).shaft.lose_turns(-1)
+    servos.servo(1).shaft.lose_revolutions(-1)
     with (
         open_arm(config, "sim", virtual_bus=servos) as arm,
         pytest.raises(HardwareError, match=r"joint1(.|\n)*zero_ticks = -2048"),

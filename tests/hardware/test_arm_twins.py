@@ -58,7 +58,7 @@ def test_a_goal_for_a_shadow_is_on_the_wire_once(config, servos, stream, start):
 
 
 def test_servos_that_do_not_agree_get_no_torque_together(config, servos):
-    servos.servo(8).turn_by_hand(200)
+    servos.servo(8).rotate_by_hand(200)
     with (
         open_arm(config, "sim", virtual_bus=servos) as arm,
         pytest.raises(HardwareError, match="two servos of joint 'joint2'"),

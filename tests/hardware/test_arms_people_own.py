@@ -113,7 +113,7 @@ def omx_by_lerobot() -> Left:
 
 
 def koch_by_lerobot() -> Left:
-    """After a calibration by LeRobot: the middle of each range reads 2047, by offsets up to half a turn."""
+    """After a calibration by LeRobot: each range's middle reads 2047, by offsets up to half a revolution."""
     registers: dict[int, dict[str, int]] = {
         id: {
             "drive_mode": 0, "operating_mode": CURRENT if id == 6 else EXTENDED, "return_delay_time": 0,
@@ -171,7 +171,7 @@ def _wind(servo: VirtualServo, offset: int) -> None:
     before = servo.reading
     servo.memory.set("homing_offset", offset)
     back = -1.0 if servo.memory.get("drive_mode") & 1 else 1.0
-    servo.turn_by_hand(back * (before - servo.reading))
+    servo.rotate_by_hand(back * (before - servo.reading))
     assert servo.reading == pytest.approx(before, abs=1.0)
 
 
@@ -312,7 +312,7 @@ class Hand:
             for servo in self.true.joint(name).servos:
                 ticks = servo.position(part) - servo.position(self.q[name])
                 back = -1.0 if self.servos.servo(servo.id).memory.get("drive_mode") & 1 else 1.0
-                self.servos.servo(servo.id).turn_by_hand(back * ticks)
+                self.servos.servo(servo.id).rotate_by_hand(back * ticks)
             self.q[name] = float(part)
             sample()
 

@@ -57,9 +57,9 @@ def test_signed_registers_keep_their_sign_and_stuffed_bytes_their_value(bus, val
 def test_sync_write_and_sync_read_reach_each_servo_with_its_own_value(bus, arm_config):
     goals = {id: 1000 - 700 * id for id in arm_config.ids}
     bus.sync_write(XM["goal_position"], goals)
-    answers = bus.sync_read(arm_config.ids, XM["goal_position"])
-    assert list(answers) == list(arm_config.ids)
-    assert {id: status.data for id, status in answers.items()} == goals
+    replies = bus.sync_read(arm_config.ids, XM["goal_position"])
+    assert list(replies) == list(arm_config.ids)
+    assert {id: status.data for id, status in replies.items()} == goals
 
 
 def test_a_broadcast_write_reaches_all_and_waits_for_nobody(bus, arm_config):
@@ -70,8 +70,8 @@ def test_a_broadcast_write_reaches_all_and_waits_for_nobody(bus, arm_config):
 def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_config):
     bus.ping(3)
     servos.inject(Fault("silent", 3))
-    answers = bus.sync_read(arm_config.ids, XM["present_position"])
-    assert [id for id, status in answers.items() if status.data is None] == [3]
+    replies = bus.sync_read(arm_config.ids, XM["present_position"])
+    assert [id for id, status in replies.items() if status.data is None] == [3]
     before = bus.counters.timeouts
     assert before == 1
     with pytest.raises(BusTimeoutError) as caught:
@@ -90,9 +90,9 @@ def test_an_unknown_id_never_answered(bus):
 
 def test_an_alert_is_information_and_the_data_are_good(bus, servos, arm_config):
     servos.servo(2).inject_error("overload")
-    answers = bus.sync_read(arm_config.ids, XM["present_position"])
-    assert [id for id, status in answers.items() if status.alert] == [2]
-    assert all(status.data is not None for status in answers.values())
+    replies = bus.sync_read(arm_config.ids, XM["present_position"])
+    assert [id for id, status in replies.items() if status.alert] == [2]
+    assert all(status.data is not None for status in replies.values())
     status = bus.read(2, XM["hardware_error_status"])
     assert status.data == 1 << 5 and status.alert
     assert bus.counters.alerts == 2

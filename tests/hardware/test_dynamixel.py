@@ -167,7 +167,7 @@ def test_an_impossible_rate_lists_the_possible_ones(served):
         DynamixelBus(served.path, 123).open()
 
 
-# ------------------------------------------------------------------------------ damaged answers
+# ------------------------------------------------------------------------------ damaged replies
 
 
 @pytest.mark.parametrize("data", [b"", b"\x01", b"\x01\x02\x03", b"\x01\x02\x03\x04\x05"])
@@ -248,7 +248,7 @@ def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_co
 def test_a_cable_pulled_while_waiting_wakes_the_reader(scripted):
     master, slave = os.openpty()
     tty.setraw(slave)
-    bus = DynamixelBus(os.ttyname(slave), answer_time=5.0)
+    bus = DynamixelBus(os.ttyname(slave), response_time=5.0)
     bus.open()
     os.close(slave)
     puller = threading.Timer(0.2, os.close, [master])

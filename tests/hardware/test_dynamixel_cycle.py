@@ -158,14 +158,14 @@ def test_the_stuffed_bytes_of_a_fast_answer_are_not_trusted(sim):
 
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
-    """Every servo is turned between two cycles: an answer of the cycle before would be another number."""
+    """Every servo is turned between two cycles: a reply of the cycle before would be another number."""
     sim.use_fast_reads(IDS if fast else [])
     sim.virtual_bus.reseed(3)
     sim.virtual_bus.inject(Fault("late", value=0.1))
     taken = 0
     for k in range(300):
         for servo in sim.virtual_bus.servos:
-            servo.turn_by_hand(1)
+            servo.rotate_by_hand(1)
         right = [value + k + 1 for value in RIGHT]
         seen = values(sim.exchange({}, dict.fromkeys(IDS, PRESENT)))
         assert all(v in (None, r) for v, r in zip(seen, right, strict=True)), (k, seen)
@@ -183,7 +183,7 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
     taken = 0
     for k in range(300):
         for servo in sim.virtual_bus.servos:
-            servo.turn_by_hand(1)
+            servo.rotate_by_hand(1)
         turn = IDS[k % len(IDS)]
         seen = sim.exchange({}, {**dict.fromkeys(IDS, PRESENT), turn: long})
         for id, value in zip(IDS, RIGHT, strict=True):

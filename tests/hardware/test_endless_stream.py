@@ -20,7 +20,7 @@ from robot_ik.hardware.bus import BROADCAST_ID, Counters
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import CYCLE_TIME, DynamixelBus, listening_time
 from robot_ik.hardware.packets import FastParser, StatusParser
-from robot_ik.hardware.serial_port import ANSWER_TIME, LONGEST_DRAIN, SleepingPortHandler
+from robot_ik.hardware.serial_port import LONGEST_DRAIN, RESPONSE_TIME, SleepingPortHandler
 from robot_ik.hardware.virtual.protocol import build_status
 
 XM = CONTROL_TABLES["XM430-W350"]
@@ -35,8 +35,8 @@ STREAMS = {
     "only 0xff": b"\xff" * 1000,
     "headers of long packets": (b"\xff\xff\xfd\x00\x01\x00\x04\x55") * 100,
     "headers that are no status": (b"\xff\xff\xfd\x00\x01\x04\x00\x02") * 100,
-    "another servo's answers": build_status(99, 0, b"\x01\x02\x03\x04") * 60,
-    "its own answers, damaged": (build_status(1, 0, b"\x01\x02\x03\x04")[:-1] + b"\x00") * 60,
+    "another servo's replies": build_status(99, 0, b"\x01\x02\x03\x04") * 60,
+    "its own replies, damaged": (build_status(1, 0, b"\x01\x02\x03\x04")[:-1] + b"\x00") * 60,
 }
 
 _TALKER = """
@@ -55,7 +55,7 @@ while True:
 """
 
 
-SLOWER = ("no header", "headers that are no status", "another servo's answers")
+SLOWER = ("no header", "headers that are no status", "another servo's replies")
 """Streams that the soak adds for whole calls; parsers are tried with all."""
 
 
@@ -89,9 +89,9 @@ def _seconds(call: Callable[[], object], limit: float) -> float:
     return time.monotonic() - begin
 
 
-SINGLE = LONGEST_DRAIN + 3 * (ANSWER_TIME + 0.001) + 2 * LONGEST_DRAIN
+SINGLE = LONGEST_DRAIN + 3 * (RESPONSE_TIME + 0.001) + 2 * LONGEST_DRAIN
 """s for a question to one servo: the line is drained, and the question asked thrice."""
-GROUP = LONGEST_DRAIN + max(CYCLE_TIME, ANSWER_TIME + 0.002)
+GROUP = LONGEST_DRAIN + max(CYCLE_TIME, RESPONSE_TIME + 0.002)
 
 CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
     "read": (lambda bus: bus.read(1, POSITION), SINGLE),
@@ -104,7 +104,7 @@ CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
     "fast sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
     "exchange": (
         lambda bus: bus.exchange({1: (GOAL, 5)}, dict.fromkeys(IDS, POSITION), 0.01),
-        LONGEST_DRAIN + ANSWER_TIME + 0.002,
+        LONGEST_DRAIN + RESPONSE_TIME + 0.002,
     ),
     "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + listening_time(1_000_000)),
 }
@@ -168,7 +168,7 @@ def test_what_came_in_time_is_read_by_a_program_that_was_stopped_meanwhile(real_
         assert port.readPort(11) + port.readPort(100) == bytes(range(111))
         port.setPacketTimeoutMillis(1.0)
         time.sleep(0.05)
-        os.write(master, bytes(4000))  # nobody takes an endless stream for an answer
+        os.write(master, bytes(4000))  # nobody takes an endless stream for a reply
         assert sum(len(port.readPort(1000)) for _ in range(50)) <= 1024
     finally:
         port.closePort()

@@ -162,7 +162,7 @@ print(json.dumps(sends), flush=True)
 def record_goals(bus: VirtualBus, config) -> list[tuple[float, np.ndarray]]:
     """Times and rad of all goals that reach the servos together, from the packets themselves."""
     rows: list[tuple[float, np.ndarray]] = []
-    parser, answer = Parser(), bus.answer
+    parser, respond = Parser(), bus.respond
     maps = {joint.id: joint for joint in config.joints}
 
     def recorded(data, baud=None):
@@ -182,9 +182,9 @@ def record_goals(bus: VirtualBus, config) -> list[tuple[float, np.ndarray]]:
                     q[packet.params[at]] = maps[packet.params[at]].to_radians(ticks)
             if len(q) == len(maps):
                 rows.append((time.monotonic(), np.array([q[id] for id in maps])))
-        return answer(data, baud)
+        return respond(data, baud)
 
-    bus.answer = recorded
+    bus.respond = recorded
     return rows
 
 

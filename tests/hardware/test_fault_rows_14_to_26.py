@@ -143,7 +143,7 @@ def test_row_21(lab):
 
 
 def test_row_22(lab):
-    """positions beyond a turn, below zero, forgotten"""
+    """positions beyond a revolution, below zero, forgotten"""
     with lab.arm(start=np.zeros(6)) as arm:
         arm.enable()
         for q in lab.smooth(np.zeros(6), np.array([2.6, 2.6, 2.6, 0, 0, -2.6]), 3.5):
@@ -169,7 +169,7 @@ def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
         assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
         with pytest.raises(HardwareError, match="joint 'joint2' was at"):
             arm.reset_fault()  # the angle is still wrong
-        arm.virtual_bus.servo(2).shaft.lose_turns(-turns)
+        arm.virtual_bus.servo(2).shaft.lose_revolutions(-turns)
         arm.reset_fault()
         arm.enable()
         lab.stream(arm, lab.smooth(arm.read().q, lab.start, 1.0))
@@ -190,12 +190,12 @@ def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):
 def test_an_arm_turned_by_hand_without_torque_has_not_jumped(lab):
     with lab.arm() as arm:
         arm.read()
-        arm.virtual_bus.servo(1).turn_by_hand(-2100)
+        arm.virtual_bus.servo(1).rotate_by_hand(-2100)
         arm.read()
-        arm.virtual_bus.servo(1).turn_by_hand(2100)
+        arm.virtual_bus.servo(1).rotate_by_hand(2100)
         arm.read()
         arm.reconnect()
-        arm.virtual_bus.servo(1).turn_by_hand(-2100)
+        arm.virtual_bus.servo(1).rotate_by_hand(-2100)
         arm.enable()
         lab.drive(arm)
 

@@ -77,12 +77,12 @@ def test_row_03(lab):
 
 
 def test_row_04(lab):
-    """answers with flipped bits"""
+    """replies with flipped bits"""
     assert lab.follows_a_bad_wire(corrupt=0.01).bus.counters.corrupt > 0
 
 
 def test_row_05(lab):
-    """answers cut short, with fewer data, with none"""
+    """replies cut short, with fewer data, with none"""
     lab.follows_a_bad_wire(truncate=0.01, short=0.01, error=0.01)
 
 
@@ -92,7 +92,7 @@ def test_row_06(lab):
 
 
 def test_row_07(lab):
-    """an answer in the next cycle"""
+    """a reply in the next cycle"""
     assert lab.follows_a_bad_wire(late=0.02).bus.counters.late > 0
 
 
@@ -128,7 +128,7 @@ def test_row_09(lab, real_time):
 
 def test_row_10(lab):
     """two servos with one id"""
-    with pytest.raises(ServoMismatchError, match=r"3  joint3: XM430-W350  damaged answers") as caught:
+    with pytest.raises(ServoMismatchError, match=r"3  joint3: XM430-W350  damaged replies") as caught:
         lab.arm(Fault("id", id=4, value=3)).connect()
     assert "do two servos have that id?" in caught.value.hint
     with lab.arm() as arm:

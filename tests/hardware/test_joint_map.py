@@ -153,10 +153,12 @@ def test_a_twin_has_its_own_reverse() -> None:
     assert finger(twin=Twin(10, shadow=True, reverse=True)).servos[1].reverse is True
 
 
-# --------------------------------------------------------------------------------------- lost turns
+# --------------------------------------------------------------------------------------- lost revolutions
 
 
-@settings(suppress_health_check=[HealthCheck.filter_too_much])  # most random ranges are wider than a turn
+@settings(
+    suppress_health_check=[HealthCheck.filter_too_much]
+)  # most random ranges are wider than a revolution
 @given(maps(), st.floats(0, 1), st.integers(-3, 3))
 def test_a_reading_that_is_turns_off_is_found_where_the_range_is_under_a_turn(
     joint: JointMap, part: float, turns: int
@@ -165,16 +167,18 @@ def test_a_reading_that_is_turns_off_is_found_where_the_range_is_under_a_turn(
     first, last = joint.ticks_range
     assume(joint.mode == EXTENDED and last - first < 4096 - 2 * BESIDE_TICKS)
     true = round(first + part * (last - first))
-    assert joint.lost_turns(true - 4096 * turns) == turns
+    assert joint.lost_revolutions(true - 4096 * turns) == turns
 
 
 @given(maps(), st.integers(0, BESIDE_TICKS))
 def test_backlash_beyond_the_range_is_no_lost_turn(joint: JointMap, beside: int) -> None:
     first, last = joint.ticks_range
-    assert joint.lost_turns(first - beside) == joint.lost_turns(last + beside) == 0
+    assert joint.lost_revolutions(first - beside) == joint.lost_revolutions(last + beside) == 0
 
 
 def test_a_joint_found_outside_a_small_range_is_led_back() -> None:
     joint = replace(finger(), mode=EXTENDED)
-    assert joint.lost_turns(joint.ticks_range[1] + 1000) == 0
-    assert replace(joint, mode=POSITION).lost_turns(joint.ticks_range[1] + 3000) == 0  # it cannot lose any
+    assert joint.lost_revolutions(joint.ticks_range[1] + 1000) == 0
+    assert (
+        replace(joint, mode=POSITION).lost_revolutions(joint.ticks_range[1] + 3000) == 0
+    )  # it cannot lose any

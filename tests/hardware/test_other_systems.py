@@ -113,8 +113,8 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
         made.append(WindowsPort(bus, **options))
         return made[-1]
 
-    def handler(name: str, baud: int, counters: Counters, answer_time: float) -> SleepingPortHandler:
-        return SleepingPortHandler(name, baud, counters, answer_time, posix=False, make_serial=make_serial)
+    def handler(name: str, baud: int, counters: Counters, response_time: float) -> SleepingPortHandler:
+        return SleepingPortHandler(name, baud, counters, response_time, posix=False, make_serial=make_serial)
 
     driver = DynamixelBus("COM3", make_handler=handler)
     driver.open()

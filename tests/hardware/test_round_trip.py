@@ -1,4 +1,4 @@
-"""How long to wait for an answer and when to watch for it, learned from the answers before."""
+"""How long to wait for a reply and when to watch for it, learned from the replies before."""
 
 from __future__ import annotations
 

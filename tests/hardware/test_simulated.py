@@ -118,7 +118,7 @@ def test_no_wrong_value_comes_through_a_bad_wire(
     seen = [sim.sync_read(arm_config.ids, PRESENT) for _ in range(200)]
     values = [status.data for read in seen for status in read.values()]
     assert all(s.data in (None, right[id]) for read in seen for id, s in read.items())
-    # Three tries at 0.2: 0.8 % stay without an answer; of 1200 that is about 10.
+    # Three tries at 0.2: 0.8 % stay without a reply; of 1200 that is about 10.
     missing = values.count(None)
     assert missing < 40
     assert sim.counters.timeouts == missing

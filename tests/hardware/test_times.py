@@ -25,7 +25,7 @@ DOCS = Path(__file__).parents[2] / "docs" / "reference"
 
 
 class WaitingPort(InProcessPort):
-    """Waits as a serial port does, on the servos' clock: for bytes, and for answers that do not come."""
+    """Waits as a serial port does, on the servos' clock: for bytes, and for replies that do not come."""
 
     def __init__(self, bus: VirtualBus, clock: VirtualClock, baud: int, counters: Counters) -> None:
         super().__init__(bus, "waiting", baud, counters)
@@ -86,7 +86,7 @@ def _drive(arm: Arm, start: Any, cycles: int) -> None:
 
 
 def _seconds_to_fault(config: ArmConfig, start: Any, *, everyone: bool = False) -> tuple[float, float]:
-    """s from the last answer to the moment silence is looked into, and to the fault."""
+    """s from the last reply to the moment silence is looked into, and to the fault."""
     arm = _arm(config, start)
     _drive(arm, start, 20)
     last = arm.clock.now()
@@ -119,7 +119,7 @@ def test_silence_is_noticed_and_a_fault_when_the_docs_say(
 ) -> None:
     noticed, fast, slow = _said(
         "safety.md",
-        r"noticed ([\d.]+) s after its last answer.*?fault after ([\d.]+) s.*?([\d.]+) s at 57 600",
+        r"noticed ([\d.]+) s after its last reply.*?fault after ([\d.]+) s.*?([\d.]+) s at 57 600",
     )
     for baud, fault in ((1_000_000, fast), (57_600, slow)):
         config = dataclasses.replace(arm_config, baud=baud)

@@ -49,7 +49,7 @@ def guide(arm: Arm, q: Array) -> None:
     for servo in arm.config.servos:
         if servo.name in arm.joints:
             way = servo.position(float(q[arm.joints.index(servo.name)])) - servo.position(here[servo.name])
-            arm.virtual_bus.servo(servo.id).turn_by_hand(way)
+            arm.virtual_bus.servo(servo.id).rotate_by_hand(way)
 
 
 def home(name: str) -> Array:

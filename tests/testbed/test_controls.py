@@ -25,7 +25,7 @@ class Sent(queue.SimpleQueue[Command]):
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[tuple[Page, PageClient, Sent]]:
+def controls() -> Iterator[tuple[Page, PageClient, Sent]]:
     """A page that shows everything, and what looks at it; no loop runs."""
     sent = Sent()
     with Session(Start(), beside=False) as session:
@@ -85,8 +85,10 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
     return ""
 
 
-def test_every_control_leads_to_a_command_or_changes_the_page(stage: tuple[Page, PageClient, Sent]) -> None:
-    page, client, sent = stage
+def test_every_control_leads_to_a_command_or_changes_the_page(
+    controls: tuple[Page, PageClient, Sent],
+) -> None:
+    page, client, sent = controls
     dead = []
     for uuid, handle in list(page.server.gui._gui_input_handle_from_uuid.items()):
         name = getattr(handle, "label", "?")
@@ -98,8 +100,8 @@ def test_every_control_leads_to_a_command_or_changes_the_page(stage: tuple[Page,
     assert dead == []
 
 
-def test_every_key_leads_to_a_command_or_changes_the_page(stage: tuple[Page, PageClient, Sent]) -> None:
-    page, client, sent = stage
+def test_every_key_leads_to_a_command_or_changes_the_page(controls: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = controls
     handles = page.server.gui._command_handle_from_uuid
     dead = [
         handle.label
@@ -109,8 +111,8 @@ def test_every_key_leads_to_a_command_or_changes_the_page(stage: tuple[Page, Pag
     assert len(handles) > 10 and dead == []
 
 
-def test_a_model_is_loaded_by_its_path(stage: tuple[Page, PageClient, Sent]) -> None:
-    page, client, sent = stage
+def test_a_model_is_loaded_by_its_path(controls: tuple[Page, PageClient, Sent]) -> None:
+    page, client, sent = controls
     inputs = page.server.gui._gui_input_handle_from_uuid
     uuid_of = {getattr(handle, "label", ""): uuid for uuid, handle in inputs.items()}
     for name, value in (("Path", " arms/mine.xml "), ("Load", True)):

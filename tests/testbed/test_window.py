@@ -146,7 +146,8 @@ robot = load_robot("NAME")
 scene = scene_for(robot)
 marker = scene.pose_world_marker
 see = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
-with WindowSink(robot, solids=scene_solids(scene), see=see, eye=scene.pose_world_camera.position) as window:
+viewpoint = scene.pose_world_camera.position
+with WindowSink(robot, solids=scene_solids(scene), see=see, viewpoint=viewpoint) as window:
     user = window._viewer.user_scn
     assert user.ngeom > 8, "floor, table, paper, square, cells"
     window.show_goal(marker.compose(scene.pose_marker_tool))

@@ -15,7 +15,7 @@ from robot_ik.camera.registration import Seen
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
-from robot_ik.jobs.script.run import seen_from
+from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Clock, JointSource
 from robot_ik.problem import Problem
@@ -62,7 +62,7 @@ def robot_of(text: str) -> str:
     """
     if is_script(text):
         script = load_script(find_script(text))
-        return seen_from(script, script.content.robot)
+        return resolved(script, script.content.robot)
     path = Path(text.partition("@")[0])
     if path.suffix != ".toml":
         return ""

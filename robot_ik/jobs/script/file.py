@@ -23,7 +23,7 @@ class ObjectTable(Table):
     """A box that lies about and can be gripped, in a world with ``physics``.
 
     Attributes:
-        position: Of its centre, m; ``yaw_deg``: turned about the vertical.
+        position: Of its centre, m; ``yaw_deg``: rotation about the vertical.
     """
 
     name: _Word

@@ -157,10 +157,10 @@ class ScriptRun:
         self._seed = content.seed if request.seed is None else request.seed
         if self._seed < 0:
             raise script.wrong(f"not {self._seed}", "seed", "0, 1, 2, …")
-        robot = request.robot or seen_from(script, content.robot)
+        robot = request.robot or resolved(script, content.robot)
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
-            arm_file = Path(seen_from(script, content.arm))
+            arm_file = Path(resolved(script, content.arm))
         self._request = ReachRequest(
             robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed, record=request.record
         )
@@ -216,7 +216,7 @@ class ScriptRun:
                 World(model, now.config, servos, contacts=bool(objects))
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=now.solver)
-        if any(step.looks for step in self._script.steps):
+        if any(step.needs_camera for step in self._script.steps):
             now.vision = open_camera(setup, self._script.content.marker_at, self._seed, stack)
             if any(step.do == "follow" for step in self._script.steps):
                 now.vision.get_ready_to_follow()
@@ -283,8 +283,8 @@ def _take_time(now: RunState, step: Action, result: StepResult) -> None:
         result.found = "; ".join(filter(None, (f"took {took} s, allowed {most} s", result.found)))
 
 
-def seen_from(script: Script, name: str) -> str:
-    """A robot of the catalogue, or a path seen from the script's folder."""
+def resolved(script: Script, name: str) -> str:
+    """A robot of the catalogue, or a path relative to the script's folder."""
     if name in catalogue() or script.folder is None:
         return name
     return str(script.folder / Path(name).expanduser())

@@ -86,7 +86,7 @@ class Page:
             self._readings(gui)
             self._keys(gui)
             self._add_gizmo()
-            self._turns = self._all_turns()
+            self._refreshes = self._all_refreshes()
             self.draw(self._view)
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
@@ -173,7 +173,7 @@ class Page:
         pressed(wheel, lambda _: self.gate.hand_over())
 
     def _readings(self, gui: viser.GuiApi) -> None:
-        """The panel on the right: what people look at; nothing to press, so nothing moves under the mouse."""
+        """The panel on the right: readings; nothing to press, so nothing moves under the mouse."""
         panel = gui.add_panel()
         with panel.add_tab("Measured", viser.Icon.CHART_LINE):
             self._measured = MeasuredPanel(gui, self.session.send, self._view)
@@ -223,8 +223,8 @@ class Page:
         @self._gizmo.on_update
         async def _(event: Any) -> None:
             if event.client is not None and self._scene is not None:
-                place = np.array(self._gizmo.position) - self._scene.offsets[0]
-                self.session.send(MoveGoal(_floats(place), _four(self._gizmo.wxyz)))
+                position = np.array(self._gizmo.position) - self._scene.offsets[0]
+                self.session.send(MoveGoal(_floats(position), _four(self._gizmo.wxyz)))
 
     def _rebuild(self, view: View) -> BrowserScene:
         """Robot or number of instances have changed."""
@@ -241,14 +241,14 @@ class Page:
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
-        for turn in self._turns:
-            turn.show(view, scene)
+        for refresh in self._refreshes:
+            refresh.show(view, scene)
         return scene
 
     async def _drag_ball(self, event: Any) -> None:
         if self._scene is not None:
-            place = np.array(event.end_position) - self._scene.offsets[self._index(event)]
-            self.session.send(MoveGoal(_floats(place)))
+            position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
+            self.session.send(MoveGoal(_floats(position)))
 
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
@@ -259,11 +259,11 @@ class Page:
             name = scene.name_of(event.target)
             one = self._view.instances[k]
             body = scene.robot.model.body(name).id
-            turned = viser.transforms.SO3(one.xquat[body]).as_matrix()
-            grip = turned.T @ (np.array(event.start_position) - scene.offsets[k] - one.xpos[body])
+            rotation = viser.transforms.SO3(one.xquat[body]).as_matrix()
+            grip = rotation.T @ (np.array(event.start_position) - scene.offsets[k] - one.xpos[body])
             self._grab = name, _floats(grip)
-        place = np.array(event.end_position) - scene.offsets[k]
-        self.session.send(DragLink(k, *self._grab, _floats(place)))
+        position = np.array(event.end_position) - scene.offsets[k]
+        self.session.send(DragLink(k, *self._grab, _floats(position)))
         if event.phase == "end":
             self._grab = None
             self.session.send(Release())
@@ -291,11 +291,11 @@ class Page:
         scene, aspect = self._scene, client.camera.aspect
         if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
             return
-        points = corners(scene.robot, scene.arrangement, self.session.way())
-        position, look = fitted_camera(points, scene.arrangement, aspect, phone=aspect < _PHONE_ASPECT)
+        points = corners(scene.robot, scene.arrangement, self.session.ball_path())
+        position, target = fitted_camera(points, scene.arrangement, aspect, phone=aspect < _PHONE_ASPECT)
         with client.atomic():
             client.camera.position = position
-            client.camera.look_at = look
+            client.camera.look_at = target
             client.camera.fov = FIELD_OF_VIEW
 
     def _correct(self, connection: object, message: Mapping[str, Any]) -> None:
@@ -342,14 +342,14 @@ class Page:
             self._show_panels(view, scene)
 
     def _show_panels(self, view: View, scene: BrowserScene) -> None:
-        """The panels whose turn it is: one at most, so that no frame pays for all of them."""
+        """The panels that are due: one at most, so that no frame pays for all of them."""
         now = time.monotonic()
-        turn = min(self._turns, key=lambda one: one.due)
-        if now >= turn.due:
-            turn.due = now + turn.period
-            turn.show(view, scene)
+        refresh = min(self._refreshes, key=lambda one: one.due)
+        if now >= refresh.due:
+            refresh.due = now + refresh.period
+            refresh.show(view, scene)
 
-    def _all_turns(self) -> tuple[_Turn, ...]:
+    def _all_refreshes(self) -> tuple[_Refresh, ...]:
         def run(view: View, scene: BrowserScene) -> None:
             self._run.show(view)
             self._figure.show(view)
@@ -360,16 +360,16 @@ class Page:
             scene.name_instances(view)
 
         return (
-            _Turn(_PANEL_PERIOD, run),
-            _Turn(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
-            _Turn(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
-            _Turn(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
-            _Turn(_TABLE_PERIOD, tables),
+            _Refresh(_PANEL_PERIOD, run),
+            _Refresh(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
+            _Refresh(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
+            _Refresh(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
+            _Refresh(_TABLE_PERIOD, tables),
         )
 
 
 @dataclass
-class _Turn:
+class _Refresh:
     """Something on the page that is renewed every ``period`` seconds, next when the clock is at ``due``."""
 
     period: float
@@ -407,13 +407,13 @@ class _CameraThread:
         while not self._over.wait(_CAMERA_PERIOD):
             if not self._shown.is_set():
                 continue
-            image, text = self._look()
+            image, text = self._next_picture()
             if self._shown.is_set() and not self._over.is_set():
                 self._text.content = page(text)
                 if image is not None:
                     self._image.image = image
 
-    def _look(self) -> tuple[Image | None, str]:
+    def _next_picture(self) -> tuple[Image | None, str]:
         """The next picture, and what is said of it."""
         try:
             return self._read() or (None, self._NOTHING)

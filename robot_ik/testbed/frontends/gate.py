@@ -116,7 +116,7 @@ class Gate:
         return {f"{name}:{port}" for name in names} | (set(names) if port == 80 else set())
 
     def refusal(self, connection: Any, request: Any) -> str:
-        """Why a request is refused, in words; empty when it may pass."""
+        """Why a request is refused, as text; empty when it may pass."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or host[0].lower() not in self._hosts(connection):
             return "this server is not known under that name"
@@ -132,7 +132,7 @@ class Gate:
         return hmac.compare_digest(token.encode(), (self.token or "").encode())
 
     def _cookie_name(self, connection: Any) -> str:
-        # Browsers do not tell cookies of different ports apart.
+        # Browsers do not distinguish cookies of different ports.
         return f"robot_ik_{connection.transport.get_extra_info('sockname')[1]}"
 
     def _cookie(self, connection: Any, request: Any) -> str:

@@ -42,7 +42,7 @@ from robot_ik.testbed.commands import (
     SetSpeed,
     ShowBranches,
 )
-from robot_ik.testbed.frontends.widgets import Control, Send, is_usual, option_widget, page, pressed, word_of
+from robot_ik.testbed.frontends.widgets import Control, Send, is_usual, label_of, option_widget, page, pressed
 from robot_ik.testbed.keymap import KEYMAP
 from robot_ik.testbed.session import View
 
@@ -52,18 +52,18 @@ if TYPE_CHECKING:
     from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
-_COUNT_WORDS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
-_MOTION_WORDS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
-_KIND_WORDS = dict(
+_COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
+_MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
+_KIND_LABELS = dict(
     zip(
         ("pose", "position", "aim at the ball", "on a line", "on a plane"),
         GOAL_KINDS,
         strict=True,
     )
 )
-_MODE_WORDS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
-_TEACH_WORDS = {"teach": "Teach", "replay": "Replay"}
-_FIGURE_WORDS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
+_MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
+_TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
+_FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
 _JOINTS_SHOWN = 8
@@ -98,12 +98,12 @@ class RunPanel:
             load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN, hint="In place of the robot")
         pressed(load, lambda _: send(SetRobot(path.value.strip())))
         self._count = Control(
-            gui.add_dropdown("Compare", tuple(_COUNT_WORDS), hint="Side by side (keys 1, 2, 4)"),
-            lambda value: send(SetCount(_COUNT_WORDS[value])),
+            gui.add_dropdown("Compare", tuple(_COUNT_LABELS), hint="Side by side (keys 1, 2, 4)"),
+            lambda value: send(SetCount(_COUNT_LABELS[value])),
         )
         self._motion = Control(
-            gui.add_dropdown("Ball", tuple(_MOTION_WORDS), hint="How the ball moves (I)"),
-            lambda value: send(SetMotion(_MOTION_WORDS[value])),
+            gui.add_dropdown("Ball", tuple(_MOTION_LABELS), hint="How the ball moves (I)"),
+            lambda value: send(SetMotion(_MOTION_LABELS[value])),
         )
         self._speed = Control(
             gui.add_slider("Speed", 0.0, 3.0, 0.05, view.speed, hint="Of the ball; 1 is real time"),
@@ -112,22 +112,22 @@ class RunPanel:
 
     def show(self, view: View) -> None:
         """State line and menus, once a second and when something changed."""
-        dot, word = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
+        dot, label = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
         if view.dragged:
-            dot, word = "#f58220", f"{view.dragged} is dragged"
+            dot, label = "#f58220", f"{view.dragged} is dragged"
         if view.tick == 0:
-            dot, word = "#f58220", "getting ready"
+            dot, label = "#f58220", "getting ready"
         line = html.escape(view.busy or view.message or HINT)
-        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(word)}</b><br>{line}'
+        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
         content = self._large + page(text)
         if self._state.content != content:
             self._state.content = content
-        self._motion.follow(word_of(_MOTION_WORDS, view.motion))
+        self._motion.follow(label_of(_MOTION_LABELS, view.motion))
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
                 self._robot.handle.options = (*self._robot.handle.options, view.robot)
             self._robot.follow(view.robot)
-        self._count.follow(word_of(_COUNT_WORDS, view.count))
+        self._count.follow(label_of(_COUNT_LABELS, view.count))
         self._speed.follow(view.speed)
 
 
@@ -160,8 +160,8 @@ class _MethodFolder:
         self._gui, self._send, self._k = gui, send, k
         self._shown = ""
         self._widgets: dict[str, Control] = {}
-        self._place = gui.add_folder(f"Robot {k + 1}", visible=False)
-        with self._place:
+        self._folder = gui.add_folder(f"Robot {k + 1}", visible=False)
+        with self._folder:
             self._colour = gui.add_html("", visible=False)
             menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
             self._options = gui.add_folder("Options", expand_by_default=k == 0)
@@ -170,8 +170,8 @@ class _MethodFolder:
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
         visible = one is not None and one.method != ""
-        if self._place.visible != visible:
-            self._place.visible = visible
+        if self._folder.visible != visible:
+            self._folder.visible = visible
         if one is None:
             return
         if self._colour.visible != (count > 1):
@@ -224,8 +224,8 @@ class GoalsPanel:
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._gui, self._send = gui, send
         self._kind = Control(
-            gui.add_dropdown("Ball asks", tuple(_KIND_WORDS), hint="Of the tool (K)"),
-            lambda value: send(SetGoalKind(_KIND_WORDS[value])),
+            gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
+            lambda value: send(SetGoalKind(_KIND_LABELS[value])),
         )
         self._branches = Control(
             gui.add_checkbox("Branches", False, hint="All ways of a closed form, as ghosts (B)"),
@@ -237,7 +237,7 @@ class GoalsPanel:
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._names: tuple[str, ...] = ()
-        self._place = gui.add_folder(None)
+        self._folder = gui.add_folder(None)
         self._misses = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
 
@@ -247,7 +247,7 @@ class GoalsPanel:
 
     def show(self, view: View) -> None:
         """Follows the session."""
-        self._kind.follow(word_of(_KIND_WORDS, view.kind))
+        self._kind.follow(label_of(_KIND_LABELS, view.kind))
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
         if self._pick.handle.visible != view.show_branches:
@@ -280,10 +280,10 @@ class GoalsPanel:
         )
 
     def _rebuild(self, view: View) -> None:
-        for child in list(self._place._children.values()):
+        for child in list(self._folder._children.values()):
             child.remove()
         self._rows = {}
-        with self._place:
+        with self._folder:
             for extra in view.extras[: self._ROWS]:
                 name = extra.name
                 changed = functools.partial(self._changed, name)
@@ -305,10 +305,10 @@ class FigurePanel:
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._mode = Control(
             gui.add_dropdown(
-                "Moved by", tuple(_FIGURE_WORDS), visible=view.can_act,
+                "Moved by", tuple(_FIGURE_LABELS), visible=view.can_act,
                 hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
-            lambda word: send(SetFigure(_FIGURE_WORDS[word])),  # type: ignore[arg-type]
+            lambda label: send(SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
         )  # fmt: skip
         self._act = gui.add_button(
             "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
@@ -322,16 +322,16 @@ class FigurePanel:
         if self._mode.handle.visible != view.can_act:
             self._mode.handle.visible = view.can_act
         if not view.busy:
-            self._mode.follow(word_of(_FIGURE_WORDS, "off" if acting is None else acting.mode))
-        told = acting is not None and acting.mode == "passive"
-        if self._act.visible != told:
-            self._act.visible = told
-        content = page(self._words(view))
+            self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
+        is_passive = acting is not None and acting.mode == "passive"
+        if self._act.visible != is_passive:
+            self._act.visible = is_passive
+        content = page(self._figure_text(view))
         if self._text.content != content:
             self._text.content = content
 
     @staticmethod
-    def _words(view: View) -> str:
+    def _figure_text(view: View) -> str:
         acting = view.figure
         if not view.can_act:
             return "<small>this robot is no figure: choose humanoid under Robot</small>"
@@ -359,16 +359,16 @@ class ArmPanel:
         self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
     ) -> None:
         self._text, there = gui.add_html(""), view.arm is not None
-        for label, words, hint in (
-            ("Arm", _MODE_WORDS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+        for label, labels, hint in (
+            ("Arm", _MODE_LABELS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
             (
                 "By hand",
-                _TEACH_WORDS,
+                _TEACH_LABELS,
                 "Teach: torque off, and a hand's motion is recorded; Replay repeats it",
             ),
         ):
-            group = gui.add_button_group(label, tuple(words.values()), visible=there, hint=hint)
-            pressed(group, functools.partial(self._pressed, send, words))
+            group = gui.add_button_group(label, tuple(labels.values()), visible=there, hint=hint)
+            pressed(group, functools.partial(self._pressed, send, labels))
         save = gui.add_button(
             "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
             hint="As CSV: robot-ik servo play repeats it, too",
@@ -377,8 +377,8 @@ class ArmPanel:
         self._table = gui.add_html("", visible=there)
 
     @staticmethod
-    def _pressed(send: Send, words: Mapping[str, str], event: Any) -> None:
-        mode = next(mode for mode, word in words.items() if word == event.target.value)
+    def _pressed(send: Send, labels: Mapping[str, str], event: Any) -> None:
+        mode = next(mode for mode, label in labels.items() if label == event.target.value)
         send(SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
@@ -408,16 +408,17 @@ class ArmPanel:
             f"recorded: {arm.recorded:.1f} s</small>{said}"
         )
         rows = "".join(
-            f"<tr><td>{html.escape(s.joint)}</td><td>{_place(s)}</td><td>{'on' if s.torque else 'off'}</td>"
+            f"<tr><td>{html.escape(s.joint)}</td><td>{_position_text(s)}</td>"
+            f"<td>{'on' if s.torque else 'off'}</td>"
             f"<td>{_cell(s.current_ma)}</td><td>{_cell(s.temperature)}</td>"
             f"<td>{html.escape(', '.join(s.errors))}</td></tr>"
             for s in arm.servos
         )
-        head = "".join(f"<th>{word}</th>" for word in ("joint", "at", "torque", "mA", "°C", "errors"))
+        head = "".join(f"<th>{label}</th>" for label in ("joint", "at", "torque", "mA", "°C", "errors"))
         self._table.content = page(f"<table><tr>{head}</tr>{rows}</table>")
 
 
-def _place(servo: ServoState) -> str:
+def _position_text(servo: ServoState) -> str:
     if servo.position_mm is not None:
         return f"{servo.position_mm:.1f} mm"
     return "–" if servo.position_deg is None else f"{servo.position_deg:.1f}°"

@@ -127,7 +127,7 @@ class Recorder:
         focal = 0.5 * height / math.tan(0.5 * FIELD_OF_VIEW)
         self._lens = CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._arrangement: Arrangement = arranged(robot, count)
-        points = corners(robot, self._arrangement, self.session.way())
+        points = corners(robot, self._arrangement, self.session.ball_path())
         position, look = fitted_camera(points, self._arrangement, width / height)
         self._camera = look_at(position, look)
         away = np.linalg.norm(self._arrangement.offsets - position, axis=1)
@@ -163,8 +163,8 @@ class Recorder:
             cv2.fillPoly(shade, [np.round(pixels).astype(np.int32)], INSTANCE_COLOURS[k][::-1], cv2.LINE_AA)
             cv2.addWeighted(shade, 0.4, image, 0.6, 0.0, image)
 
-    def _ball(self, image: Image, place: Array) -> None:
-        pixels, depth = self._seen(place[None])
+    def _ball(self, image: Image, position: Array) -> None:
+        pixels, depth = self._seen(position[None])
         if depth[0] > _NEAR and (np.abs(pixels) < 1e4).all():
             radius = BALL_RADIUS * self._arrangement.extent * self._lens.fx / float(depth[0])
             x, y = np.round(16.0 * pixels[0]).astype(int).tolist()

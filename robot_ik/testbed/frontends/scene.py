@@ -1,6 +1,6 @@
 """The 3D part of the page: robots as batched meshes (a body of all instances is one node), ball, trails.
 
-All that belongs together is drawn as batched nodes: poses of single nodes arrive by another way, and would
+All that belongs together is drawn as batched nodes: poses of single nodes arrive separately, and would
 run ahead of them in a slow browser.
 """
 
@@ -101,18 +101,18 @@ def _smooth_mesh(model: mujoco.MjModel, whole: ModelMesh, geoms: list[int]) -> B
     """
     found = np.isin(whole.face_geom_id, geoms)
     quads, owner = whole.faces[found], whole.face_geom_id[found]
-    turned = np.zeros((model.ngeom, 9))
+    matrices = np.zeros((model.ngeom, 9))
     for g in geoms:
-        mujoco.mju_quat2Mat(turned[g], model.geom_quat[g])
-    rotation = turned.reshape(-1, 3, 3)[owner]
+        mujoco.mju_quat2Mat(matrices[g], model.geom_quat[g])
+    rotation = matrices.reshape(-1, 3, 3)[owner]
     corners = np.einsum("fij,fkj->fki", rotation, whole.vertices[quads]) + model.geom_pos[owner][:, None]
     normals = np.einsum("fij,fkj->fki", rotation, whole.corner_normals[found])
     colours = np.repeat((255.0 * np.clip(geom_rgba(model)[owner], 0.0, 1.0))[:, None], 4, axis=1)
     rows = np.concatenate([corners, normals, colours], axis=2).reshape(-1, 10)
     _, first, number = np.unique(rows.round(6), axis=0, return_index=True, return_inverse=True)
-    faces, kept = _triangles(number.reshape(-1, 4)), rows[first]
-    vertices, normals = kept[:, :3].astype(np.float32), kept[:, 3:6].astype(np.float32)
-    return BodyMesh(vertices, faces, _glb(vertices, normals, kept[:, 6:].astype(np.uint8), faces))
+    faces, unique = _triangles(number.reshape(-1, 4)), rows[first]
+    vertices, normals = unique[:, :3].astype(np.float32), unique[:, 3:6].astype(np.float32)
+    return BodyMesh(vertices, faces, _glb(vertices, normals, unique[:, 6:].astype(np.uint8), faces))
 
 
 def _triangles(quads: NDArray[np.integer[Any]]) -> NDArray[np.uint32]:
@@ -174,11 +174,11 @@ class Ghosts:
     ) -> None:
         self._count, self._visible = count, False
         self._root = server.scene.add_frame(f"/robot/{name}", show_axes=False, visible=False)
-        one, far = _poses(count)
+        one, hidden = _poses(count)
         self._bodies: list[tuple[int, Any]] = []
         for n, (body, mesh) in enumerate(body_meshes(model)):
             handle = server.scene.add_batched_meshes_simple(
-                f"/robot/{name}/{n}", mesh.vertices, mesh.faces, one, far,
+                f"/robot/{name}/{n}", mesh.vertices, mesh.faces, one, hidden,
                 batched_colors=linear(colour), opacity=_GHOST_OPACITY, lod="off",
                 cast_shadow=False, receive_shadow=False,
             )  # fmt: skip
@@ -190,12 +190,12 @@ class Ghosts:
             self._visible = self._root.visible = bool(poses)
         if not poses:
             return
-        quaternions, places = _poses(self._count)
+        quaternions, positions = _poses(self._count)
         for body, handle in self._bodies:
             for k, (xpos, xquat) in enumerate(poses[: self._count]):
-                places[k], quaternions[k] = xpos[body] + offset, xquat[body]
-            places[len(poses) :] = _NOWHERE
-            assign(handle, batched_positions=places.copy(), batched_wxyzs=quaternions.copy())
+                positions[k], quaternions[k] = xpos[body] + offset, xquat[body]
+            positions[len(poses) :] = _NOWHERE
+            assign(handle, batched_positions=positions.copy(), batched_wxyzs=quaternions.copy())
 
 
 def assign(handle: Any, **arrays: Floats) -> None:
@@ -206,7 +206,7 @@ def assign(handle: Any, **arrays: Floats) -> None:
 
 
 def _poses(count: int) -> tuple[Floats, Floats]:
-    """Quaternions (n, 4) and places (n, 3) of what is not shown yet."""
+    """Quaternions (n, 4) and positions (n, 3) of what is not shown yet."""
     return np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)), np.full((count, 3), _NOWHERE, np.float32)
 
 
@@ -337,21 +337,25 @@ class BrowserScene:
             self._draw_ghosts(view)
 
     def _draw_trails(self, view: View) -> None:
-        """Every second place of the tools, newest first; what is missing has no length."""
+        """Every second position of the tools, newest first; what is missing has no length."""
         points = np.full((self.count, SEGMENTS, 2, 3), _NOWHERE, np.float32)
         for k, one in enumerate(view.instances):
-            places = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
-            if n := max(0, len(places) - 1):
-                points[k, :n, 0], points[k, :n, 1], points[k, n:] = places[:-1], places[1:], places[-1]
+            positions = one.trail[::-2][: SEGMENTS + 1] + self.offsets[k]
+            if n := max(0, len(positions) - 1):
+                points[k, :n, 0], points[k, :n, 1], points[k, n:] = (
+                    positions[:-1],
+                    positions[1:],
+                    positions[-1],
+                )
         assign(self._trails, points=points.reshape(-1, 2, 3))
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
-        places, quaternions = np.empty((self.count, 3)), np.empty((self.count, 4))
+        positions, quaternions = np.empty((self.count, 3)), np.empty((self.count, 4))
         for k in range(self.count):
-            mujoco.mju_rotVecQuat(places[k], frame.local.position, xquat[k, frame.body].astype(float))
+            mujoco.mju_rotVecQuat(positions[k], frame.local.position, xquat[k, frame.body].astype(float))
             mujoco.mju_mulQuat(quaternions[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
-        self._axes.batched_positions = (xpos[:, frame.body] + places).astype(np.float32)
+        self._axes.batched_positions = (xpos[:, frame.body] + positions).astype(np.float32)
         self._axes.batched_wxyzs = quaternions.astype(np.float32)
 
     def _draw_ghosts(self, view: View) -> None:
@@ -370,12 +374,12 @@ class BrowserScene:
 
 
 def reach_cloud(robot: Robot) -> Array:
-    """(n, 3) places of the tool at random joint angles within the limits, by MuJoCo."""
+    """(n, 3) positions of the tool at random joint angles within the limits, by MuJoCo."""
     rng, data, found = np.random.default_rng(0), mujoco.MjData(robot.model), []
     frame = robot.frame(robot.tool)
     for _ in range(_CLOUD_POINTS):
         data.qpos[:] = robot.qpos(robot.sample(rng))
         mujoco.mj_kinematics(robot.model, data)
-        turned = data.xmat[frame.body].reshape(3, 3)
-        found.append(data.xpos[frame.body] + turned @ frame.local.position)
+        rotation = data.xmat[frame.body].reshape(3, 3)
+        found.append(data.xpos[frame.body] + rotation @ frame.local.position)
     return np.array(found)

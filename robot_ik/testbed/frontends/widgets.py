@@ -74,9 +74,9 @@ def pressed(button: Any, act: Callable[[Any], None]) -> None:
     button.on_click(clicked)
 
 
-def word_of(words: Mapping[str, Any], value: Any) -> str:
-    """The word for a value."""
-    return next(word for word, one in words.items() if one == value)
+def label_of(labels: Mapping[str, Any], value: Any) -> str:
+    """The label of a value."""
+    return next(label for label, one in labels.items() if one == value)
 
 
 def is_usual(meta: Mapping[str, Any], value: Any) -> bool:

@@ -45,11 +45,11 @@ OPEN_LIMIT = 20.0
 CLOSE_LIMIT = 5.0
 #: Axis thickness as a fraction of its length.
 _AXIS_WIDTH = 0.04
-#: Seconds between two looks whether the window is closed.
-_LOOK_AGAIN = 0.05
+#: Seconds between two checks whether the window is closed.
+_POLL = 0.05
 # Where a ball is that shall not be seen, metres.
 _NOWHERE = np.array([0.0, 0.0, -99.0])
-# Of the light at the eye, where the model has none.
+# Of the light at the camera, where the model has none.
 _AMBIENT, _DIFFUSE = 0.35, 0.55
 _AXIS_COLOURS = ((0.9, 0.1, 0.1, 1.0), (0.1, 0.75, 0.1, 1.0), (0.15, 0.3, 1.0, 1.0))
 
@@ -103,7 +103,7 @@ def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any
 
 
 def _light(model: Any) -> None:
-    """A model without a light of its own is lit from the eye alone, and then more brightly."""
+    """A model without a light of its own is lit from the camera alone, and then more brightly."""
     if not model.nlight:
         model.vis.headlight.ambient[:] = _AMBIENT
         model.vis.headlight.diffuse[:] = _DIFFUSE
@@ -148,7 +148,7 @@ class WindowSink:
         limit: Seconds the window may take to appear.
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
-        eye: From where to look; None: from the side that MuJoCo takes.
+        viewpoint: From where the camera looks; None: from the side that MuJoCo takes.
         ball: Radius of the ball that ``show_ball`` moves, metres; 0: there is none.
         instead: What to run where there can be no window, for the hint of the error.
 
@@ -169,7 +169,7 @@ class WindowSink:
         limit: float = OPEN_LIMIT,
         solids: Sequence[Solid] = (),
         see: Array | None = None,
-        eye: Array | None = None,
+        viewpoint: Array | None = None,
         ball: float = 0.0,
         instead: str = _WITHOUT_WINDOW,
     ) -> None:
@@ -185,20 +185,20 @@ class WindowSink:
         )
         self._threads = [t for t in threading.enumerate() if t not in before]
         with self._lock():
-            self._look(see, eye)
+            self._aim_camera(see, viewpoint)
             for solid in solids:
                 self._add_box(solid)
             self._ball = self._add_ball(ball) if ball > 0.0 else None
         self._fixed = int(self._viewer.user_scn.ngeom)
         self._viewer.sync()
 
-    def _look(self, see: Array | None, eye: Array | None) -> None:
-        """Turns the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
+    def _aim_camera(self, see: Array | None, viewpoint: Array | None) -> None:
+        """Rotates the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
         model, data = self._model, self.data
         solid = [g for g in range(model.ngeom) if model.geom_type[g] != self._mujoco.mjtGeom.mjGEOM_PLANE]
         points = np.zeros((0, 3)) if see is None else np.reshape(see, (-1, 3))
-        places, sizes = data.geom_xpos[solid], model.geom_rbound[solid][:, None]
-        corners = np.vstack([places - sizes, places + sizes, points])
+        positions, sizes = data.geom_xpos[solid], model.geom_rbound[solid][:, None]
+        corners = np.vstack([positions - sizes, positions + sizes, points])
         if not len(corners):
             return
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -206,10 +206,10 @@ class WindowSink:
         camera = self._viewer.cam
         camera.lookat[:] = middle
         camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
-        if eye is not None:
-            way = middle - eye
-            camera.azimuth = float(np.rad2deg(np.arctan2(way[1], way[0])))
-            camera.elevation = float(np.rad2deg(np.arcsin(way[2] / np.linalg.norm(way))))
+        if viewpoint is not None:
+            direction = middle - viewpoint
+            camera.azimuth = float(np.rad2deg(np.arctan2(direction[1], direction[0])))
+            camera.elevation = float(np.rad2deg(np.arcsin(direction[2] / np.linalg.norm(direction))))
 
     def _add_box(self, solid: Solid) -> None:
         mujoco, scene = self._mujoco, self._viewer.user_scn
@@ -270,17 +270,17 @@ class WindowSink:
                 scene.ngeom += 1
         self._viewer.sync()
 
-    def show_ball(self, place: Array) -> None:
-        """Puts the ball at ``place`` (3,) in the world, seen from the next ``send`` on; NaN takes it away."""
+    def show_ball(self, position: Array) -> None:
+        """Puts the ball at ``position`` (3,) in the world, seen from the next ``send`` on; NaN removes it."""
         if self._ball is not None:
             with self._lock():
-                self._ball.pos[:] = place if np.isfinite(place).all() else _NOWHERE
+                self._ball.pos[:] = position if np.isfinite(position).all() else _NOWHERE
 
     def show_text(self, left: str, right: str) -> None:
         """Writes two columns into the corner of the window, in place of what stood there."""
         if self.is_running():
-            font, place = self._mujoco.mjtFontScale.mjFONTSCALE_100, self._mujoco.mjtGridPos.mjGRID_TOPLEFT
-            self._viewer.set_texts([(font, place, left, right)])
+            font, corner = self._mujoco.mjtFontScale.mjFONTSCALE_100, self._mujoco.mjtGridPos.mjGRID_TOPLEFT
+            self._viewer.set_texts([(font, corner, left, right)])
 
     def clear_goals(self) -> None:
         """Takes all drawn goals away."""
@@ -296,7 +296,7 @@ class WindowSink:
         """Returns when its user has closed the window, or pressed Ctrl-C."""
         with contextlib.suppress(KeyboardInterrupt):
             while self.is_running():
-                time.sleep(_LOOK_AGAIN)
+                time.sleep(_POLL)
 
     def close(self) -> None:
         """Closes the window and waits for its drawing thread; may be called twice."""
@@ -386,14 +386,14 @@ class SessionWindow:
         arrangement = arranged(robot, self._count)
         self._offsets = arrangement.offsets - arrangement.offsets[0]
         self._others = [self._mujoco.MjData(robot.model) for _ in range(self._count - 1)]
-        points = corners(robot, arrangement, self.session.way()) - arrangement.offsets[0]
-        position, look = fitted_camera(points, arrangement, aspect=1.5)
+        points = corners(robot, arrangement, self.session.ball_path()) - arrangement.offsets[0]
+        position, target = fitted_camera(points, arrangement, aspect=1.5)
         with self._viewer.lock():
             camera = self._viewer.cam
-            way = look - position
-            camera.lookat[:], camera.distance = look, float(np.linalg.norm(way))
-            camera.azimuth = float(np.degrees(np.arctan2(way[1], way[0])))
-            camera.elevation = float(np.degrees(np.arcsin(way[2] / camera.distance)))
+            direction = target - position
+            camera.lookat[:], camera.distance = target, float(np.linalg.norm(direction))
+            camera.azimuth = float(np.degrees(np.arctan2(direction[1], direction[0])))
+            camera.elevation = float(np.degrees(np.arcsin(direction[2] / camera.distance)))
 
     def _on_key(self, code: int) -> None:
         """From the viewer's thread: only sends."""
@@ -429,11 +429,11 @@ class SessionWindow:
 
     def _take_drag(self) -> None:
         """``sync`` writes what the mouse did into the ball's mocap pose."""
-        place, active = self._data.mocap_pos[self._ball].copy(), bool(self._viewer.perturb.active)
+        position, active = self._data.mocap_pos[self._ball].copy(), bool(self._viewer.perturb.active)
         grabbed, self._grabbed = self._grabbed or active, active  # the last move comes with the release
-        if grabbed and np.isfinite(self._placed).all() and np.abs(place - self._placed).max() > _MOVED:
-            self._placed = place
-            x, y, z = (float(value) for value in place)
+        if grabbed and np.isfinite(self._placed).all() and np.abs(position - self._placed).max() > _MOVED:
+            self._placed = position
+            x, y, z = (float(value) for value in position)
             self.session.send(MoveGoal((x, y, z)))
 
     def _restore_flags(self) -> None:
@@ -444,7 +444,7 @@ class SessionWindow:
         self._viewer.user_scn.flags[:] = scene
 
     def _draw_others(self, view: View) -> None:
-        """Trails, and the other instances: their geoms moved aside."""
+        """Trails, and the other instances: their geoms shifted."""
         mujoco, scene, robot = self._mujoco, self._viewer.user_scn, self.session.robot
         scene.ngeom = 0
         for k, data in enumerate(self._others, 1):
@@ -487,11 +487,11 @@ class SessionWindow:
         if view.message:
             rows.append(("", view.message[:80]))
         left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
-        place = mujoco.mjtGridPos
+        corner = mujoco.mjtGridPos
         keys = "\n".join(key.window for key in KEYMAP if key.window)
         about = "\n".join(key.about for key in KEYMAP if key.window)
         font = mujoco.mjtFontScale.mjFONTSCALE_100
-        return [(font, place.mjGRID_TOPLEFT, left, right), (font, place.mjGRID_BOTTOMLEFT, keys, about)]
+        return [(font, corner.mjGRID_TOPLEFT, left, right), (font, corner.mjGRID_BOTTOMLEFT, keys, about)]
 
     def close(self) -> None:
         """Closes the window and waits for its drawing thread; may be called twice."""

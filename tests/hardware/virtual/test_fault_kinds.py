@@ -138,10 +138,10 @@ def test_what_a_servo_says_of_itself(bus: VirtualBus, sim: SimBus) -> None:
         sim.read(2, PRESENT)
     assert sim.ping(2) == 1020
     ask = build(3, Instruction.READ, b"\x84\x00\x04\x00")
-    assert bus.answer(ask).delay == pytest.approx(200e-6)
+    assert bus.respond(ask).delay == pytest.approx(200e-6)
     bus.inject(Fault("latency", value=16.0, for_packets=1))
-    assert bus.answer(ask).delay == pytest.approx(16.2e-3)
-    assert bus.answer(ask).delay == pytest.approx(0.2e-3)
+    assert bus.respond(ask).delay == pytest.approx(16.2e-3)
+    assert bus.respond(ask).delay == pytest.approx(0.2e-3)
     with pytest.raises(ValueError, match="999"):
         bus.inject(Fault("model", 1, 999))
 
@@ -155,8 +155,8 @@ def test_a_baud_rate_of_its_own(bus: VirtualBus, parse: Callable[[bytes], list[P
 
 
 def test_two_servos_with_one_id_are_not_understood(bus: VirtualBus, sim: SimBus) -> None:
-    """Equal answers too: they do not begin at the same instant."""
-    bus.servo(1).turn_by_hand(1900.0)
+    """Equal replies too: they do not begin at the same instant."""
+    bus.servo(1).rotate_by_hand(1900.0)
     bus.inject(Fault("id", 2, 1, for_packets=21))
     understood = 0
     for _ in range(20):

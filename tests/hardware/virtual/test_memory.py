@@ -191,7 +191,7 @@ def test_a_mode_change_resets_gains_and_profile(make_bench: Callable[..., Any]) 
 @pytest.mark.parametrize("offset,mode,reading", [
     (500, OperatingMode.POSITION, 2548),
     (-1024, OperatingMode.POSITION, 1024),
-    (1025, OperatingMode.POSITION, 2048),  # beyond a quarter turn: ignored
+    (1025, OperatingMode.POSITION, 2048),  # beyond a quarter revolution: ignored
     (1025, EXTENDED, 3073),
     (-9000, EXTENDED, -6952),
 ])  # fmt: skip

@@ -105,7 +105,7 @@ def test_reg_write_waits_for_the_action(port: PortHandler, clock: VirtualClock) 
     assert SDK.regWriteTxRx(port, 1, GOAL, 4, list((2500).to_bytes(4, "little"))) == (COMM_SUCCESS, 0)
     clock.sleep_until(clock.now() + 5.0)
     assert SDK.read4ByteTxRx(port, 1, PRESENT)[0] == 2048
-    SDK.action(port, 254)  # the SDK waits for no answer to it, so ask all: nobody answers that
+    SDK.action(port, 254)  # the SDK waits for no reply to it, so ask all: nobody answers that
     SDK.ping(port, 1)
     clock.sleep_until(clock.now() + 5.0)
     assert SDK.read4ByteTxRx(port, 1, PRESENT)[0] == 2500
@@ -147,7 +147,7 @@ def test_every_servo_keeps_its_own_rate(arm_bus: VirtualBus) -> None:
 
 
 def test_a_client_that_never_reads_does_not_stop_the_bus(pty: PtyPort, arm_bus: VirtualBus) -> None:
-    arm_bus.servo(1).memory.set("return_delay_time", 0)  # or it takes half a millisecond an answer
+    arm_bus.servo(1).memory.set("return_delay_time", 0)  # or it takes half a millisecond a reply
     with serial.Serial(pty.path, 1_000_000, write_timeout=LONG) as deaf:
         for _ in range(3000):
             deaf.write(build(1, Instruction.PING))

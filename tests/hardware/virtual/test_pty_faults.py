@@ -65,7 +65,7 @@ def test_a_booked_unplugging_happens_though_nobody_asks(arm_config: ArmConfig, t
 
 
 def test_two_servos_with_one_id_are_corrupt_to_the_sdk(pty: PtyPort, arm_bus: VirtualBus) -> None:
-    arm_bus.servo(1).turn_by_hand(700.0)
+    arm_bus.servo(1).rotate_by_hand(700.0)
     arm_bus.inject(Fault("id", 2, 1))
     with opened(pty.path) as port:
         results = {SDK.read4ByteTxRx(port, 1, PRESENT)[1] for _ in range(8)}

@@ -63,7 +63,7 @@ def test_startup_configuration(make_bench: Make) -> None:
     names = ("position_p_gain", "profile_velocity", "indirect_address_1", "led", "torque_enable")
     assert [bench.read(n) for n in names] == [500, 33, 132, 0, 0]
     bench.set(startup_configuration=0b01)
-    bench.servo.turn_by_hand(300.0)
+    bench.servo.rotate_by_hand(300.0)
     bench.servo.switch_off()
     assert not bench.servo.torque and bench.servo.deaf
     bench.servo.switch_on()

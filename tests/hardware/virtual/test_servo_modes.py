@@ -212,9 +212,9 @@ def test_a_slave_of_a_dual_joint_follows_the_cable_and_no_goal(make_bench: Make)
 
 
 def test_without_torque_one_turn_mode_counts_on_and_torque_folds_it(make_bench: Make) -> None:
-    """The manual: continuous while torque is off; within one turn when torque goes on in position mode."""
+    """The manual: continuous while torque is off; in one revolution when torque goes on in position mode."""
     bench = make_bench(position_ticks=4000)
-    bench.servo.turn_by_hand(200.0)
+    bench.servo.rotate_by_hand(200.0)
     assert bench.read("present_position") == 4200
     bench.set(goal_position=104, torque_enable=1)
     assert bench.read("present_position") == 104
@@ -224,6 +224,6 @@ def test_without_torque_one_turn_mode_counts_on_and_torque_folds_it(make_bench: 
 
 def test_lost_turns_are_seen_by_nobody_but_the_registers(make_bench: Make) -> None:
     bench = make_bench(mode=EXTENDED)
-    bench.servo.shaft.lose_turns(-2)
+    bench.servo.shaft.lose_revolutions(-2)
     assert bench.read("present_position") == 2048 - 2 * 4096
     assert bench.servo.true_ticks == 2048.0

@@ -44,7 +44,7 @@ def test_a_short_way_is_a_triangle_and_no_profile_a_step(make_bench: Callable[..
     bench.wait(5.0)
     bench.set(profile_velocity=0, goal_position=1000)
     assert bench.read("moving_status") >> 4 == ProfileKind.STEP
-    # Even a step is no faster than the motor: half a turn at 200 * 0.229 rev/min.
+    # Even a step is no faster than the motor: half a revolution at 200 * 0.229 rev/min.
     bench.wait(2000 / (200 * bench.V_UNIT))
     assert 1000 < bench.servo.reading < 1150
     bench.wait(0.1)

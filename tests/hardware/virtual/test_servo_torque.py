@@ -39,10 +39,10 @@ def test_torque_off_stops_on_the_way(make_bench: Callable[..., Any]) -> None:
 
 def test_a_hand_turns_it_only_without_torque(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(mode=EXTENDED)
-    bench.servo.turn_by_hand(-3000.0)
+    bench.servo.rotate_by_hand(-3000.0)
     assert bench.read("present_position") == -952
     bench.set(goal_position=-952, torque_enable=1)
-    bench.servo.turn_by_hand(500.0)
+    bench.servo.rotate_by_hand(500.0)
     assert bench.read("present_position") == -952
 
 

@@ -22,7 +22,7 @@ TABLE = CONTROL_TABLES["XM430-W350"]
 def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     config = ArmConfig.generic("soak", [f"joint{k}" for k in range(6)], [-3] * 6, [3] * 6)
     clock = VirtualClock()
-    # A late answer is a true one of the cycle before: whoever asks has to tell, so it is left out here.
+    # A late reply is a true one of the cycle before: whoever asks has to tell, so it is left out here.
     bus = VirtualBus.from_config(config, clock, seed=3)
     bus.inject(*(Fault(name, value=0.001) for name in SPOILS if name != "late"))
     sim = SimBus(bus)

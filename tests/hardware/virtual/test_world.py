@@ -64,7 +64,7 @@ class Rig:
         if twin is not None and twin.shadow:  # mounted the other way round, and the file says so
             self.bus.servo(twin.id).memory.set("secondary_id", 1)
             self.bus.servo(twin.id).memory.set("drive_mode", 1)
-            self.bus.servo(twin.id).shaft.turn_by(-2 * (shoulder.to_ticks(start[0])))
+            self.bus.servo(twin.id).shaft.rotate_by(-2 * (shoulder.to_ticks(start[0])))
         self.world = World(self.model, self.config, self.bus)
         self.sim = SimBus(self.bus)
         self.sim.open()

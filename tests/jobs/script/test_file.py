@@ -160,7 +160,7 @@ def test_a_new_kind_of_step_is_one_class(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(base, "STEPS", dict(STEPS))
 
     class CountStep(ScriptStep):
-        words = ("number",)
+        title_keys = ("number",)
         do: Literal["count"]
         number: int
 

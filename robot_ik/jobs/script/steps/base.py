@@ -58,8 +58,8 @@ class ScriptStep(Table):
         name: For the report; by default what the step does.
     """
 
-    words: ClassVar[tuple[str, ...]] = ()
-    """Keys that, with ``do``, say what a step without a name is called."""
+    title_keys: ClassVar[tuple[str, ...]] = ()
+    """Keys whose values, after ``do``, make the title of a step without a name."""
     simulated_only: ClassVar[bool] = False
     """On a real port nothing is broken on purpose, and nothing that shut down is switched on by itself."""
 
@@ -72,7 +72,7 @@ class ScriptStep(Table):
         STEPS.update(dict.fromkeys(get_args(cls.model_fields["do"].annotation), cls))
 
     @property
-    def looks(self) -> bool:
+    def needs_camera(self) -> bool:
         """Whether it needs the synthetic camera."""
         return False
 
@@ -82,7 +82,7 @@ class ScriptStep(Table):
         if self.name:
             return self.name
         found = [self.do]
-        for key in self.words:
+        for key in self.title_keys:
             value = getattr(self, key)
             if isinstance(value, dict):
                 unit = " mm" if key == "joints_mm" else "°"
@@ -102,7 +102,7 @@ class ScriptStep(Table):
         if not context.simulated and self.simulated_only:
             problem = f"{self.do!r} is for simulated servos, and this is a real port"
             raise WrongKey(problem, "do", "--bus sim or pty")
-        if not context.simulated and self.looks:
+        if not context.simulated and self.needs_camera:
             problem = "the synthetic camera does not see a real desk"
             raise WrongKey(problem, "do", "other steps, or robot-ik reach")
 

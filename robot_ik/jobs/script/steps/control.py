@@ -19,7 +19,7 @@ PATIENCE = 2.0
 class WaitStep(Action):
     """The arm stays where it was sent to."""
 
-    words = ("seconds",)
+    title_keys = ("seconds",)
 
     do: Literal["wait"]
     seconds: Annotated[float, Field(ge=0.0, le=LONGEST)]
@@ -49,7 +49,7 @@ class InjectStep(ScriptStep):
         in_s: So much later; ``for_s``: until it is taken back, else for good or until ``clear``.
     """
 
-    words = ("kind", "joint")
+    title_keys = ("kind", "joint")
     simulated_only = True
 
     do: Literal["inject"]
@@ -80,7 +80,7 @@ class InjectStep(ScriptStep):
 class ClearStep(ScriptStep):
     """Takes back the faults that were injected, all or those of one kind; restarts servos that shut down."""
 
-    words = ("kind",)
+    title_keys = ("kind",)
     simulated_only = True
 
     do: Literal["clear"]

@@ -55,7 +55,7 @@ def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Findin
     return _Finding(off <= allowed, f"{what} {here}{unit} off", f"at most {most}{unit}", {key: round(off, 4)})
 
 
-_PLACES = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe", "width_mm")
+_POSE_KEYS = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe", "width_mm")
 _REST = ("state", "error", "joint", "cause", "status", "step_seconds", "run_seconds")
 
 
@@ -72,7 +72,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         step_seconds, run_seconds: How long the last action, and the run, took: from, to.
     """
 
-    words = ("keyframe", "joint", "position", "joints_deg", "joints_mm", "width_mm")
+    title_keys = ("keyframe", "joint", "position", "joints_deg", "joints_mm", "width_mm")
     anywhere = True
 
     do: Literal["expect"]
@@ -91,8 +91,10 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
 
     @model_validator(mode="after")
     def _something(self) -> ExpectStep:
-        if all(getattr(self, key) is None for key in (*_PLACES, *_REST)):
-            raise WrongKey("nothing is expected", allowed=f"one or more of {', '.join((*_PLACES, *_REST))}")
+        if all(getattr(self, key) is None for key in (*_POSE_KEYS, *_REST)):
+            raise WrongKey(
+                "nothing is expected", allowed=f"one or more of {', '.join((*_POSE_KEYS, *_REST))}"
+            )
         if self.object is not None and self.position is None:
             raise WrongKey("this key is missing", "position", "where the object is to lie")
         return self
@@ -118,19 +120,19 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             StepFailed: Something is otherwise.
             RobotIkError: Of the arm, while it is read.
         """
-        findings = [*self._places(now), *self._error(now), *self._rest(now)]
+        findings = [*self._poses(now), *self._error(now), *self._rest(now)]
         for finding in findings:
             result.numbers.update(finding.numbers)
         result.found = "; ".join(str(finding) for finding in findings)
         if not all(finding.right for finding in findings):
             raise StepFailed("; ".join(str(finding) for finding in findings if not finding.right))
 
-    def _places(self, now: RunState) -> Iterator[_Finding]:
+    def _poses(self, now: RunState) -> Iterator[_Finding]:
         if self.width_mm is not None:
             off = abs(width_mm(now) - self.width_mm)
             yield _near(off, self.tolerance_mm, " mm", "gripper's width", "width_off_mm")
         if self.object is not None and self.position is not None:
-            off = 1e3 * float(np.linalg.norm(_place_of(now, self.object) - self.position))
+            off = 1e3 * float(np.linalg.norm(_position_of(now, self.object) - self.position))
             yield _near(off, self.tolerance_mm, " mm", self.object, "off_mm")
             return
         placed = self.position is not None or self.wxyz is not None
@@ -188,7 +190,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
                 yield _Finding(inside, f"{what} {seconds:.3f} s", f"{span[0]:g} … {span[1]:g} s")
 
 
-def _place_of(now: RunState, name: str) -> Array:
+def _position_of(now: RunState, name: str) -> Array:
     """(3,) m where an object lies, as the world has it; it is not measured."""
     assert now.servos.world is not None
     with now.servos.lock:

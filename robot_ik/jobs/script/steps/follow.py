@@ -34,7 +34,7 @@ class FollowStep(Framed, Action):
         catch_up_s: From here on the frame must be within ``tolerance_mm`` of the goal at every tick.
     """
 
-    words = ("path", "seconds")
+    title_keys = ("path", "seconds")
 
     do: Literal["follow"]
     path: Literal["circle", "eight", "marker"]
@@ -62,7 +62,7 @@ class FollowStep(Framed, Action):
         return self
 
     @property
-    def looks(self) -> bool:
+    def needs_camera(self) -> bool:
         return self.path == "marker"
 
     def run(self, now: RunState, result: StepResult) -> None:
@@ -78,10 +78,10 @@ class FollowStep(Framed, Action):
         behind: list[float] = []
 
         def note(tick: Any) -> None:
-            if tick.time < self.catch_up_s or (tick.goal is None and not self.looks):
+            if tick.time < self.catch_up_s or (tick.goal is None and not self.needs_camera):
                 return
             place = now.robot.forward(tick.measured, frame).position
-            true = _true_goal(now) if self.looks else tick.goal.target.position
+            true = _true_goal(now) if self.needs_camera else tick.goal.target.position
             behind.append(1e3 * float(np.linalg.norm(place - true)))
 
         with self._goals(now, frame) as goals:
@@ -100,12 +100,12 @@ class FollowStep(Framed, Action):
                 on_tick=note,
             )
         self._judge(now, report, behind, result)
-        if self.looks:
+        if self.needs_camera:
             self._judge_at_end(now, result)
 
     @contextlib.contextmanager
     def _goals(self, now: RunState, frame: str) -> Iterator[Any]:
-        if self.looks:
+        if self.needs_camera:
             assert now.vision is not None
             with now.vision.following(now.setup.clock, self.seconds) as goals:
                 yield goals

@@ -137,9 +137,9 @@ def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
 
 
 class PositionStep(Framed, Move):
-    """The frame's origin goes to a position, however it is turned."""
+    """The frame's origin goes to a position, whatever its orientation."""
 
-    words = ("position",)
+    title_keys = ("position",)
 
     do: Literal["position"]
     position: Position
@@ -152,7 +152,7 @@ class PositionStep(Framed, Move):
 class PoseStep(Framed, Move):
     """The frame goes to a position and an orientation, straight in joint space."""
 
-    words = ("position",)
+    title_keys = ("position",)
 
     do: Literal["pose"]
     position: Position
@@ -169,7 +169,7 @@ class MarkerStep(Move):
     do: Literal["marker"]
 
     @property
-    def looks(self) -> bool:
+    def needs_camera(self) -> bool:
         return True
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
@@ -191,7 +191,7 @@ class MarkerStep(Move):
 class LineStep(Framed, Move):
     """The frame goes straight to a position or by a vector, and keeps its rotation unless asked."""
 
-    words = ("position", "by")
+    title_keys = ("position", "by")
 
     do: Literal["line"]
     position: Position | None = None
@@ -220,7 +220,7 @@ class LineStep(Framed, Move):
 class JointsStep(JointValues, Move):
     """Joints go to angles, slides to millimetres; those that are not named stay."""
 
-    words = ("joints_deg", "joints_mm")
+    title_keys = ("joints_deg", "joints_mm")
 
     do: Literal["joints"]
 
@@ -237,7 +237,7 @@ class JointsStep(JointValues, Move):
 class KeyframeStep(Move):
     """All joints go to a keyframe of the model."""
 
-    words = ("keyframe",)
+    title_keys = ("keyframe",)
 
     do: Literal["keyframe"]
     keyframe: Word = "home"
@@ -259,7 +259,7 @@ class GripStep(GripperWidth, Move):
         held: Whether something must be between the fingers then; without it, either is right.
     """
 
-    words = ("opening", "width_mm")
+    title_keys = ("opening", "width_mm")
     by_opening = True
 
     do: Literal["grip"]
