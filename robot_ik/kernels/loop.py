@@ -90,7 +90,7 @@ def uniform(state):
 
 @outlined
 def draw(tree, nodes, start, state, q):
-    """A random start for the joints that matter, inside their limits, into q; floats roam round ``start``."""
+    """A random start for the joints that matter, inside their limits, into q; a free base near ``start``."""
     kind, qadr, vadr, low, high = tree.kind, tree.qadr, tree.vadr, tree.low, tree.high
     for index in range(nodes.shape[0]):
         k = nodes[index]
@@ -280,7 +280,7 @@ def may_restart(state):
 # an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
 # The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
-# it, and the share of the cost that counts as progress.  Far finer than in a try: an answer that still
+# it, and the share of the cost that counts as progress.  Far finer than in a try: a solution that still
 # creeps would move at every tick; and patient, because a step that did not help only says that the next must
 # be shorter.
 _POLISH_STEPS = 2000
@@ -418,7 +418,7 @@ def next_try(tree, goal, work):
 
 @pure
 def begin_search(goal, work):
-    """Where some goals are proven out of reach: is there a place that meets the others?  False if not asked.
+    """Where some goals are proven out of reach: is there a pose that meets the others?  False if not asked.
 
     The solution near the start is kept: what is found must clearly beat it.
     """

@@ -435,7 +435,7 @@ GOALS = Layout(
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL, PRIOR
     how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
-    level="ints",  # (g,) its place in the order of priorities, 0 first; soft goals come after all others
+    level="ints",  # (g,) its position in the order of priorities, 0 first; soft goals come after all others
     soft="ints",  # (g,) 1: wanted, not needed
     node="ints",  # (g,) node that carries its frame, -1 = world
     local="table",  # (g, 12) frame seen from the node
@@ -571,7 +571,7 @@ def goal_end(goal, g, rows):
 def clamp_residual(goal, residual, wanted, clamp, alike):
     """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
 
-    ``alike``: all by the factor of the longest, so that the way down stays the same.
+    ``alike``: all by the factor of the longest, so that the direction of descent stays the same.
     """
     m = residual.shape[0]
     least = 1.0
