@@ -234,7 +234,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "source": kind.source,
         "goals": [goal.name for goal in kind.goals],
         "every_goal": kind.partial_goals and set(kind.goals) >= set(GOALS),
-        "parts": kind.parts,
+        "parts": kind.partial_goals,
         "capabilities": sorted(kind.capabilities),
         "options": options,
     }

@@ -260,10 +260,10 @@ class IterativeSolver(Solver):
             run.entry(*run.arguments)
         else:
             trace = _in_slices(run, problem.arrays["trace"], began)
-        status, iterations, restarts, _, beyond = run.outcome.tolist()
+        status, iterations, restarts, _, any_unreachable = run.outcome.tolist()
         if status == workspace.NUMERICAL:
             problem.robot.check_q(run.start, "start")
-        elif beyond and status != workspace.CONVERGED:
+        elif any_unreachable and status != workspace.CONVERGED:
             status = workspace.UNREACHABLE
         return Solution(
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,

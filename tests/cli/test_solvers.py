@@ -18,7 +18,7 @@ def test_every_method_is_listed(robot_ik: Any) -> None:
     for name, kind in SOLVERS.items():
         line = next(line for line in run.out.splitlines() if line.startswith(name + " "))
         assert kind.title in line
-        every = kind.parts and set(kind.goals) == set(GOALS)
+        every = kind.partial_goals and set(kind.goals) == set(GOALS)
         for word in ["every kind"] if every else [goal.name.removesuffix(" goal") for goal in kind.goals]:
             assert word in line
     rows = json.loads(robot_ik("solvers", "--json").out)
