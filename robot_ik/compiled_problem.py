@@ -19,7 +19,6 @@ from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
 from robot_ik.kernels import residuals, workspace
 from robot_ik.kernels.residuals import (
     BLOCK,
-    HOW_SIZE,
     NO_ORIENTATION,
     NO_POSITION,
     OF,
@@ -28,6 +27,7 @@ from robot_ik.kernels.residuals import (
     OF_PRIOR,
     ORIENTATION_PART,
     POSITION_PART,
+    ROW_CODES,
     WHOLE,
 )
 from robot_ik.model import pose_row, row_pose
@@ -105,21 +105,21 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
     """
     tree, count = robot.tree, len(goals)
     moved = [_moved_nodes(robot, goal) for goal in goals]
-    tied_to = {int(node): int(leader) for node, leader in tree.tied}
+    coupled_to = {int(node): int(leader) for node, leader in tree.coupled}
     used = set().union(*moved)
-    leaders = {tied_to.get(k, k) for k in used} - {-1}
+    leaders = {coupled_to.get(k, k) for k in used} - {-1}
     _refuse_broken(robot, leaders)
     dofs = np.array([v for v in range(tree.nv) if int(tree.dof_node[v]) in leaders], dtype=np.int64)
-    tied = [
+    coupled = [
         (c, int(np.flatnonzero(dofs == tree.vadr[leader])[0]), int(tree.vadr[node]))
-        for c, (node, leader) in enumerate(tree.tied)
+        for c, (node, leader) in enumerate(tree.coupled)
         if leader in leaders and node in used
     ]
-    movers = np.append(dofs, [v for _, _, v in tied]).astype(np.int64)
+    movers = np.append(dofs, [v for _, _, v in coupled]).astype(np.int64)
     stiffness = robot.stiffness[dofs]
     arrays: dict[str, Any] = {
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
-        "how": np.zeros((count, HOW_SIZE), dtype=np.int64),
+        "row_codes": np.zeros((count, ROW_CODES), dtype=np.int64),
         "row": np.empty(count, dtype=np.int64),
         "level": np.array(levels_of(goals), dtype=np.int64),
         "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
@@ -130,11 +130,11 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "weight": np.array([goal.weights for goal in goals], dtype=float),
         "tolerance": np.array([_tolerance_row(goal, tolerance) for goal in goals]),
         "dofs": dofs,
-        "column": np.append(np.arange(len(dofs)), [u for _, u, _ in tied]).astype(np.int64),
+        "column": np.append(np.arange(len(dofs)), [u for _, u, _ in coupled]).astype(np.int64),
         "moved": movers,
         "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
         "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
-        "tied": np.array(tied, dtype=np.int64).reshape(-1, 3),
+        "coupled": np.array(coupled, dtype=np.int64).reshape(-1, 3),
         "posture": np.zeros((count, robot.nq)),
         "joint_weight": np.zeros((count, robot.nv)),
         "feature": np.zeros((0, 3), dtype=np.int64),
@@ -145,7 +145,11 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
     for g, goal in enumerate(goals):
         arrays["row"][g] = rows
         asked = goal.rows
-        arrays["how"][g, [POSITION_PART, ORIENTATION_PART, OF]] = asked.position, asked.orientation, asked.of
+        arrays["row_codes"][g, [POSITION_PART, ORIENTATION_PART, OF]] = (
+            asked.position,
+            asked.orientation,
+            asked.of,
+        )
         arrays["weight"][g, 0] /= length_of(robot, goal)
         if isinstance(goal, PostureGoal):
             set_posture(robot, arrays, g, goal)
@@ -156,7 +160,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
             continue
         rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
         if asked.of == OF_MASS:
-            arrays["how"][g, BLOCK] = sum(len(block) for block in masses)
+            arrays["row_codes"][g, BLOCK] = sum(len(block) for block in masses)
             masses.append(robot.masses(goal.frame))
             continue
         node, local = robot.attachment(goal.frame)
@@ -214,13 +218,13 @@ def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
     """Where the Jacobian may not be zero: the columns of every goal, and the rows of every column."""
     count = len(arrays["dofs"])
     moves = arrays["moves"][:, :count].astype(bool)
-    for c, (_, leader, _) in enumerate(arrays["tied"]):
+    for c, (_, leader, _) in enumerate(arrays["coupled"]):
         moves[:, leader] |= arrays["moves"][:, count + c].astype(bool)
-    tied = np.tile(np.arange(count, len(arrays["column"])), (len(moves), 1))
+    coupled = np.tile(np.arange(count, len(arrays["column"])), (len(moves), 1))
     ends = np.append(arrays["row"][1:], rows)
     hit = np.repeat(moves, ends - arrays["row"], axis=0).T
     return {
-        "movers": np.ascontiguousarray(np.hstack([_listed(moves), tied]), dtype=np.int64),
+        "movers": np.ascontiguousarray(np.hstack([_listed(moves), coupled]), dtype=np.int64),
         "mover_count": moves.sum(axis=1),
         "hits": _listed(hit),
         "hit_count": hit.sum(axis=1),
@@ -326,7 +330,7 @@ def _work_arrays(
     shapes: dict[str, Any] = {
         "state": (workspace.STATE_SIZE,), "value": (workspace.VALUE_SIZE,), "start": (nq,), "q": (nq,),
         "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-        "reach": (count, 4), "beyond": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
+        "reach": (count, 4), "unreachable": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
         "frames": (count, 12),
         "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
         "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
@@ -338,7 +342,7 @@ def _work_arrays(
         "moved": (nu,), "outward": (nu,),
     }  # fmt: skip
     arrays: dict[str, Any] = {
-        name: np.zeros(shape, dtype=np.int64 if name in ("state", "beyond", "free", "side") else float)
+        name: np.zeros(shape, dtype=np.int64 if name in ("state", "unreachable", "free", "side") else float)
         for name, shape in shapes.items()
     }
     arrays["nodes"] = found.nodes

@@ -1,7 +1,7 @@
 """Joints that follow another, from the model's joint equalities and from ``robot.toml``.
 
 q = q₀ + a₀ + a₁ x + … + a₄ x⁴ with x = leader − leader₀: MuJoCo's joint equality (XML reference,
-equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the tied joints follow.
+equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the coupled joints follow.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[s
 
     Raises:
         UnknownJointError: ``robot.toml`` names a joint that the model does not have.
-        UnsupportedJointError: A joint tied twice, in a circle, or by a law of more than four powers.
+        UnsupportedJointError: A joint coupled twice, in a circle, or by a law of more than four powers.
     """
     found: list[Coupling] = []
     for e in range(model.neq):
@@ -68,7 +68,7 @@ def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
     for coupling in found:
         if coupling.joint in by_joint:
             raise UnsupportedJointError(
-                f"joint {names[coupling.joint]!r} is tied twice", hint="leave one of the couplings out"
+                f"joint {names[coupling.joint]!r} is coupled twice", hint="leave one of the couplings out"
             )
         by_joint[coupling.joint] = coupling
     done = []
@@ -93,9 +93,9 @@ def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
 
 
 def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, addresses: Array) -> Tree:
-    """The tree with its tied joints, limits of the leaders narrowed so that all stay inside theirs.
+    """The tree with its coupled joints, limits of the leaders narrowed so that all stay inside theirs.
 
-    A tied joint whose leader is frozen stands still.  A frozen joint whose leader moves is not in the
+    A coupled joint whose leader is frozen stands still.  A frozen joint whose leader moves is not in the
     tree; ``Problem`` refuses to move such a leader.
 
     ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
@@ -104,7 +104,7 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
         ModelError: A leader has no range left.
     """
     node_of = {joint: k for k, joint in enumerate(tree.joint_ids)}
-    tied, law = [], []
+    coupled, law = [], []
     for coupling in couplings:
         if coupling.joint not in node_of:
             continue
@@ -117,11 +117,11 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
                 else polynomial(0.0)
             )
             polynomial = Polynomial([value])
-        tied.append((node_of[coupling.joint], leader))
+        coupled.append((node_of[coupling.joint], leader))
         law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
-    if not tied:
+    if not coupled:
         return tree
-    return narrowed(replace(tree, tied=np.array(tied, dtype=np.int64), law=np.array(law)))
+    return narrowed(replace(tree, coupled=np.array(coupled, dtype=np.int64), law=np.array(law)))
 
 
 def narrowed(tree: Tree) -> Tree:
@@ -131,7 +131,7 @@ def narrowed(tree: Tree) -> Tree:
         ModelError: There is no such position.
     """
     lower, upper = tree.lower.copy(), tree.upper.copy()
-    for (node, leader), law in zip(tree.tied, tree.law, strict=True):
+    for (node, leader), law in zip(tree.coupled, tree.law, strict=True):
         v = int(tree.vadr[node])
         polynomial = Polynomial(law[2:])
         if leader < 0:

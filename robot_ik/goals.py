@@ -687,7 +687,7 @@ class PostureGoal(Goal):
             self.joint_weights(robot),
             robot.difference(q, np.asarray(self.q)),
         )
-        led = {int(node) for node in tree.tied[:, 0]}
+        led = {int(node) for node in tree.coupled[:, 0]}
         metres = radians = 0.0
         for k in range(tree.size):
             v, kind = int(tree.vadr[k]), int(tree.kind[k])

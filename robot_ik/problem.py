@@ -156,7 +156,7 @@ class Problem:
     def features(self) -> frozenset[str]:
         """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
         arrays, found = self.compiled.goal_arrays, set()
-        if (self.robot.tree.tied[:, 1] >= 0).any() and len(arrays["tied"]):
+        if (self.robot.tree.coupled[:, 1] >= 0).any() and len(arrays["coupled"]):
             found.add("couplings")
         if any(goal.soft for goal in self.given):
             found.add("soft")

@@ -293,7 +293,7 @@ class Robot:
     def follow(self, q: ArrayLike) -> Array:
         """``q`` (nq,) with each coupled joint where its leader puts it."""
         moved = self.check_q(q).copy()
-        if len(self.tree.tied):
+        if len(self.tree.coupled):
             kinematics.tree_follow(self.tree.handle, moved)
         return moved
 
@@ -338,7 +338,7 @@ class Robot:
                     hint="check sign, zero and range of the joint in the arm file",
                 )
         tree = self.tree.with_limits(low, high)
-        if len(tree.tied):
+        if len(tree.coupled):
             from robot_ik.couplings import narrowed  # which few arms have
 
             tree = narrowed(tree)

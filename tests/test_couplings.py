@@ -101,7 +101,7 @@ def test_a_leader_stops_where_its_follower_meets_a_limit(tmp_path):
     assert tight.lower[1] == pytest.approx(0.2 - 1.1 / 3) and tight.upper[1] == pytest.approx(0.2 + 1.0 / 3)
     narrower = tight.with_limits(np.full(5, -0.05), np.full(5, 10.0))
     assert narrower.upper[1] == pytest.approx(0.25)
-    with pytest.raises(ModelError, match="no place inside its limits"):
+    with pytest.raises(ModelError, match="no position inside its limits"):
         arm(tmp_path, LAWS["linear"].replace("0.1 -0.6", "7 0.1"))
 
 
@@ -126,7 +126,7 @@ def test_a_frozen_follower_holds_its_leader_and_a_frozen_leader_its_follower(tmp
 @pytest.mark.parametrize(
     ("equality", "says"),
     [
-        (LAWS["linear"] + '<joint joint1="j3" joint2="j1"/>', "'j3' is tied twice"),
+        (LAWS["linear"] + '<joint joint1="j3" joint2="j1"/>', "'j3' is coupled twice"),
         ('<joint joint1="j3" joint2="j2"/><joint joint1="j2" joint2="j3"/>', "in a circle"),
         ('<joint joint1="j3" joint2="j2" polycoef="0 0 1 1 1"/>'
             '<joint joint1="j4" joint2="j3" polycoef="0 0 1 0 0"/>',

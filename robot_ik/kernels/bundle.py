@@ -26,7 +26,7 @@ from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 
-# What a field may be: C-contiguous, in numba's and in NumPy's words.
+# What a field may be: C-contiguous, in numba's and in NumPy's terms.
 _ARRAY_OF: dict[str, tuple[Any, Any]] = {
     "ints": (types.Array(types.int64, 1, "C"), np.int64),
     "floats": (types.Array(types.float64, 1, "C"), np.float64),

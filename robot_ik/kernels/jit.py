@@ -284,7 +284,7 @@ def literal(function: F) -> F:
 def outlined(function: F) -> F:
     """Like ``pure`` but never forced into its callers: what is large or called from several places.
 
-    Said in so many words, as a function first compiled for a forced one would inherit the force: goals of two
+    Stated explicitly, as a function first compiled for a forced one would inherit the force: goals of two
     priorities then were one function of 209,000 lines, which LLVM took two minutes for.
     """
     return _compile_inner(function, forceinline=False)

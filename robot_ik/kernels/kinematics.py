@@ -56,21 +56,21 @@ def sine_cosine(angle):
 
 @outlined
 def follow(tree, q):
-    """Puts every tied joint where its leader wants it, in place."""
-    tied, law, qadr = tree.tied, tree.law, tree.qadr
-    for c in range(tied.shape[0]):
+    """Puts every coupled joint where its leader wants it, in place."""
+    coupled, law, qadr = tree.coupled, tree.law, tree.qadr
+    for c in range(coupled.shape[0]):
         value = 0.0
-        if tied[c, 1] >= 0:
-            x = q[qadr[tied[c, 1]]] - law[c, 1]
+        if coupled[c, 1] >= 0:
+            x = q[qadr[coupled[c, 1]]] - law[c, 1]
             value = x * (law[c, 3] + x * (law[c, 4] + x * (law[c, 5] + x * law[c, 6])))
-        q[qadr[tied[c, 0]]] = law[c, 0] + law[c, 2] + value
+        q[qadr[coupled[c, 0]]] = law[c, 0] + law[c, 2] + value
 
 
 @pure
 def slope_of(tree, c, q):
     """How far coupling ``c`` moves its joint per unit of the leader."""
     law = tree.law
-    x = q[tree.qadr[tree.tied[c, 1]]] - law[c, 1]
+    x = q[tree.qadr[tree.coupled[c, 1]]] - law[c, 1]
     return law[c, 3] + x * (2.0 * law[c, 4] + x * (3.0 * law[c, 5] + x * 4.0 * law[c, 6]))
 
 

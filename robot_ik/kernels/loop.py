@@ -24,11 +24,11 @@ from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.kernels.workspace import (
     ACCEPTED,
     ALL_GOALS,
+    ANY_UNREACHABLE,
     ASKED,
     AWAITED,
     BACK,
     BEST_COST,
-    BEYOND,
     BLOCKED,
     CONVERGED,
     COST,
@@ -90,7 +90,7 @@ def uniform(state):
 
 @outlined
 def draw(tree, nodes, start, state, q):
-    """A random start for the joints that matter, inside their limits, into q; floats roam round ``start``."""
+    """A random start for the joints that matter, inside their limits, into q; a free base near ``start``."""
     kind, qadr, vadr, low, high = tree.kind, tree.qadr, tree.vadr, tree.low, tree.high
     for index in range(nodes.shape[0]):
         k = nodes[index]
@@ -134,7 +134,7 @@ def apply_step(tree, goal, nodes, step, dq, q):
         else:
             floating = True
             dq[v] = joint_scale[u] * step[u]
-    if tree.tied.shape[0] > 0:
+    if tree.coupled.shape[0] > 0:
         follow(tree, q)
     if not floating:
         return
@@ -223,21 +223,21 @@ def squared_distance(goal, reach, g):
         return x * x + y * y + z * z
     for i in range(3):
         off = goal.mask[g, i] * (target[g, 3 + i] * x + target[g, 6 + i] * y + target[g, 9 + i] * z)
-        if goal.how[g, POSITION_PART] == ONE_SIDE:
+        if goal.row_codes[g, POSITION_PART] == ONE_SIDE:
             off = max(off, 0.0)
         square += off * off
     return square
 
 
 @outlined
-def mark_beyond(goal, work):
-    """Marks in work.beyond the goals that are proven out of reach; returns whether there are any."""
+def mark_unreachable(goal, work):
+    """Marks in work.unreachable the goals that are proven out of reach; returns whether there are any."""
     any_beyond = False
     ask_for_all(goal)
     for g in range(goal.kind.shape[0]):
         far = work.reach[g, 3] < math.inf
         far = far and squared_distance(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
-        work.beyond[g] = 1 if far else 0
+        work.unreachable[g] = 1 if far else 0
         any_beyond = any_beyond or far
     return any_beyond
 
@@ -252,11 +252,11 @@ def ask_for_all(goal):
 
 
 @outlined
-def drop_beyond(goal, work):
+def drop_unreachable(goal, work):
     """Goals that are proven out of reach count nothing until ``ask_for_all``."""
     for g in range(goal.kind.shape[0]):
         for i in range(2):
-            if work.beyond[g] == 1:
+            if work.unreachable[g] == 1:
                 goal.weight[g, i], goal.tolerance[g, i] = 0.0, math.inf
 
 
@@ -266,21 +266,23 @@ def some_within_reach(goal, work):
     found = False
     for g in range(goal.kind.shape[0]):
         needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
-        found = found or (needed and goal.level[g] == 0 and work.beyond[g] == 0)
+        found = found or (needed and goal.level[g] == 0 and work.unreachable[g] == 0)
     return found
 
 
 @pure
 def may_restart(state):
     """Whether another random start may help: not towards what is proven out of reach."""
-    return state[RESTARTS] < state[MAX_RESTARTS] and (state[BEYOND] == 0 or state[SEARCH] == SEARCHING)
+    return state[RESTARTS] < state[MAX_RESTARTS] and (
+        state[ANY_UNREACHABLE] == 0 or state[SEARCH] == SEARCHING
+    )
 
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
 # The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
-# it, and the share of the cost that counts as progress.  Far finer than in a try: an answer that still
+# it, and the share of the cost that counts as progress.  Far finer than in a try: a solution that still
 # creeps would move at every tick; and patient, because a step that did not help only says that the next must
 # be shorter.
 _POLISH_STEPS = 2000
@@ -349,8 +351,8 @@ def begin(tree, goal, work):
     if not finite(work.start):
         state[STATUS] = NUMERICAL
         return
-    if mark_beyond(goal, work):  # no other start will help these goals
-        state[BEYOND], state[FIRST_STEPS] = 1, NO_LIMIT
+    if mark_unreachable(goal, work):  # no other start will help these goals
+        state[ANY_UNREACHABLE], state[FIRST_STEPS] = 1, NO_LIMIT
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
     follow(tree, work.q)
@@ -418,16 +420,16 @@ def next_try(tree, goal, work):
 
 @pure
 def begin_search(goal, work):
-    """Where some goals are proven out of reach: is there a place that meets the others?  False if not asked.
+    """Where some goals are proven out of reach: is there a pose that meets the others?  False if not asked.
 
     The solution near the start is kept: what is found must clearly beat it.
     """
     state, value = work.state, work.value
-    if state[BEYOND] == 0 or state[SEARCH] != ALL_GOALS or state[MAX_RESTARTS] == 0:
+    if state[ANY_UNREACHABLE] == 0 or state[SEARCH] != ALL_GOALS or state[MAX_RESTARTS] == 0:
         return False
     if not some_within_reach(goal, work):
         return False
-    drop_beyond(goal, work)
+    drop_unreachable(goal, work)
     copy(work.best, work.rival)
     copy(work.best, work.q)
     value[RIVAL] = value[BEST_COST]

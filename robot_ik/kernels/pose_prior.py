@@ -174,13 +174,13 @@ def prior_column(tree, goal, work, g, u, v, share):
 
 @outlined
 def prior_jacobian(tree, goal, work, g):
-    """These rows of work.jacobian, tied joints and stiffness as in ``residuals.goal_jacobian``."""
+    """These rows of work.jacobian, coupled joints and stiffness as in ``residuals.goal_jacobian``."""
     jacobian, row, joint_scale = work.jacobian, goal.row[g], goal.joint_scale
     for u in range(goal.dofs.shape[0]):
         for i in range(goal.feature.shape[0] + 1):
             jacobian[row + i, u] = 0.0
         prior_column(tree, goal, work, g, u, goal.dofs[u], joint_scale[u])
-    for c in range(goal.tied.shape[0]):
-        u = goal.tied[c, 1]
-        slope = slope_of(tree, goal.tied[c, 0], work.q)
-        prior_column(tree, goal, work, g, u, goal.tied[c, 2], joint_scale[u] * slope)
+    for c in range(goal.coupled.shape[0]):
+        u = goal.coupled[c, 1]
+        slope = slope_of(tree, goal.coupled[c, 0], work.q)
+        prior_column(tree, goal, work, g, u, goal.coupled[c, 2], joint_scale[u] * slope)

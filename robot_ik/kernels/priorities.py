@@ -28,7 +28,7 @@ from robot_ik.kernels.loop import (
     begin,
     copy,
     draw,
-    drop_beyond,
+    drop_unreachable,
     judge,
     record,
     some_within_reach,
@@ -220,11 +220,11 @@ def start_anew(tree, goal, work):
 
 
 @pure
-def beyond_first(goal, work):
+def some_unreachable_first(goal, work):
     """Whether a goal of the first level is proven out of reach."""
     found = False
     for g in range(goal.kind.shape[0]):
-        found = found or (goal.level[g] == 0 and work.beyond[g] == 1)
+        found = found or (goal.level[g] == 0 and work.unreachable[g] == 1)
     return found
 
 
@@ -238,12 +238,12 @@ def try_again(tree, goal, work):
     state = work.state
     if state[SEARCH] == FOUND:
         return False
-    if state[SEARCH] == SEARCHING or not beyond_first(goal, work):
+    if state[SEARCH] == SEARCHING or not some_unreachable_first(goal, work):
         start_anew(tree, goal, work)
         return True
     if not some_within_reach(goal, work):
         return False
-    drop_beyond(goal, work)
+    drop_unreachable(goal, work)
     state[SEARCH] = SEARCHING
     begin_at(tree, goal, work, work.best)
     return not level_met(goal, work, 0)

@@ -4,7 +4,7 @@ A goal owns some rows of the residual r = (what is wanted) − (what is), weight
 those of the frame's motion, so that J dq ≈ r is the step wanted.  The *miss* is unweighted, in metres
 and radians, and decides convergence.
 
-Columns belong to ``goal.dofs``.  A joint that is *tied* to another has no column: what it does is added
+Columns belong to ``goal.dofs``.  A joint that is *coupled* to another has no column: what it does is added
 to that of its leader.  A stiff joint's column is shortened by ``goal.joint_scale``, and ``apply_step``
 shortens the step by the same: minimising the damped step then spares the joint (weighted least squares,
 Whitney, J. Dynamic Systems, Measurement and Control 94(4), 1972).
@@ -183,7 +183,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 
 # ------------------------------------------------------------------------------------------
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
-# ``goal.how`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
+# ``goal.row_codes`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
 #     position     all three coordinates, some of them in the axes of the target, or one side of a plane
 #     orientation  the whole orientation, one axis along the target's, or one aimed at the target's origin
@@ -195,8 +195,8 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 NO_POSITION, WHOLE, SOME_AXES, ONE_SIDE = range(4)
 NO_ORIENTATION, ALL_AXES, ONE_AXIS, AIMED = range(4)
 OF_FRAME, OF_MASS, OF_JOINTS, OF_PRIOR = range(4)
-# Columns of goal.how; BLOCK is the first row of the goal's masses.
-POSITION_PART, ORIENTATION_PART, OF, BLOCK, HOW_SIZE = range(5)
+# Columns of goal.row_codes; BLOCK is the first row of the goal's masses.
+POSITION_PART, ORIENTATION_PART, OF, BLOCK, ROW_CODES = range(5)
 
 # Nearer to the point that it aims at than this, in metres, a frame has no direction to aim in.
 _AT_POINT = 1e-9
@@ -210,7 +210,7 @@ def mass_center(tree, goal, work, g):
     of the bodies that do not move.
     """
     parent, world, masses, moments, frames = tree.parent, work.world, goal.masses, goal.moments, work.frames
-    n, first = parent.shape[0], goal.how[g, BLOCK]
+    n, first = parent.shape[0], goal.row_codes[g, BLOCK]
     for k in range(n):
         mass = masses[first + k, 0]
         moments[first + k, 0] = mass
@@ -239,7 +239,7 @@ def mass_center(tree, goal, work, g):
 @pure
 def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
     """Velocity of the centre of mass per unit of a degree of freedom of node ``k``."""
-    moments, first = goal.moments, goal.how[g, BLOCK]
+    moments, first = goal.moments, goal.row_codes[g, BLOCK]
     mass = moments[first + k, 0]
     if not mass > 0.0:
         return 0.0, 0.0, 0.0
@@ -320,7 +320,7 @@ def position_rows(goal, work, g, row):
         for k in range(3):
             off += target[g, 3 + 3 * k + i] * (target[g, k] - frames[g, k])
         off *= mask[g, i]
-        if goal.how[g, POSITION_PART] == ONE_SIDE:
+        if goal.row_codes[g, POSITION_PART] == ONE_SIDE:
             off = max(off, 0.0)  # beyond the plane by its normal: nothing is asked
         work.residual[row + i] = w * off
         square += off * off
@@ -331,7 +331,7 @@ def position_rows(goal, work, g, row):
 def aim_of(goal, work, g):
     """Direction in which the frame's z shall point, and the distance of what it is aimed at (0: none)."""
     target, frames = goal.target, work.frames
-    if goal.how[g, ORIENTATION_PART] == ONE_AXIS:
+    if goal.row_codes[g, ORIENTATION_PART] == ONE_AXIS:
         return target[g, 5], target[g, 8], target[g, 11], 0.0
     x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
     away = math.sqrt(x * x + y * y + z * z)
@@ -343,20 +343,20 @@ def aim_of(goal, work, g):
 @outlined
 def partial_rows(tree, goal, work, g):
     """Residual and miss of a goal that has no quick path; returns (|r|², within tolerance)."""
-    how, frames, residual, miss = goal.how, work.frames, work.residual, work.miss
-    if how[g, OF] == OF_JOINTS:
+    row_codes, frames, residual, miss = goal.row_codes, work.frames, work.residual, work.miss
+    if row_codes[g, OF] == OF_JOINTS:
         return joint_rows(tree, goal, work, g)
-    if how[g, OF] == OF_MASS:
+    if row_codes[g, OF] == OF_MASS:
         mass_center(tree, goal, work, g)
     else:
         frame_pose(work.world, goal.node[g], goal.local, g, frames)
     row, cost, distance, angle = goal.row[g], 0.0, 0.0, 0.0
-    if how[g, POSITION_PART] != NO_POSITION:
+    if row_codes[g, POSITION_PART] != NO_POSITION:
         distance = position_rows(goal, work, g, row)
         cost += (goal.weight[g, 0] * distance) ** 2
         row += 3
-    if how[g, ORIENTATION_PART] != NO_ORIENTATION:
-        if how[g, ORIENTATION_PART] == ALL_AXES:
+    if row_codes[g, ORIENTATION_PART] != NO_ORIENTATION:
+        if row_codes[g, ORIENTATION_PART] == ALL_AXES:
             angle = rotation_error(goal.target, frames, g, residual, row)
         else:
             dx, dy, dz, _ = aim_of(goal, work, g)
@@ -372,36 +372,36 @@ def partial_rows(tree, goal, work, g):
 @outlined
 def partial_column(tree, goal, work, g, u, v, moves):
     """Column ``u`` of the goal's rows for degree of freedom ``v``, which moves it or not (1 or 0)."""
-    how, jacobian, frames, world = goal.how, work.jacobian, work.frames, work.world
+    row_codes, jacobian, frames, world = goal.row_codes, work.jacobian, work.frames, work.world
     row, k = goal.row[g], tree.dof_node[v]
-    if how[g, OF] == OF_JOINTS:
+    if row_codes[g, OF] == OF_JOINTS:
         for i in range(goal.dofs.shape[0]):
             jacobian[row + i, u] = 0.0
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
         return
     ax, ay, az, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
-    if how[g, OF] == OF_MASS:
+    if row_codes[g, OF] == OF_MASS:
         vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, rotational)
     else:
         vx, vy, vz = point_velocity(
             world, k, ax, ay, az, rotational, frames[g, 0], frames[g, 1], frames[g, 2]
         )
     vx, vy, vz = moves * vx, moves * vy, moves * vz
-    if how[g, POSITION_PART] != NO_POSITION:
+    if row_codes[g, POSITION_PART] != NO_POSITION:
         target, w = goal.target, goal.weight[g, 0]
         for i in range(3):
             along = target[g, 3 + i] * vx + target[g, 6 + i] * vy + target[g, 9 + i] * vz
             # Of a wall, only the side that pushes has a slope.
-            active = how[g, POSITION_PART] != ONE_SIDE or work.residual[row + i] > 0.0
+            active = row_codes[g, POSITION_PART] != ONE_SIDE or work.residual[row + i] > 0.0
             jacobian[row + i, u] = w * goal.mask[g, i] * along if active else 0.0
         row += 3
-    if how[g, ORIENTATION_PART] == NO_ORIENTATION:
+    if row_codes[g, ORIENTATION_PART] == NO_ORIENTATION:
         return
     w = goal.weight[g, 1]
     angular = moves if rotational else 0.0
     ax, ay, az = angular * ax, angular * ay, angular * az
-    if how[g, ORIENTATION_PART] == ALL_AXES:
+    if row_codes[g, ORIENTATION_PART] == ALL_AXES:
         s = 1.0 / w if w > 0.0 else 0.0
         r = work.residual
         x, y, z = inverse_right_jacobian(s * r[row], s * r[row + 1], s * r[row + 2], ax, ay, az)
@@ -433,9 +433,9 @@ POSITION, ORIENTATION, POSE, PARTIAL, PRIOR = range(5)
 GOALS = Layout(
     "Goals",
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL, PRIOR
-    how="int_table",  # (g, HOW_SIZE) which rows a PARTIAL goal makes, see ``partial_rows``
+    row_codes="int_table",  # (g, ROW_CODES) which rows a PARTIAL goal makes, see ``partial_rows``
     row="ints",  # (g,) first row of its residual
-    level="ints",  # (g,) its place in the order of priorities, 0 first; soft goals come after all others
+    level="ints",  # (g,) its position in the order of priorities, 0 first; soft goals come after all others
     soft="ints",  # (g,) 1: wanted, not needed
     node="ints",  # (g,) node that carries its frame, -1 = world
     local="table",  # (g, 12) frame seen from the node
@@ -445,16 +445,16 @@ GOALS = Layout(
     tolerance="table",  # (g, 2) metres, radians; inf where nothing is needed
     asked="table",  # (g, 4) weight and tolerance as asked for: those above are others during a search
     dofs="ints",  # (nu,) degrees of freedom that move any goal
-    # Movers: the degrees of freedom that have a column, then the tied ones.
+    # Movers: the degrees of freedom that have a column, then the coupled ones.
     column="ints",  # (nu + c,) column of a mover: its own, or its leader's
     moved="ints",  # (nu + c,) its degree of freedom
     moves="int_table",  # (g, nu + c) does this one move that goal
     movers="int_table",  # (g, nu + c) those whose columns may not be zero in its rows, first, …
-    mover_count="ints",  # (g,) … so many; the last c are the tied ones
+    mover_count="ints",  # (g,) … so many; the last c are the coupled ones
     hits="int_table",  # (nu, m) the rows in which a column may not be zero, first …
     hit_count="ints",  # (nu,) … and how many
     joint_scale="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
-    tied="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is tied
+    coupled="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is coupled
     masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
     posture="table",  # (g, nq) where a posture wants the joints
@@ -544,10 +544,10 @@ def whole_columns(tree, goal, work, points, g, first, end):
 
 @outlined
 def add_tied(tree, goal, work, points):
-    """Adds what the tied joints do to the columns of their leaders."""
+    """Adds what the coupled joints do to the columns of their leaders."""
     jacobian, kept = work.jacobian, work.column
-    for c in range(goal.tied.shape[0]):
-        coupling, u, v = goal.tied[c, 0], goal.tied[c, 1], goal.tied[c, 2]
+    for c in range(goal.coupled.shape[0]):
+        coupling, u, v = goal.coupled[c, 0], goal.coupled[c, 1], goal.coupled[c, 2]
         mover = goal.dofs.shape[0] + c
         slope = slope_of(tree, coupling, work.q)
         for r in range(jacobian.shape[0]):
@@ -571,7 +571,7 @@ def goal_end(goal, g, rows):
 def clamp_residual(goal, residual, wanted, clamp, alike):
     """ClampMag (Buss & Kim 2005, section 3): the residual of each goal, shortened to ``clamp`` at most.
 
-    ``alike``: all by the factor of the longest, so that the way down stays the same.
+    ``alike``: all by the factor of the longest, so that the direction of descent stays the same.
     """
     m = residual.shape[0]
     least = 1.0
@@ -604,7 +604,7 @@ def goal_jacobian(tree, goal, work, points):
             continue
         for u in range(dofs.shape[0] if goal.kind[g] == PARTIAL else 0):
             partial_column(tree, goal, work, g, u, dofs[u], float(goal.moves[g, u]))
-    if goal.tied.shape[0] > 0:
+    if goal.coupled.shape[0] > 0:
         add_tied(tree, goal, work, points)
     for u in range(dofs.shape[0]):
         if joint_scale[u] != 1.0:

@@ -42,7 +42,7 @@ TREE = Layout(
     high="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
     every="ints",  # (n,) 0, 1, …: the list of all nodes
-    tied="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``model``
+    coupled="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``model``
     law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open
@@ -55,7 +55,7 @@ class Tree:
     Attributes:
         joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
         nq, nv: Length of q and of dq.
-        tied, law: Joints that follow another, see ``model.py``.
+        coupled, law: Joints that follow another, see ``model.py``.
         handle: Their packed table; holds addresses, so it is only good while this tree lives.
     """
 
@@ -71,7 +71,7 @@ class Tree:
     high: Array
     nq: int
     nv: int
-    tied: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    coupled: Ints = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
     law: Array = field(default_factory=lambda: np.zeros((0, 7)))
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
@@ -84,7 +84,7 @@ class Tree:
         arrays["constant"] = np.array(self.constant, dtype=float).reshape(-1, 12)
         for name in ("lower", "upper", "low", "high"):
             arrays[name] = np.array(getattr(self, name), dtype=float)
-        arrays["tied"] = np.array(self.tied, dtype=np.int64).reshape(-1, 2)
+        arrays["coupled"] = np.array(self.coupled, dtype=np.int64).reshape(-1, 2)
         arrays["law"] = np.array(self.law, dtype=float).reshape(-1, 7)
         widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
         arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
@@ -99,7 +99,7 @@ class Tree:
         return Tree, tuple(getattr(self, item.name) for item in fields(self) if item.init)
 
     def __repr__(self) -> str:
-        return f"Tree({self.size} nodes, nq={self.nq}, nv={self.nv}, {len(self.tied)} tied)"
+        return f"Tree({self.size} nodes, nq={self.nq}, nv={self.nv}, {len(self.coupled)} coupled)"
 
     @property
     def size(self) -> int:

@@ -25,7 +25,7 @@ from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, integrate
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
-"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis looks, and the
+"""Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis points, and the
 angular
 momentum about the centre of mass since the frame before (kg m² rad)."""
 HARD = math.inf
@@ -221,7 +221,7 @@ def mass_rows(tree, body, momentum, target, t, g):
 
 @outlined
 def frame_rows(tree, body, what, target, t, g):
-    """Rows and misses of a frame's place, rotation or line of sight."""
+    """Rows and misses of a frame's position, rotation or line of sight."""
     row, miss, share, world, pose = body.row, body.miss, body.share, body.world, body.pose
     clear_rows(row)
     px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]

@@ -9,12 +9,12 @@ FRESH, RUNNING, CONVERGED, STALLED, ITERATION_LIMIT, TIME_LIMIT, UNREACHABLE, BL
 
 # Entries of work.state (int64).
 (
-    STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, BEYOND, TRY_STEPS, STALLS, PRESSED, POLISHING,
+    STATUS, ITERATIONS, RESTARTS, TRACE_ROWS, ANY_UNREACHABLE, TRY_STEPS, STALLS, PRESSED, POLISHING,
     MAX_ITERATIONS, MAX_RESTARTS, FIRST_STEPS, TRY_LIMIT, PATIENCE, DRAWS, DRAWN, AWAITED, SLICE_END, SEED,
     LEVEL, UPDATES, SEARCH, STATE_SIZE,
 ) = range(23)  # fmt: skip
 # What Python asks for after a solve: the first five.
-OUTCOME = slice(STATUS, BEYOND + 1)
+OUTCOME = slice(STATUS, ANY_UNREACHABLE + 1)
 
 # Entries of work.value (float64).
 (
@@ -49,7 +49,7 @@ WORK = Layout(
     accepted="floats",  # (nq,) free for a solver that may reject a step
     candidate="floats",  # (nq,) the best of several random starts
     reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
-    beyond="ints",  # (g,) 1 for a goal that is proven out of reach
+    unreachable="ints",  # (g,) 1 for a goal that is proven out of reach
     nodes="ints",  # joints that move any goal, parents first
     world="table",  # (n, 12) node poses
     scratch="table",  # (2, 12)

@@ -27,7 +27,7 @@ from robot_ik.solution import STATUS_OF, Solution
 
 Array = NDArray[np.float64]
 
-# With a time budget the kernel runs in slices of about this long between looks at the clock.
+# With a time budget the kernel runs in slices of about this long between readings of the clock.
 _SLICE_SECONDS = 1e-3
 _FIRST_SLICE = 16
 
@@ -195,7 +195,7 @@ class Solver(ABC):
         """
 
 
-# What a problem may ask for beside its goals, in words.
+# What a problem may ask for beside its goals, as text.
 _FEATURES = {
     "couplings": "joints that follow others",
     "priorities": "goals of different priorities",
@@ -213,7 +213,7 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    # Whether its steps are taken without a look at the cost; the last descent then looks for it.
+    # Whether its steps are taken without evaluating the cost; the last descent then evaluates it.
     unseen: ClassVar[bool] = False
 
     draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
@@ -260,10 +260,10 @@ class IterativeSolver(Solver):
             run.entry(*run.arguments)
         else:
             trace = _in_slices(run, problem.arrays["trace"], began)
-        status, iterations, restarts, _, beyond = run.outcome.tolist()
+        status, iterations, restarts, _, any_unreachable = run.outcome.tolist()
         if status == workspace.NUMERICAL:
             problem.robot.check_q(run.start, "start")
-        elif beyond and status != workspace.CONVERGED:
+        elif any_unreachable and status != workspace.CONVERGED:
             status = workspace.UNREACHABLE
         return Solution(
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
@@ -347,7 +347,7 @@ class Run:
 
 
 def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
-    """Runs a kernel piece by piece: between, it looks at the clock and takes the rows of the trace away.
+    """Runs a kernel piece by piece: between, it reads the clock and takes the rows of the trace away.
 
     A solve in pieces is the same to the last bit.
     """
@@ -374,7 +374,7 @@ def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
 
 
 def take_start(problem: Problem, start: ArrayLike | None) -> None:
-    """Puts the start (nq,) of a solve, default home, where the kernels look for it.
+    """Puts the start (nq,) of a solve, default home, where the kernels read it.
 
     Raises:
         ModelError: Wrong length, or a number that is not finite.

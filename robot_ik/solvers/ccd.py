@@ -48,7 +48,7 @@ class CyclicCoordinateDescent(IterativeSolver):
     patience: int = option(20, "sweeps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
 
-    order: str = option("tip_to_root", "which joint is turned first", choices=ORDERS)
+    order: str = option("tip_to_root", "which joint is moved first", choices=ORDERS)
     axis: str = option("joint", "real axes, or the one that a free bone would take", choices=AXES)
 
     name: ClassVar[str] = "ccd"

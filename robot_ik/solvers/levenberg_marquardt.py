@@ -37,7 +37,7 @@ from robot_ik.kernels.residuals import (
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.kernels.workspace import (
     ACCEPTED,
-    BEYOND,
+    ANY_UNREACHABLE,
     CONVERGED,
     COST,
     DAMPING,
@@ -69,8 +69,8 @@ _MOST_JOINTS = 64
 
 @pure
 def has_second_order(tree, goal):
-    """Whether ``second_order`` serves a problem: some hinges and slides, whole goals, nothing tied."""
-    if goal.tied.shape[0] > 0 or goal.dofs.shape[0] > _MOST_JOINTS:
+    """Whether ``second_order`` serves a problem: some hinges and slides, whole goals, nothing coupled."""
+    if goal.coupled.shape[0] > 0 or goal.dofs.shape[0] > _MOST_JOINTS:
         return False
     for g in range(goal.kind.shape[0]):
         if goal.kind[g] == PARTIAL:
@@ -260,7 +260,7 @@ def stride_bounds(tree, goal, work, stride):
 @pure
 def may_wrap(tree, work):
     """Whether joints may wrap around: not where others follow, nor in the tries that stay near the start."""
-    return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.tied.shape[0] == 0
+    return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.coupled.shape[0] == 0
 
 
 @pure
@@ -421,5 +421,7 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
             copy(work.best, work.q)
             measure(tree, goal, work)
         give_row(work, q, miss, iterations, row)
-        status[row] = UNREACHABLE if state[BEYOND] == 1 and state[STATUS] != CONVERGED else state[STATUS]
+        status[row] = (
+            UNREACHABLE if state[ANY_UNREACHABLE] == 1 and state[STATUS] != CONVERGED else state[STATUS]
+        )
         restarts[row] = state[RESTARTS]

@@ -162,8 +162,9 @@ def transport(tree, goal, work):
 # ------------------------------------------------------------------------------------------
 # The metric of a variable-metric method, projected on the limits that are active.
 #
-# ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the way down.  It begins as a multiple of
-# the identity and is updated to the inverse of the Hessian by the steps that are taken (``update_metric``).
+# ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the descent direction.  It begins as
+# a multiple of the identity and is updated to the inverse of the Hessian by the steps that are taken
+# (``update_metric``).
 #
 # A limit that is *active* has its direction n taken out of H, so that H n = 0 and every step keeps along
 # it (Rosen's projection in the metric: Goldfarb, Extension of Davidon's variable metric method to
@@ -293,7 +294,7 @@ def direction(tree, goal, work):
 
 @outlined
 def displacement(tree, goal, work):
-    """work.moved (nu,): the way from work.accepted to work.q in units of the step."""
+    """work.moved (nu,): the displacement from work.accepted to work.q in units of the step."""
     kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
     before, q, dofs, joint_scale, moved = work.accepted, work.q, goal.dofs, goal.joint_scale, work.moved
     for u in range(dofs.shape[0]):

@@ -54,7 +54,7 @@ _UNLIMITED = 1e9
 
 @outlined
 def towards(tree, dofs, q, rest, dq, aim):
-    """aim = rest ⊖ q, the way to ``rest`` (nq,) in the tangent of q; ``dq`` (nv,) is work space."""
+    """aim = rest ⊖ q, the difference to ``rest`` (nq,) in the tangent of q; ``dq`` (nv,) is work space."""
     kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
     for k in range(kind.shape[0]):
         a, v = qadr[k], vadr[k]

@@ -64,7 +64,7 @@ class Triangulation(BoneSolver):
     try_steps: int = option(60, "passes granted to a try from a random point", low=1, high=100_000)
     patience: int = option(5, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
-    improved: bool = option(True, "turn each bone no farther than the rest needs", low=0, high=1)
+    improved: bool = option(True, "rotate each bone no farther than the rest needs", low=0, high=1)
     pull: float = option(
         0.1,
         "hinges: weight of the goal beside the targets of points",

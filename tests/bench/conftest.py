@@ -1,4 +1,4 @@
-"""One small run of the benchmark, shared by the tests that look at its results."""
+"""One small run of the benchmark, shared by the tests of its results."""
 
 from __future__ import annotations
 

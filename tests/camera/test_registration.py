@@ -121,7 +121,7 @@ def test_a_robot_on_a_board_is_registered_to_a_third_of_a_pixel() -> None:
 
 
 def test_each_remedy_makes_a_delay_smaller() -> None:
-    found = accuracy.remedy_errors(0.066, 1.1)
+    found = accuracy.latency_errors(0.066, 1.1)
     assert found["delayed video"].rms < 0.3
     assert found["nothing"].rms > 5.0
     assert found["less delay (half)"].rms < 0.6 * found["nothing"].rms

@@ -100,7 +100,7 @@ def test_an_edit_starts_another_cache_for_what_it_concerns_and_for_nothing_else(
 
 
 def test_compiled_code_takes_constants_only_from_sources_that_its_cache_is_named_after() -> None:
-    """A number from any other room would be baked in, and an edit of it would go unnoticed."""
+    """A number from any other folder would be baked in, and an edit of it would go unnoticed."""
     for path in sorted(
         p for folder in ("kernels", "solvers", "camera") for p in (PACKAGE / folder).rglob("*.py")
     ):

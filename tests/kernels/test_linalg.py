@@ -45,7 +45,7 @@ def best(matrix, gradient, low, high):
     """The exact minimiser, by SciPy: min |R d - R^-T g|^2 with M = R^T R is the same problem."""
     upper = np.linalg.cholesky(matrix).T
     wanted = np.linalg.solve(upper.T, gradient)
-    # lsq_linear wants an interior: a joint with no room at all is taken out.
+    # lsq_linear wants an interior: a joint with no range at all is taken out.
     some = high > low
     return some, lsq_linear(upper[:, some], wanted, (low[some], high[some]), method="bvls", tol=1e-14).x
 
@@ -77,7 +77,7 @@ def test_a_step_is_the_minimiser_inside_the_box(problem):
     assert (np.abs(slope[(step > low) & (step < high)]) <= slack).all()
     assert (slope[(step == low) & (low < high)] >= -slack).all()
     assert (slope[(step == high) & (low < high)] <= slack).all()
-    # SciPy's own answer is never better; now and then it stops early, and is worse.
+    # SciPy's own solution is never better; now and then it stops early, and is worse.
     some, found = best(matrix, gradient, low, high)
     other = np.zeros_like(step)
     other[some] = found

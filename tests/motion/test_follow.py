@@ -134,7 +134,7 @@ def test_until_ends_the_loop(puma):
 
 
 class Mirror:
-    """An arm that is always where it was told, a little askew."""
+    """An arm that is always where it was commanded, with a small offset."""
 
     def __init__(self, clock, q, away=0.0):
         self.clock, self.q, self.away = clock, np.array(q), away

@@ -77,7 +77,7 @@ def test_between_two_keys_balls_and_the_base_go_the_geodesic() -> None:
     one, two = random_keys(lion, 2)
     motion = Keyframes.through(lion, [one, two])
     middle = motion.at(0.5 * motion.duration)
-    half = lion.integrate(one, 0.5 * lion.difference(one, two))  # slerp, for all turns at once
+    half = lion.integrate(one, 0.5 * lion.difference(one, two))  # slerp, for all rotations at once
     assert np.abs(lion.difference(middle, half)).max() < 1e-12
     assert any(kind == BALL for kind in lion.tree.kind)
 

@@ -38,7 +38,7 @@ def goal_beside(robot, q, shift, rotation=(0.0, 0.0, 0.0), frame=None):
 
 
 def check_straight(robot, trajectory, begin, end, site, allowed=1e-4):
-    """Every place, between samples too, is on the line and turned in proportion."""
+    """Every point, between samples too, is on the line and rotated in proportion."""
     times = np.linspace(0.0, trajectory.duration, 4 * len(trajectory) + 1)
     positions, quats = tool_poses(robot, trajectory, times, site)
     way = end.position - begin.position

@@ -147,7 +147,7 @@ def test_the_mirror_image_is_one(name: str) -> None:
 
 
 def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik.Robot) -> None:
-    """At places between those that the prior has seen: likelier, and mostly inside its 99 % contour."""
+    """At positions between those that the prior has seen: likelier, and mostly inside its 99 % contour."""
     prior = PosePrior.of(humanoid)
     home = humanoid.home
     feet = [rik.PoseGoal.at(f, humanoid.forward(home, f)) for f in ("left_foot", "right_foot")]
@@ -159,7 +159,7 @@ def test_given_feet_and_a_hand_the_answer_is_likelier_and_as_exact(humanoid: rik
         assert likely.converged and likely.miss.position < 1e-4
         assert prior.energy(humanoid, likely.q) < prior.energy(humanoid, plain.q)
         inside.append(prior.energy(humanoid, likely.q) < prior.contour)
-        # Tracked from there it stays: the answer is a minimum.
+        # Tracked from there it stays: the solution is a minimum.
         again = rik.solve(humanoid, [*feet, hand, PosePriorGoal(prior=prior)], solver="lm", start=likely.q)
         assert np.abs(humanoid.difference(likely.q, again.q)).max() < 0.05
     assert sum(inside) >= 3

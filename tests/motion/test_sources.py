@@ -1,4 +1,4 @@
-"""Every source feeds what it was told to, at the time it was told to."""
+"""Every source feeds what it was given, at the time it was given."""
 
 from __future__ import annotations
 

@@ -69,7 +69,7 @@ def reachable() -> Callable[..., list[np.ndarray]]:
 
 
 def _right_jacobian_inverse(phi: np.ndarray) -> np.ndarray:
-    """How a rotation vector phi = log(R_target R^T) shrinks while R turns (Solà et al. 2018, eq. 144)."""
+    """How a rotation vector phi = log(R_target R^T) shrinks while R rotates (Solà et al. 2018, eq. 144)."""
     cross = np.cross(np.eye(3), -phi)
     angle = float(np.linalg.norm(phi))
     if angle < 1e-9:

@@ -26,7 +26,7 @@ KINDS = (
     "position", "height", "orientation", "axis", "pose", "drill", "aim",
     "line", "plane", "wall", "mass", "balance", "posture", "some joints",
 )  # fmt: skip
-# The frame and the axis that look, and the body whose mass counts.
+# The frame and the axis that point, and the body whose mass counts.
 LOOKS = {"humanoid": ("gaze", "x"), "puma560": (None, "z"), "srs_arm": (None, "-y")}
 BODY = {"humanoid": "right_upper_arm", "puma560": None, "srs_arm": None}
 

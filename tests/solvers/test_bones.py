@@ -167,7 +167,7 @@ def sound(name: str, robot: Robot, position, start=None, **options):
 @methods
 @pytest.mark.parametrize("n", range(1, 6))
 def test_a_straight_chain_reaches_targets_on_its_own_line(name, n):
-    """Aiming vectors are collinear: the axis of a turn, and the side to bend to, are undefined."""
+    """Aiming vectors are collinear: the axis of a rotation, and the side to bend to, are undefined."""
     robot = rik.make_chain(n)
     for height in (n, -n, n - 0.5, 0.5 - n, 0.3, -0.3):
         solution = sound(name, robot, (0.0, 0.0, height), restarts=0)

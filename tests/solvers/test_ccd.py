@@ -1,4 +1,4 @@
-"""Coordinate descent: single turns against brute force, the textbook's form in NumPy, both orders, limits."""
+"""CCD: single rotations against brute force, the textbook's form in NumPy, both orders, limits."""
 
 import numpy as np
 import pytest
@@ -65,14 +65,14 @@ def test_free_bones_turn_as_the_textbook_has_it(order):
             pose = chain.measure(q, names[k])
             rotation = textbook(pose.position, chain.measure(q).position, target)
             way = np.zeros(chain.nv)
-            way[3 * k : 3 * k + 3] = pose.rotation.T @ rotation  # MuJoCo turns balls in their own axes
+            way[3 * k : 3 * k + 3] = pose.rotation.T @ rotation  # MuJoCo rotates balls in their own axes
             q = chain.integrate(q, way)
         found = one_sweep(chain, PositionGoal(None, target), start, order=order, axis="free")
         np.testing.assert_allclose(found, q, atol=1e-9)
 
 
 def test_hinges_take_their_part_of_the_free_turn():
-    """S12's bones are three hinges through one point; a hinge takes the twist of the turn about its axis."""
+    """S12's bones are three hinges through one point; a hinge takes its twist about its axis."""
     arm, rng = load_robot("seven_segment"), np.random.default_rng(6)
     bend = np.array([np.inf if name.endswith("twist") else 0.8 for name in arm.joints])
     arm = arm.with_limits(-bend, bend)
@@ -97,13 +97,13 @@ def test_hinges_take_their_part_of_the_free_turn():
 @both_orders
 @pytest.mark.parametrize("factor", [0.5, 3.0, -0.7])
 def test_collinear_vectors_have_no_axis_and_do_no_harm(axis, order, factor):
-    """Straight chain, target on its line: no turn of a bone is better than another, and nothing is NaN."""
+    """Straight chain, target on its line: no bone rotation is better than another, and nothing is NaN."""
     chain = make_chain(4, length=0.3)
     tip = chain.forward(chain.home).position
     goal = PositionGoal(None, factor * tip)
     stuck = one_sweep(chain, goal, chain.home, axis=axis, order=order)
     assert np.isfinite(stuck).all()
-    if axis == "free" or factor > 1.0:  # real axes have a best angle behind the bone: half a turn
+    if axis == "free" or factor > 1.0:  # real axes have a best angle behind the bone: π
         np.testing.assert_array_equal(stuck, chain.home)
     found = CyclicCoordinateDescent(axis=axis, order=order).solve(Problem(chain, goal))
     assert found.converged == (abs(factor) <= 1.0) and np.isfinite(found.q).all()
@@ -138,7 +138,7 @@ def test_every_option_reaches_positions(order, axis, least, robots, reachable):
         for there in reachable(robot, count, 90):
             problem.retarget(robot.forward(there).position)
             solved += solver.solve(problem).converged
-        # A single hinge takes less of a free turn than would be best for it, and creeps.
+        # A single hinge takes less of a free rotation than would be best for it, and creeps.
         assert solved >= (least if robot.name == "puma560" else 1.0) * count, robot.name
 
 

@@ -1,4 +1,4 @@
-"""Methods in turn, and batches."""
+"""Methods one after the other, and batches."""
 
 import importlib.util
 import math
@@ -168,7 +168,7 @@ def test_a_batch_of_one_pose_costs_no_more_than_a_few_solves(puma):
     goal, matrices = PoseGoal.at(None, pose), pose.matrix[None]
     calls = (lambda: solve(puma, goal)), (lambda: solve_batch(puma, matrices))
     times = [math.inf, math.inf]
-    for _ in range(300):  # in turn, so that other work on the machine meets both
+    for _ in range(300):  # alternating, so that other work on the machine meets both
         for k, call in enumerate(calls):
             began = time.perf_counter()
             call()
@@ -229,7 +229,7 @@ def test_a_batch_chooses_as_one_solve_does(name):
     for row, (pose, start) in enumerate(zip(poses, starts, strict=True)):
         problem.retarget(pose)
         alone = auto.solve(problem, start)
-        # Compiled versions differ in the last bits, as above; answers of lm and of the closed form by more.
+        # Compiled versions differ in the last bits, as above; solutions of lm and of the closed form by more.
         assert (batch.status[row], batch.iterations[row]) == (alone.status, alone.iterations)
         np.testing.assert_allclose(batch.q[row], alone.q, atol=1e-7)
 

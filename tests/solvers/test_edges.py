@@ -1,4 +1,4 @@
-"""Goals at the edges of what may be asked: refused in words, or defined, as docs/reference/goals.md says."""
+"""Goals at the edges of what may be asked: refused, or defined, as docs/reference/goals.md says."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def puma():
     return load_robot("puma560")
 
 
-# ------------------------------------------------------------------------------ refused in words
+# ------------------------------------------------------------------------------ refused with a message
 
 
 @FEW

@@ -159,7 +159,7 @@ def test_targets_at_the_end_of_the_world_are_unreachable_and_nothing_breaks(puma
             if not isinstance(goal, CenterOfMassGoal | PostureGoal):
                 assert solution.status is Status.UNREACHABLE
     problem = Problem(puma, AimGoal(None, (1e9, 1e9, 1e9)))
-    if solver.applies(problem):  # one may look at it all the same
+    if solver.applies(problem):  # one may try it all the same
         honest(puma, solver.solve(problem), Tolerance())
 
 

@@ -54,7 +54,7 @@ def test_on_unlimited_balls_each_pass_is_the_papers(n):
                 break
             miss = np.linalg.norm(points[-1] - target)
             assert solution.trace[-1].position == pytest.approx(miss, abs=1e-9)
-            # The answer is the best pass: mostly the last, whose points can then be compared.
+            # The result is the best pass: mostly the last, whose points can then be compared.
             if miss <= min(step.position for step in solution.trace) + 1e-12:
                 np.testing.assert_allclose(positions(robot, solution.q, names), points, atol=1e-8)
                 compared += 1

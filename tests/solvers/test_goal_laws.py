@@ -1,4 +1,4 @@
-"""The laws of every solver, for every kind of goal: places, axes, walls, the centre of mass, postures.
+"""The laws of every solver, for every kind of goal: positions, axes, walls, the centre of mass, postures.
 
 ``test_laws.py`` has them for whole positions, orientations and poses; ``test_goals_out_of_reach.py`` has
 the sixth law.

@@ -29,7 +29,7 @@ UNREACHABLE = tuple(kind for kind in KINDS if kind != "some joints")
 
 @pytest.fixture(scope="module")
 def tied():
-    """The PUMA and the figure (standing on its pelvis) with little room in every joint."""
+    """The PUMA and the figure (standing on its pelvis) with little range in every joint."""
     figure = load_robot("humanoid")
     figure = load_robot("humanoid", joints=[joint for joint in figure.joints if joint != "root"])
     narrow = [
@@ -181,7 +181,7 @@ def test_a_wall_out_of_reach_does_not_switch_the_search_off_either():
 
 
 def test_the_search_beside_a_goal_out_of_reach_forgets_nothing_and_leaves_nothing_behind():
-    """Weights that were put aside for the search count again: in the answer, and in the next solve."""
+    """Weights that were put to zero for the search count again: in the result, and in the next solve."""
     robot, rng = load_robot("puma560"), np.random.default_rng(2)
     pose, far = (
         PoseGoal.at(None, robot.forward(robot.sample(rng))),
@@ -211,7 +211,7 @@ def test_beside_a_heavy_goal_out_of_reach_tracking_comes_to_rest():
 
 
 def test_length_says_how_many_metres_are_worth_a_radian():
-    """A00's scale c: a longer length asks less of the metres, and the answer is best by that very measure."""
+    """A00's scale c: a longer length asks less of the metres, and the result is best by that very measure."""
     robot, misses = load_robot("puma560"), []
     q, far = robot.home, PoseGoal(None, (-1.1, -0.4, 0.7), (0.5, 0.5, 0.5, -0.5))
     for degrees in (600.0, 60.0, 6.0):  # that count as much as one metre

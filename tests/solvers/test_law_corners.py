@@ -1,4 +1,4 @@
-"""Corners that every general method turns alike: starts outside, dead frames, several goals, traces."""
+"""Corners that every general method treats alike: starts outside, dead frames, several goals, traces."""
 
 import itertools
 

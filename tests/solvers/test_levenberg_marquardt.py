@@ -14,7 +14,7 @@ from robot_ik.robot import load_robot
 from robot_ik.solution import Status
 from robot_ik.solvers import make_solver
 
-# A lift, and on it a wrist with nearly two turns of room; home is at one end of them.
+# A lift, and on it a wrist with a range of nearly two revolutions; home is at one end of them.
 ROUND = """<mujoco model="round"><compiler angle="radian"/><worldbody>
 <body name="lift"><joint name="lift" type="slide" axis="0 0 1" range="0 1"/><geom size="0.02"/>
  <body name="hand"><joint name="wrist" axis="0 0 1" range="{low} {high}"/><geom size="0.02"/>

@@ -199,7 +199,7 @@ def refine(form, lower, upper, row, nearest):
         u = min(max(x + step, low), high)
         if abs(u - x) < _REFINED:
             break
-        if k > 3 and high - low > 0.6 * width:  # where two flips meet, slopes tell little
+        if k > 3 and high - low > 0.6 * width:  # where two flips meet, slopes say little
             u = 0.5 * (low + high)
         width = high - low
         value = value_at(form, lower, upper, u, row)

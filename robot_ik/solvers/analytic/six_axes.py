@@ -239,7 +239,7 @@ def three_parallel(axes, extra, target, start, branches):
                     q6 = start[5] + (k + 1) // 2 * (2.0 * math.pi / _FREE_TRIES) * (
                         1.0 if k % 2 == 1 else -1.0
                     )
-                    # Across u lies h5; what the joints before 6 make of it tells θ.
+                    # Across u lies h5; what the joints before 6 make of it gives θ.
                     mx, my, mz = rotate(h6x, h6y, h6z, math.cos(q6), -math.sin(q6), h5x, h5y, h5z)
                     mx, my, mz = relative_rotation(target, extra, mx, my, mz)
                     mx, my, mz = back(axes, 0, c1, s1, mx, my, mz)

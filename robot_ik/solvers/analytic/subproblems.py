@@ -87,7 +87,7 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     best_a, best_b, closest = a + 0.5 * rest, b + 0.5 * sign * rest, math.inf
     for k in range(-2, 3):
         difference = rest + whole * k
-        # β = b + sign·(turned - (α - a)) inside its limits, as limits of α.
+        # β = b + sign·(difference - (α - a)) inside its limits, as limits of α.
         low = a + difference - sign * ((upper_b if sign > 0.0 else lower_b) - b)
         high = a + difference - sign * ((lower_b if sign > 0.0 else upper_b) - b)
         low, high = max(low, lower_a), min(high, upper_a)

@@ -189,7 +189,7 @@ def score(form, g, first_flip, last_flip, lower, upper):
 
 @outlined
 def three_hinges(form, g, first_flip, last_flip, lower, upper):
-    """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[TURNED + g]."""
+    """``score`` of three hinges that meet: R₁ R₂ R₃ = matrices[ROTATED + g]."""
     noinline()
     axes, m, start, trial, scores = form.axes, form.matrices, form.start, form.trial, form.scores
     k, row, j = 4 * g, ROTATED + g, form.groups[g, 1]

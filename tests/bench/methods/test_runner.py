@@ -25,7 +25,7 @@ SETTINGS = Settings(
 
 @dataclass(frozen=True)
 class Scripted(Solver):
-    """Says that it converged, whatever it answers: the next of some joint angles."""
+    """Says that it converged, whatever it returns: the next of some joint angles."""
 
     solutions: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
@@ -55,7 +55,7 @@ def test_a_solver_that_lies_is_found_out() -> None:
     right = problems.witnesses.copy()
     wrong = right.copy()
     wrong[3, 0] += 1e-2
-    # Whole turns more: the pose is met, the limits are not.
+    # Multiples of 2π more: the pose is met, the limits are not.
     beyond = right.copy()
     beyond[5, 0] += 2 * np.pi
     for solutions, missed in ((right, []), (wrong, [3]), (beyond, [5])):

@@ -79,7 +79,7 @@ class Chain:
     angles: list[Array] = field(default_factory=list)
 
     def frames(self) -> tuple[list[Array], list[Array], Array]:
-        """World rotation of the base and of each link; each joint's place; the tip."""
+        """World rotation of the base and of each link; each joint's position; the tip."""
         worlds, positions, at = [np.eye(3)], [], np.zeros(3)
         for local in self.rotations:
             positions.append(at)

@@ -78,7 +78,7 @@ def test_circles_go_round_the_origin(
     rotated = Rotation.from_rotvec(np.radians(step) * np.asarray(normal)).apply(points[:-1])
     np.testing.assert_allclose(points[1:], rotated, atol=1e-12)
     if step >= 1.0:
-        np.testing.assert_allclose(points[-1], points[0], atol=1e-11)  # a whole turn
+        np.testing.assert_allclose(points[-1], points[0], atol=1e-11)  # a whole revolution
     assert np.linalg.norm(points[0]) == pytest.approx(0.5 * len(course.robot.joints))
 
 

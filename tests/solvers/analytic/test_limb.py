@@ -86,7 +86,7 @@ def make_limb(rng, path, balls=(False, False), off=0.0, limits=None):
 
 
 def moved(robot, a, b):
-    """Squared joint change: differences of hinges, turns of balls."""
+    """Squared joint change: differences of hinges, rotations of balls."""
     total = 0.0
     for k in range(robot.tree.size):
         j = int(robot.tree.qadr[k])
@@ -127,7 +127,7 @@ def test_what_is_reachable_inside_the_limits_is_solved_and_no_known_answer_is_ne
         solution = solver.solve(problem, start)
         assert solution.converged and not robot.outside(solution.q)
         known = moved(robot, q, start)
-        # The search looks at a few places on the circle and improves the best: it may miss a little.
+        # The search evaluates a few points on the circle and improves the best: it may miss a little.
         assert moved(robot, solution.q, start) <= known * (1.1 if k % 2 else 1.3) + 1e-9
 
 
