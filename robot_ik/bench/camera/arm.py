@@ -169,7 +169,7 @@ _PRINTED = "DICT_4X4_50"
 def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView | None:
     """A board at ``pose`` (camera frame) in a picture of a webcam."""
     placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
-    image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=_PRINTED, margin=0.12, look=WEBCAM)
+    image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=_PRINTED, margin=0.12, sensor=WEBCAM)
     return MarkerBoard(layout, _PRINTED).see(frame_of(image), STANDARD_CAMERA)
 
 

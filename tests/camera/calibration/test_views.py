@@ -69,7 +69,7 @@ def test_of_pictures_all_are_taken(gatherer: ViewGatherer) -> None:
         gatherer.offer(frame(0, (1280, 960)), "big.png", selective=False)
 
 
-def test_missing_words_are_short() -> None:
+def test_missing_text_is_short() -> None:
     assert missing_text(()) == "nothing is missing"
     assert missing_text(list("abcde")) == "still to show: a; b; c and 2 more"
 
