@@ -67,12 +67,12 @@ _FIND_BAND, _FIT_BAND = 5.0, 4.0
 # To find an edge fewer columns will do.
 _FIND_COLUMNS = 24
 # Pixels of a side at most: 45 degrees makes a column of the wider band sqrt(2) longer.
-_ROOM = COLUMNS * (2 * math.ceil((_FIND_BAND + 0.5) * 1.5) + 1)
+_CAPACITY = COLUMNS * (2 * math.ceil((_FIND_BAND + 0.5) * 1.5) + 1)
 # One pass to find, one to measure; more only while some corner still moves by _STILL px.
 _LEAST_PASSES, _MOST_PASSES = 2, 6
-_STILL = 0.05
+_CONVERGED_STEP = 0.05
 # A fit that after all passes still moves by this much has not found an edge.
-_RESTLESS = 0.3
+_LARGEST_LAST_STEP = 0.3
 # Of an edge that can be believed: contrast in grey levels, ln of the blur in px, sum of the pixels' weights.
 _LEAST_CONTRAST, _LARGEST_LOG_BLUR, _LEAST_WEIGHT = 5.0, math.log(3.9), 24.0
 # Two sides that meet at less than three degrees do not tell where.
@@ -97,7 +97,7 @@ def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good, 
         good: (m,) int64 out: 1 where the edges were measured.
         blurs: (m,) out: sigma of the blur of the edges, px.
     """
-    pixels, columns = np.empty((PIXEL_ROWS, _ROOM)), np.empty(COLUMNS + 1, np.int64)
+    pixels, columns = np.empty((PIXEL_ROWS, _CAPACITY)), np.empty(COLUMNS + 1, np.int64)
     table, curve = np.empty((COLUMN_ROWS, COLUMNS)), np.empty((STATIONS, 3))
     sides, fits = np.empty((4, SIDE_NUMBERS)), np.empty((4, _FIT_NUMBERS))
     work, rough, shift = np.empty((WORK_ROWS, PARAMETERS)), np.empty((4, 2)), np.empty((4, 2))
@@ -126,12 +126,14 @@ def refine_corners_of(gray, lens, cells, corners, normalized, covariance, good, 
             moved = corner_shifts(fits, sides, shift, covariance[m])
             fine = move_corners(one, rough, shift, sides, step) and sides_ok(one, gray)
             undistort(lens, one, normalized[m])
-            if not fine or (step + 1 >= _LEAST_PASSES and moved < _STILL):
+            if not fine or (step + 1 >= _LEAST_PASSES and moved < _CONVERGED_STEP):
                 break
-        fine = fine and moved < _RESTLESS
+        fine = fine and moved < _LARGEST_LAST_STEP
         for k in range(8):
             # Where it has not come to rest, the range it still covers is part of the uncertainty.
-            covariance[m, k, k] += (0.0 if moved < _STILL else min(moved, 1.0) ** 2) + _LEAST_SIGMA**2
+            covariance[m, k, k] += (
+                0.0 if moved < _CONVERGED_STEP else min(moved, 1.0) ** 2
+            ) + _LEAST_SIGMA**2
         good[m], blurs[m] = 1 if fine else 0, blur
         if not fine:
             for k in range(4):
@@ -148,7 +150,7 @@ def undistort(lens, corners, normalized):
 
 @outlined
 def sides_ok(corners, gray):
-    """Whether it is a convex quadrilateral in the picture with sides that leave room for a fit."""
+    """Whether it is a convex quadrilateral in the picture with sides that leave space for a fit."""
     height, width = gray.shape
     left, right = True, True
     for k in range(4):
@@ -209,7 +211,7 @@ def rough_offsets(pixels, columns, table, n, x):
 
     Without columns, zero: where the corners are is known well enough.
 
-    The rises and their places are kept in the table's rows USE and MAIN, which nobody needs any more.
+    The rises and their positions are kept in the table's rows USE and MAIN, which nobody needs any more.
     """
     for i in range(n):
         total, position = 0.0, 0.0

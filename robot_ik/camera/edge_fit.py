@@ -6,7 +6,7 @@ the current line and at the fraction t of the way along it:
     I(d, t) = middle(t) + contrast(t) * erf((d - offset(t)) / (sqrt(2) blur))
 
 with ``middle``, ``contrast`` and ``offset`` linear in t: uneven light is part of the model.  Pixels are used
-as they are, never resampled, so their noise is independent and the covariance is honest.
+as they are, never resampled, so their noise is independent and the covariance consistent.
 
 All pixels of one column (or row) across the edge share t, so the normal equations are sums over a column of
 products of three numbers, spread over the seven parameters once a column instead of once a pixel.
@@ -33,33 +33,33 @@ EDGE_NUMBERS = 11
 BLUR_START = 0.8
 _LOG_SHARPEST, _LOG_SOFTEST = math.log(0.33), math.log(4.0)
 # ln(blur) differs between the sides of a marker by about this (motion blur), and from BLUR_START by that.
-_BLUR_ALIKE, _BLUR_UNKNOWN = 0.3, 0.6
+_BLUR_SIGMA, _START_BLUR_SIGMA = 0.3, 0.6
 # Gauss-Newton steps at most, to find an edge and to measure it; a step of offsets (px) and ln blur that is
 # smaller than this is the last one.
 _FIND_STEPS, _FIT_STEPS = 5, 3
-_FOUND, _FITTED = 0.02, 2e-3
+_FIND_TOLERANCE, _FIT_TOLERANCE = 0.02, 2e-3
 # Residuals beyond this many standard deviations lose weight (Cauchy's function): dirt, glare, occlusion.
 _CAUCHY = 2.4
 # Keeps weights meaningful in pictures without noise: quantisation to whole grey levels.
 _LEAST_NOISE = 0.3
-_BELL = -2.0 / math.sqrt(math.pi)
+_DENSITY_FACTOR = -2.0 / math.sqrt(math.pi)
 
 # Rows of the table of pixels; SHARE is the fraction of the way along the edge.
-DISTANCE, VALUE, WEIGHT, SHARE, RESIDUAL, RISE, BELL, SCALED, SPARE = 0, 1, 2, 3, 4, 5, 6, 7, 8
+DISTANCE, VALUE, WEIGHT, SHARE, RESIDUAL, RISE, DENSITY, SCALED, SPARE = 0, 1, 2, 3, 4, 5, 6, 7, 8
 PIXEL_ROWS = 9
 # Rows of the work space: system and right side, a copy of the system, sums over a column, its factors.
 SYSTEM, RIGHT, KEPT, GRAM, FACTOR = 0, 7, 8, 15, 19
 WORK_ROWS = 20
-# Which of (bell, bell z, 1, erf) each parameter's derivative has.
+# Which of (density, density z, 1, erf) each parameter's derivative has.
 _BASIS = (0, 0, 1, 2, 2, 3, 3)
 # The error function to 3e-7 without an exponential: Abramowitz and Stegun 7.1.28.
 _A1, _A2, _A3, _A4, _A5, _A6 = 0.0705230784, 0.0422820123, 0.0092705272, 1.520143e-4, 2.765672e-4, 4.30638e-5
-_BELL_SCALE = 8.0 * math.sqrt(math.pi)
+_DENSITY_SCALE = 8.0 * math.sqrt(math.pi)
 
 
 @outlined
 def linearise(pixels, count, x):
-    """Fills SCALED (z), RISE (erf z), BELL (its slope, to 1e-5) and RESIDUAL of every pixel at ``x``.
+    """Fills SCALED (z), RISE (erf z), DENSITY (its slope, to 1e-5) and RESIDUAL of every pixel at ``x``.
 
     Loop by loop, so that the compiler can do four pixels at a time.
     """
@@ -78,7 +78,7 @@ def linearise(pixels, count, x):
         power *= power
         power *= power
         pixels[RISE, p] = math.copysign(1.0 - power, pixels[SCALED, p])
-        pixels[BELL, p] = _BELL_SCALE * slope * power * inverse
+        pixels[DENSITY, p] = _DENSITY_SCALE * slope * power * inverse
     for p in range(count):
         t = pixels[SHARE, p]
         model = middle + middle_slope * t + (contrast + contrast_slope * t) * pixels[RISE, p]
@@ -133,7 +133,7 @@ def normal_equations(pixels, columns, used, x, noise, work):
             continue
         bb = bq = b1 = bs = qq = q1 = qs = one = s1 = ss = br = qr = r1 = sr = 0.0
         for p in range(columns[i], columns[i + 1]):
-            w, r, s, b = pixels[SPARE, p], pixels[RESIDUAL, p], pixels[RISE, p], pixels[BELL, p]
+            w, r, s, b = pixels[SPARE, p], pixels[RESIDUAL, p], pixels[RISE, p], pixels[DENSITY, p]
             q = b * pixels[SCALED, p]
             wb, wq, ws = w * b, w * q, w * s
             bb, bq, b1, bs, br = bb + wb * b, bq + wb * q, b1 + wb, bs + wb * s, br + wb * r
@@ -143,8 +143,8 @@ def normal_equations(pixels, columns, used, x, noise, work):
         gram[1, 1], gram[2, 1], gram[3, 1], gram[1, 4] = qq, q1, qs, qr
         gram[2, 2], gram[3, 2], gram[3, 3], gram[2, 4], gram[3, 4] = one, s1, ss, r1, sr
         t = pixels[SHARE, columns[i]]
-        slope = _BELL * (x[5] + (x[6] - x[5]) * t)
-        # The derivative by each parameter is one of (bell, bell z, 1, erf) times a factor of the column.
+        slope = _DENSITY_FACTOR * (x[5] + (x[6] - x[5]) * t)
+        # The derivative by each parameter is one of (density, density z, 1, erf) times a column factor.
         factor[0], factor[1], factor[2] = slope * root * (1.0 - t), slope * root * t, slope
         factor[3] = factor[5] = 1.0 - t
         factor[4] = factor[6] = t
@@ -192,8 +192,8 @@ def fit_edge(pixels, columns, used, edge, blur, find, work):
         False when there is nothing to fit.
     """
     count, log_blur, noise = columns[used], math.log(blur), 0.0
-    steps, arrived = (_FIND_STEPS, _FOUND) if find else (_FIT_STEPS, _FITTED)
-    blur_spread = _BLUR_UNKNOWN if find else _BLUR_ALIKE
+    steps, arrived = (_FIND_STEPS, _FIND_TOLERANCE) if find else (_FIT_STEPS, _FIT_TOLERANCE)
+    blur_spread = _START_BLUR_SIGMA if find else _BLUR_SIGMA
     edge[2] = log_blur
     if find:
         edge[3] = edge[4] = edge[5] = edge[6] = 0.0

@@ -476,8 +476,8 @@ class MarkerGoalSource:
             self._goal_at = now
             age = self.used.add(self.last_frame.time, now)
             # A stamp of another clock cannot be compared with now.
-            ahead = now + self.lead if self._predict and age == age else self.last_frame.time
-            return self._goal(self._observation, ahead)
+            target_time = now + self.lead if self._predict and age == age else self.last_frame.time
+            return self._goal(self._observation, target_time)
 
     @property
     def measured(self) -> PoseGoal | PositionGoal | None:

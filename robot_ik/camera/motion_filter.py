@@ -51,28 +51,28 @@ class FilterOptions:
     """What is assumed of the motion.  The defaults are for something moved by hand.
 
     Attributes:
-        restlessness: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
-            rad/s per √s.  Larger follows faster turns and trusts single pictures more.
-        fastest: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
-        rest: Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds that
-            the filter cannot tell from rest count as rest, too.
-        longest: Longest time to predict, s.
+        process_noise: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
+            rad/s per √s.  Larger follows faster rotations and trusts single pictures more.
+        initial_speed_sigma: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
+        rest_speed: Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds
+            that the filter cannot tell from rest count as rest, too.
+        longest_prediction: Longest time to predict, s.
         gate: Squared Mahalanobis distance beyond which an observation is an outlier (27.9: one of 10 000 good
             ones, six degrees of freedom).
-        outliers: So many in a row are no outliers: it was moved, and the filter starts again there.
-        forget: After this time without an observation the filter starts again, s.
-        least: Least standard deviation that an observation is believed to have, m and rad: print and lens
-            are never as good as the corners.
+        outliers_to_restart: So many in a row are no outliers: it was moved, and the filter restarts there.
+        restart_after: After this time without an observation the filter starts again, s.
+        least_sigma: Least standard deviation that an observation is believed to have, m and rad: print and
+            lens are never as good as the corners.
     """
 
-    restlessness: tuple[float, float] = (0.5, 4.0)
-    fastest: tuple[float, float] = (1.0, 6.0)
-    rest: tuple[float, float] = (0.015, 0.10)
-    longest: float = 0.15
+    process_noise: tuple[float, float] = (0.5, 4.0)
+    initial_speed_sigma: tuple[float, float] = (1.0, 6.0)
+    rest_speed: tuple[float, float] = (0.015, 0.10)
+    longest_prediction: float = 0.15
     gate: float = 27.9
-    outliers: int = 3
-    forget: float = 1.0
-    least: tuple[float, float] = (5e-5, 5e-4)
+    outliers_to_restart: int = 3
+    restart_after: float = 1.0
+    least_sigma: tuple[float, float] = (5e-5, 5e-4)
 
 
 # A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
@@ -144,10 +144,10 @@ class MotionFilter:
             return self._begin(time, pose, noise, Update.STARTED)
         if time <= max(self.time, self._rejected_at):
             return Update.LATE
-        if time - self.time > self.options.forget:
+        if time - self.time > self.options.restart_after:
             return self._begin(time, pose, noise, Update.RESTARTED)
-        ahead, step, spread = self._advanced(time - self.time)
-        innovation = difference(pose, ahead)
+        predicted, step, spread = self._advanced(time - self.time)
+        innovation = difference(pose, predicted)
         gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
         distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
         if not distance <= self.options.gate:
@@ -159,7 +159,7 @@ class MotionFilter:
         fresh, passed = gain @ noise @ gain.T, keep @ step
         self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
-        self._pose, self._rate = moved(ahead, change[_POSE]), self._rate + change[_RATE]
+        self._pose, self._rate = moved(predicted, change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
         return Update.TAKEN
 
@@ -176,7 +176,7 @@ class MotionFilter:
                 "a motion filter cannot predict before its first observation, nor for a time of nan",
                 hint="call update first",
             )
-        span = min(max(time - self.time, 0.0), self.options.longest)
+        span = min(max(time - self.time, 0.0), self.options.longest_prediction)
         shares = self.moving()
         horizon = span * np.repeat(shares, 3)
         pose = moved(self._pose, horizon * self._rate)
@@ -194,7 +194,7 @@ class MotionFilter:
             # In its own direction: depth shakes ten times as much as what lies across the view.
             sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
             speed = float(np.linalg.norm(rate))
-            share = min(max(min(speed / self.options.rest[k], sure / _SURE) - 1.0, 0.0), 1.0)
+            share = min(max(min(speed / self.options.rest_speed[k], sure / _SURE) - 1.0, 0.0), 1.0)
             shares[k] = share * share * (3.0 - 2.0 * share)
         missed, held = np.sqrt(self._misses)
         # Whole where prediction misses by less than half of what holding does, nothing where by as much.
@@ -211,7 +211,7 @@ class MotionFilter:
                 f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
-        return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least), 3))
+        return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least_sigma), 3))
 
     def _compare(self, innovation: Array, change: Array) -> None:
         """Notes how an observation was met by prediction and by holding."""
@@ -223,7 +223,7 @@ class MotionFilter:
         self._rejected, self._rejected_at = 0, -np.inf
         self._covariance = np.zeros((12, 12))
         self._covariance[_POSE, _POSE] = noise
-        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.fastest), 3))
+        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
         self._shaking = np.zeros((12, 12))
         self._shaking[_POSE, _POSE] = noise
         self._misses = np.zeros((2, 2))
@@ -232,12 +232,12 @@ class MotionFilter:
     def _reject(self, time: float, pose: Pose, noise: Array) -> Update:
         self._rejected += 1
         self._rejected_at = time
-        if self._rejected >= self.options.outliers:
+        if self._rejected >= self.options.outliers_to_restart:
             return self._begin(time, pose, noise, Update.RESTARTED)
         return Update.OUTLIER
 
     def _density(self) -> Array:
-        return np.repeat(np.square(self.options.restlessness), 3)
+        return np.repeat(np.square(self.options.process_noise), 3)
 
     def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
         """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
@@ -261,7 +261,7 @@ def difference(pose: Pose, other: Pose) -> Array:
 
 
 def moved(pose: Pose, change: Array) -> Pose:
-    """``pose`` with the shift and turn of ``change`` (6,) applied in the outer axes."""
+    """``pose`` with the shift and rotation of ``change`` (6,) applied in the outer axes."""
     return Pose(pose.position + change[:3], quat_multiply(rotation_exp(change[3:]), pose.wxyz))
 
 

@@ -28,13 +28,13 @@ from robot_ik.camera.lens import CX, CY, lens_vector
 from robot_ik.camera.photometric_equations import (
     BLOCK,
     BLUR,
-    EXPECTED,
+    FIXED_INFORMATION,
     HALO,
-    HELD,
     PIXEL_ROWS,
+    PRIOR_INFORMATION,
+    PRIOR_MEAN,
     RESIDUAL_ROWS,
     SHIFT,
-    TRUST,
 )
 from robot_ik.camera.photometric_fit import (
     CORNERS,
@@ -94,11 +94,11 @@ class PrintEffort:
     """How many pixels a fit uses.
 
     Attributes:
-        looked_at: Of a print, about.
+        sampled: Of a print, about.
         fitted: Of those near an edge, at most.
     """
 
-    looked_at: int = 9000
+    sampled: int = 9000
     fitted: int = 2200
 
 
@@ -209,7 +209,7 @@ def _fitted(
     blur, push = (start.blur, start.blur * expected.value) if start.refined else (_BLUR, 0.0)
     from_print, seen = _homography(start.normalized), _homography(start.corners - origin)
     reach = 0.5 + _MARGIN / len(black)
-    found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, effort.looked_at)
+    found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, effort.sampled)
     if found is None:
         return replace(start, explained=math.nan, misread=0)
     box, capacity = found
@@ -220,11 +220,11 @@ def _fitted(
     )
     fit[FROM_PRINT, :9], fit[SEEN, :9] = from_print, seen
     fit[CORNERS : CORNERS + 4, :2] = start.corners - origin
-    fit[EXPECTED, BLUR], fit[EXPECTED, SHIFT] = math.log(blur), expected.value
-    fit[TRUST, BLUR], fit[TRUST, SHIFT], fit[TRUST, HALO] = (
+    fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT] = math.log(blur), expected.value
+    fit[PRIOR_INFORMATION, BLUR], fit[PRIOR_INFORMATION, SHIFT], fit[PRIOR_INFORMATION, HALO] = (
         1.0 / _BLUR_SPREAD**2,
         1.0 / expected.sigma**2,
-        HELD,
+        FIXED_INFORMATION,
     )
     if before is not None and before.model is not None:
         push = before.blur * before.edge_shift if start.refined else push

@@ -12,7 +12,7 @@ the residuals ask for it.  Where they ask for that, the picture has been sharpen
 
 A cell's share of S is an integral of a Gaussian over a rectangle.  Seen aslant, the Gaussian's u and v are
 correlated; the integral is then a series in the correlation r, whose terms are products of differences along
-u and v: of error functions, of r times bells, of r^2 / 2 times bells times their positions, ….
+u and v: of error functions, of r times densities, of r^2 / 2 times densities times their positions, ….
 Source: Pearson, Mathematical contributions to the theory of evolution VII, Phil. Trans. R. Soc. A 195, 1900.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -39,25 +39,25 @@ PIXEL_ROWS = 8
 # What is kept of a residual: its size in grey levels, u and v, what it was before the first step, work space.
 RESIDUAL_ROWS = 5
 # Trust in what stays as it is.
-HELD = 1e15
+FIXED_INFORMATION = 1e15
 # A fit is one table of numbers.  Its rows: equations of some pixels, so many at a time; the system and its
 # right side; shares of cells along u and v; the print with and without the halo's blur; (1, u, v, uu, uv,
 # vv); the step.
 BLOCK = 64
 SYSTEM, _CELLS, _PRINT, _WIDER, _BASIS, STEP = 24, 48, 54, 55, 56, 57
-# The unknowns (the first eight are not read: TO_PRINT has them); one over the variance of what is believed of
-# them beforehand, and what is believed; (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth; the
+# The unknowns (the first eight are not read: TO_PRINT has them); their prior: one over its variance,
+# and its mean; (9,) from (x, y, 1), undistorted, to (u, v, 1) over the depth; the
 # numbers of NOISE.
-X, TRUST, EXPECTED, TO_PRINT, NUMBERS = 58, 59, 60, 61, 62
+X, PRIOR_INFORMATION, PRIOR_MEAN, TO_PRINT, NUMBERS = 58, 59, 60, 61, 62
 # (8, 8) how the corners move, px, by the unknowns of the homography; (24, 24) sums: lower triangle, and the
 # right side in the row after the unknowns.
 BY_UNKNOWN, NORMAL, EQUATION_ROWS = 63, 71, 95
-# Noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels that tell
-# nothing are left out; blur that sharpening subtracts, px (0: no halo); how many unknowns there are.  Out:
-# how many pixels were used, whether steps became small.
-NOISE, EVERY, TO_DROP, HALO_WIDTH, SIZE, USED, AT_REST = 0, 1, 2, 3, 4, 5, 6
-# Beyond so many standard deviations an edge is no longer felt.
-_FAR = 3.2
+# Noise in grey levels (0: dark and contrast alone); one pixel in EVERY is used; whether pixels without
+# information are left out; blur that sharpening subtracts, px (0: no halo); how many unknowns there are.
+# Out: how many pixels were used, whether the fit converged.
+NOISE, EVERY, DROP_FLAT, HALO_WIDTH, SIZE, USED, CONVERGED = 0, 1, 2, 3, 4, 5, 6
+# Beyond so many standard deviations an edge has no effect.
+_EDGE_REACH = 3.2
 # Residuals beyond this many standard deviations lose weight (Cauchy's function).
 CAUCHY = 4.0
 # Where hardly anything changes (parts of the contrast a pixel), light is all there is to see: of such pixels
@@ -68,10 +68,10 @@ _NO_SLOPE = 2.4
 # Least share of black or white: beyond, the inverse of the normal distribution says nothing.
 _LEAST_SHARE = 1e-5
 # A step so small, in standard deviations, is the last; a fit that does not come below the second is none.
-_DONE, _RESTLESS = 0.2, 0.5
+_STEP_TOLERANCE, _LARGEST_LAST_STEP = 0.2, 0.5
 # So is one that moves no corner by more than this, px, and ln blur, edge shift and halo not more than that:
 # the model is straight enough there for the place where it ends.
-_NEAR, _ALIKE = 0.05, 0.05
+_CORNER_TOLERANCE, _PARAMETER_TOLERANCE = 0.05, 0.05
 # Where noise grows by more than this, the fit is not yet where it should be.
 _GROWN = 1.3
 # Rounds in which noise is still estimated anew: later it would keep the fit from coming to rest.
@@ -83,32 +83,32 @@ LEAST_LN_BLUR = math.log(0.29)
 # Noise of a pixel, grey levels: quantisation; and so much that all pixels weigh the same.
 LEAST_NOISE, ANY_NOISE = 0.3, 1e4
 # Halo of the strongest sharpening; beyond any edge shift that the model is good for.
-_MOST_HALO, _MOST_SHIFT = 3.0, 2.0
+_LARGEST_HALO, _LARGEST_SHIFT = 3.0, 2.0
 
 
 # The normal distribution and its density at so many positions a sigma: Taylor's series from the nearest one
 # is exact to 1e-7, and takes a third of the time of an error function and an exponential.
 _SAMPLES_A_SIGMA, _REACH = 64, 8.0
 _AT = np.arange(-_REACH * _SAMPLES_A_SIGMA, _REACH * _SAMPLES_A_SIGMA + 1) / _SAMPLES_A_SIGMA
-_BELLS = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
-_BELOW = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
+_DENSITY = np.exp(-0.5 * _AT**2) / math.sqrt(2.0 * math.pi)
+_CUMULATIVE = np.array([0.5 * math.erfc(-z * math.sqrt(0.5)) for z in _AT])
 
 
 @pure
 def normal_at(z):
-    """The normal distribution and its bell at z, -8 to 8."""
+    """The normal distribution and its density at z, -8 to 8."""
     i = int(z * _SAMPLES_A_SIGMA + _REACH * _SAMPLES_A_SIGMA + 0.5)
     position = i / _SAMPLES_A_SIGMA - _REACH
-    h, bell = z - position, _BELLS[i]
+    h, density = z - position, _DENSITY[i]
     second = 0.5 * h * h * (position * position - 1.0)
-    return _BELOW[i] + h * bell * (1.0 - 0.5 * h * position + second / 3.0), bell * (
+    return _CUMULATIVE[i] + h * density * (1.0 - 0.5 * h * position + second / 3.0), density * (
         1.0 - h * position + second
     )
 
 
 @pure
 def cell_shares(position, width, count, shares, row):
-    """Differences over the cells that count: of the normal distribution, its bell, and position times bell.
+    """Differences over the cells that count: of the normal distribution, density, position times density.
 
     They are written into three rows of ``shares``, from ``row`` on.
 
@@ -116,19 +116,19 @@ def cell_shares(position, width, count, shares, row):
         The first of those cells and the one after the last.
     """
     inverse = 1.0 / width
-    at, margin, pitch = (position + 0.5) * count, _FAR * width * count, inverse / count
+    at, margin, pitch = (position + 0.5) * count, _EDGE_REACH * width * count, inverse / count
     first, last = max(math.floor(at - margin), 0), min(math.floor(at + margin) + 1, count)
-    before, before_bell, before_z = 0.0, 0.0, 0.0
+    before, before_density, before_z = 0.0, 0.0, 0.0
     for i in range(first, last + 1):
         z = (at - i) * pitch
-        below, bell = (1.0 if z > 0.0 else 0.0), 0.0
-        if abs(z) < _FAR:
-            below, bell = normal_at(z)
+        below, density = (1.0 if z > 0.0 else 0.0), 0.0
+        if abs(z) < _EDGE_REACH:
+            below, density = normal_at(z)
         if i > first:
             shares[row, i - 1] = before - below
-            shares[row + 1, i - 1] = before_bell - bell
-            shares[row + 2, i - 1] = before_z * before_bell - z * bell
-        before, before_bell, before_z = below, bell, z
+            shares[row + 1, i - 1] = before_density - density
+            shares[row + 2, i - 1] = before_z * before_density - z * density
+        before, before_density, before_z = below, density, z
     return first, last
 
 
@@ -193,9 +193,9 @@ def print_intensity(u, v, wide, high, r, k, black, least, space, seen):
         value = 0.0
     elif white < 1.0 - _LEAST_SHARE:
         t = normal_quantile(white)
-        _, bell = normal_at(t)
+        _, density = normal_at(t)
         value, by_k = normal_at(t + k)
-        slope = by_k / bell
+        slope = by_k / density
     seen[0], seen[1], seen[2] = value, slope * by_u / wide, slope * by_v / high
     seen[3], seen[4] = slope * by_blur, by_k
     return True
@@ -242,7 +242,7 @@ def photometric_equations(pixels, count, black, fit, residuals):
     """Sums the normal equations of one marker; how many pixels were used.
 
     Args:
-        pixels: (8, k) of ``collect_pixels``.  With TO_DROP those that tell nothing are left out.
+        pixels: (8, k) of ``collect_pixels``.  With DROP_FLAT those without information are left out.
         count: How many of them.
         black: (n, n) 1 where the print is black.
         fit: Its table; NORMAL out.
@@ -254,7 +254,7 @@ def photometric_equations(pixels, count, black, fit, residuals):
     cauchy = 1.0 / (CAUCHY * noise) ** 2 if noise > 0.0 else 0.0
     blur, k, alpha, halo = math.exp(x[BLUR]), x[SHIFT], x[HALO], numbers[HALO_WIDTH]
     blur2 = math.sqrt(blur * blur + halo * halo)
-    part, dropping, flat = blur / blur2, numbers[TO_DROP] > 0.0, _SLOPE * blur
+    part, dropping, flat = blur / blur2, numbers[DROP_FLAT] > 0.0, _SLOPE * blur
     for i in range(n + 1):
         for j in range(n + 1):
             normal[i, j] = 0.0
@@ -339,10 +339,10 @@ def system(fit):
     """Fills SYSTEM, the equations with what is known beforehand (lower triangle); STEP is the right side."""
     n, noise, x = int(fit[NUMBERS, SIZE]), fit[NUMBERS, NOISE], fit[X]
     for i in range(n):
-        weight = noise * noise * fit[TRUST, i]
-        right = fit[NORMAL + n, i] + weight * (fit[EXPECTED, i] - x[i])
+        weight = noise * noise * fit[PRIOR_INFORMATION, i]
+        right = fit[NORMAL + n, i] + weight * (fit[PRIOR_MEAN, i] - x[i])
         if i == BLUR and x[i] <= LEAST_LN_BLUR and right < 0.0:
-            weight = HELD
+            weight = FIXED_INFORMATION
         for j in range(i):
             fit[SYSTEM + i, j] = fit[NORMAL + i, j]
         fit[SYSTEM + i, i] = fit[NORMAL + i, i] * (1.0 + 1e-10) + 1e-12 + weight
@@ -355,7 +355,7 @@ def gauss_newton_step(fit):
 
     Returns:
         By how much that lessens the sum of squares, infinity where there is no step; and how far the
-        unknowns moved, in parts of what is hardly any way.
+        unknowns moved, in parts of the tolerances.
     """
     n, x, h, step = int(fit[NUMBERS, SIZE]), fit[X], fit[TO_PRINT], fit[STEP]
     system(fit)
@@ -383,14 +383,14 @@ def gauss_newton_step(fit):
     for i in range(BLUR, n):
         x[i] += step[i]
     x[BLUR] = max(x[BLUR], LEAST_LN_BLUR)
-    x[SHIFT] = min(max(x[SHIFT], -_MOST_SHIFT), _MOST_SHIFT)
-    x[HALO] = min(max(x[HALO], -0.5), _MOST_HALO)
-    return gain, max(farthest / _NEAR, far / _ALIKE)
+    x[SHIFT] = min(max(x[SHIFT], -_LARGEST_SHIFT), _LARGEST_SHIFT)
+    x[HALO] = min(max(x[HALO], -0.5), _LARGEST_HALO)
+    return gain, max(farthest / _CORNER_TOLERANCE, far / _PARAMETER_TOLERANCE)
 
 
 @outlined
 def gauss_newton(pixels, count, black, fit, residuals, steps):
-    """Gauss and Newton's steps, so many at most, until they are small: AT_REST says whether they became so.
+    """Gauss and Newton's steps, so many at most, until they are small: CONVERGED says whether they became so.
 
     Args:
         pixels: As in ``photometric_equations``, like ``count`` and ``black``.
@@ -406,8 +406,8 @@ def gauss_newton(pixels, count, black, fit, residuals, steps):
         numbers[USED] = used
         if iteration == steps or used == 0:
             return
-        if numbers[TO_DROP] > 0.0:
-            count, numbers[TO_DROP] = used, 0.0
+        if numbers[DROP_FLAT] > 0.0:
+            count, numbers[DROP_FLAT] = used, 0.0
         noise = numbers[NOISE]
         for p in range(used):
             sizes[p] = abs(residuals[0, p])
@@ -418,9 +418,9 @@ def gauss_newton(pixels, count, black, fit, residuals, steps):
         gain, move = gauss_newton_step(fit)
         size = math.sqrt(max(gain, 0.0)) / numbers[NOISE]
         if not size + fit[X, BLUR] + abs(fit[TO_PRINT, 0]) < math.inf:
-            numbers[AT_REST] = 0.0
+            numbers[CONVERGED] = 0.0
             return
-        numbers[AT_REST] = 1.0 if size < _RESTLESS else 0.0
-        if size < _DONE or (move < 1.0 and noise < ANY_NOISE and numbers[NOISE] < _GROWN * noise):
-            numbers[AT_REST] = 1.0
+        numbers[CONVERGED] = 1.0 if size < _LARGEST_LAST_STEP else 0.0
+        if size < _STEP_TOLERANCE or (move < 1.0 and noise < ANY_NOISE and numbers[NOISE] < _GROWN * noise):
+            numbers[CONVERGED] = 1.0
             return

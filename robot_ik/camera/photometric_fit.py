@@ -13,31 +13,31 @@ from numba import types
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.camera.photometric_equations import (
     ANY_NOISE,
-    AT_REST,
     BLUR,
     BY_UNKNOWN,
     CAUCHY,
     CONTRAST,
+    CONVERGED,
     DARK,
+    DROP_FLAT,
     EQUATION_ROWS,
     EVERY,
-    EXPECTED,
+    FIXED_INFORMATION,
     HALO,
     HALO_WIDTH,
     HALOED,
-    HELD,
     HOMOGRAPHY,
     LEAST_NOISE,
     NOISE,
     PIXEL_ROWS,
     PLAIN,
+    PRIOR_INFORMATION,
+    PRIOR_MEAN,
     SHIFT,
     SIZE,
     STEP,
     SYSTEM,
-    TO_DROP,
     TO_PRINT,
-    TRUST,
     UNKNOWNS,
     USED,
     X,
@@ -104,8 +104,8 @@ def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals,
         reach: See ``box``.
         push: So far outside of the sides the print begins, px.
         black: (n, n) 1 where the print is black.
-        fit: (FIT_ROWS, 64) with TRUST, EXPECTED, FROM_PRINT, SEEN, CORNERS, REPORT and MODEL in; the latter
-            three and COVARIANCE out.
+        fit: (FIT_ROWS, 64) with PRIOR_INFORMATION, PRIOR_MEAN, FROM_PRINT, SEEN, CORNERS, REPORT and MODEL
+            in; the latter three and COVARIANCE out.
         pixels: (8, k) work space.
         residuals: (5, k) work space.
         most: So many pixels are fitted at most.
@@ -126,13 +126,13 @@ def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals,
     corner_slopes(fit[SEEN], fit[BY_UNKNOWN:])
     before, resumed = -math.inf, model[0] > 0.0
     if resumed:
-        numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH], numbers[TO_DROP] = (
+        numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH], numbers[DROP_FLAT] = (
             model[0],
             model[1],
             model[2],
             1.0,
         )
-        fit[TRUST, HALO] = 0.0 if model[2] > 0.0 else HELD
+        fit[PRIOR_INFORMATION, HALO] = 0.0 if model[2] > 0.0 else FIXED_INFORMATION
         for i in range(BLUR, UNKNOWNS):
             fit[X, i] = model[3 + i - BLUR]
     else:
@@ -152,7 +152,7 @@ def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals,
             gauss_newton(pixels, count, black, fit, residuals, _STEPS if every == 1 else _COARSE_STEPS)
             count = count if every > 1 else int(numbers[USED])
             before = max(before, explained(pixels, count, fit, residuals[3]))
-        fine = count >= _LEAST_PIXELS and numbers[AT_REST] > 0.0
+        fine = count >= _LEAST_PIXELS and numbers[CONVERGED] > 0.0
         if fine and accept_fit(lens, black, fit, pixels, count, residuals):
             state = BY_PRINT
             model[0], model[1], model[2] = numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH]
@@ -192,16 +192,16 @@ def corner_slopes(h, slopes):
 
 @outlined
 def fit_light(pixels, count, black, fit, residuals, most):
-    """Fits dark and contrast, which are linear, and keeps ``most`` of the pixels that tell something.
+    """Fits dark and contrast, which are linear, and keeps ``most`` of the pixels that carry information.
 
     Returns:
         How many are kept.
     """
     numbers = fit[FIT_NUMBERS]
-    fit[X, BLUR], fit[X, SHIFT] = fit[EXPECTED, BLUR], fit[EXPECTED, SHIFT]
-    numbers[NOISE], numbers[EVERY], numbers[TO_DROP], numbers[SIZE] = 0.0, 1.0, 1.0, PLAIN
+    fit[X, BLUR], fit[X, SHIFT] = fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT]
+    numbers[NOISE], numbers[EVERY], numbers[DROP_FLAT], numbers[SIZE] = 0.0, 1.0, 1.0, PLAIN
     count = photometric_equations(pixels, count, black, fit, residuals)
-    numbers[TO_DROP], numbers[NOISE] = 0.0, ANY_NOISE
+    numbers[DROP_FLAT], numbers[NOISE] = 0.0, ANY_NOISE
     if count < _LEAST_PIXELS:
         return count
     system(fit)
@@ -235,7 +235,7 @@ def select_model(pixels, count, black, fit, residuals):
     """Whether the residuals ask for uneven light or for a halo, which are then part of the model."""
     numbers, right = fit[FIT_NUMBERS], fit[SYSTEM + UNKNOWNS]
     numbers[EVERY], numbers[SIZE] = (count + _ASKED - 1) // _ASKED, UNKNOWNS
-    most, width, curved, fit[TRUST, HALO] = 0.0, 0.0, False, 0.0
+    most, width, curved, fit[PRIOR_INFORMATION, HALO] = 0.0, 0.0, False, 0.0
     for halo in _HALO_BLURS:
         numbers[HALO_WIDTH] = halo
         numbers[USED] = photometric_equations(pixels, count, black, fit, residuals)
@@ -260,7 +260,7 @@ def select_model(pixels, count, black, fit, residuals):
         if width == 0.0:
             break  # where a narrow one lessens nothing a wide one does not either
     numbers[HALO_WIDTH] = width
-    fit[TRUST, HALO] = 0.0 if width > 0.0 else HELD
+    fit[PRIOR_INFORMATION, HALO] = 0.0 if width > 0.0 else FIXED_INFORMATION
     numbers[SIZE] = UNKNOWNS if curved else (HALOED if width > 0.0 else PLAIN)
 
 

@@ -34,7 +34,7 @@ _STEPS = 30
 _DONE = 1e-10
 # Behind the camera there is no picture: a large residual turns the fit back.
 _LEAST_DEPTH = 1e-6
-_FREEDOMS = 6
+_DOF = 6
 
 
 @kernel
@@ -77,9 +77,9 @@ def fit_poses(points, normalized, blocks, poses, costs):
         costs: (k,) sums of squares out.
     """
     rows = 2 * len(points)
-    residual, jacobian = np.empty(rows), np.empty((rows, _FREEDOMS))
-    raw, slope = np.empty(rows), np.empty((rows, _FREEDOMS))
-    normal, damped, step, trial = np.empty((7, 6)), np.empty((7, 6)), np.zeros(_FREEDOMS), np.empty(7)
+    residual, jacobian = np.empty(rows), np.empty((rows, _DOF))
+    raw, slope = np.empty(rows), np.empty((rows, _DOF))
+    normal, damped, step, trial = np.empty((7, 6)), np.empty((7, 6)), np.zeros(_DOF), np.empty(7)
     for k in range(len(poses)):
         pose = poses[k]
         cost, damping, growth = math.inf, 1e-3, 2.0
@@ -96,7 +96,7 @@ def fit_poses(points, normalized, blocks, poses, costs):
             else:
                 damping, growth = damping * growth, 2.0 * growth
                 largest = 0.0
-                for i in range(_FREEDOMS):
+                for i in range(_DOF):
                     largest = max(largest, abs(step[i]))
                 done = damping > 1e8 or not largest >= 1e-13
             if done or not lm_step(normal, damping, damped, step):
@@ -120,7 +120,7 @@ def evaluate(points, normalized, to_pixels, blocks, pose, residual, jacobian, pi
         pixels: (m,) out: RMS distance in px of each block's corners.
         costs: (m,) out: sum of squares of each block.
     """
-    raw, slope = np.empty(len(residual)), np.empty((len(residual), _FREEDOMS))
+    raw, slope = np.empty(len(residual)), np.empty((len(residual), _DOF))
     whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian)
     size = blocks.shape[1]
     for m in range(len(blocks)):
@@ -157,12 +157,12 @@ def whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian):
         for i in range(size):
             row = m * size + i
             residual[row] = 0.0
-            for k in range(_FREEDOMS):
+            for k in range(_DOF):
                 jacobian[row, k] = 0.0
             for j in range(size):
                 value = blocks[m, i, j]
                 residual[row] += value * raw[m * size + j]
-                for k in range(_FREEDOMS):
+                for k in range(_DOF):
                     jacobian[row, k] += value * slope[m * size + j, k]
             cost += residual[row] * residual[row]
     return cost
@@ -359,18 +359,18 @@ def pose_covariance(corners: CornerData, pose: Pose, cost: float) -> Array:
 def covariance_of(jacobian: Array, cost: float) -> Array:
     """(6, 6): (J^T J)^-1 of a Jacobian (n, 6), widened when ``cost`` is more than its degrees of freedom."""
     normal = jacobian.T @ jacobian
-    freedom = len(jacobian) - 6
+    dof = len(jacobian) - 6
     try:
         inverse = np.linalg.inv(normal)
     except np.linalg.LinAlgError:
         inverse = np.linalg.pinv(normal)
-    return np.asarray(inverse * max(1.0, cost / freedom))
+    return np.asarray(inverse * max(1.0, cost / dof))
 
 
 # ------------------------------------------------------------------------------------------
 # The poses that fit a flat marker or board in one picture: one, or two that are hard to tell apart.
 #
-# Seen small or from the front, a flat thing and its mirror image behind the plane of the picture look alike
+# Seen small or from the front, a flat object and its mirror image behind the plane of the picture look alike
 # (Schweighofer and Pinz 2006).  Both are fitted; the ratio of their errors says how alike.
 
 

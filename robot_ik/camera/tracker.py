@@ -47,8 +47,8 @@ from robot_ik.geometry import Pose
 # What is left of the evidence of one picture in the next: ten pictures count, nearly.
 _KEPT = 0.85
 # A hand turns a marker by this much, rad/s.
-_TURN_RATE = 2.0
-# No single turn and no single picture says more than this (log odds): either may be an accident.
+_ROTATION_RATE = 2.0
+# No single rotation and no single picture says more than this (log odds): either may be an accident.
 _MOST_BY_ROTATION, _MOST_BY_PICTURE = 4.0, 8.0
 # The other branch must be better by this (log odds) before it is taken.
 _HYSTERESIS = 0.5
@@ -97,7 +97,7 @@ class BranchMemory:
         spread = [float(c[3, 3] + c[4, 4] + c[5, 5]) for c in branches.covariances]
         index = 0
         if self._poses:
-            moved = (_TURN_RATE * gap) ** 2
+            moved = (_ROTATION_RATE * gap) ** 2
             plausible = [
                 [_plausible(p, q, a + b + moved) for q, b in zip(branches.poses, spread, strict=True)]
                 for p, a in zip(self._poses, self._spread, strict=True)
@@ -135,7 +135,7 @@ class BranchMemory:
 
 
 def _plausible(one: Pose, other: Pose, variance: float) -> float:
-    """How well (log odds) the turn from one pose to the other fits what is expected of it, rad^2."""
+    """How well (log odds) the rotation from one pose to the other fits what is expected of it, rad^2."""
     angle = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
     return max(-0.5 * angle * angle / variance, -_MOST_BY_ROTATION)
 

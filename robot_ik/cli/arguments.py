@@ -156,7 +156,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
         if shown:
             sys.stdout.write(fold(shown, width) + "\n")
             raise SystemExit(0)
-    _refuse_nothing(prog, tokens)
+    _refuse_empty(prog, tokens)
     gathered = gather(kind, tokens)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
@@ -164,7 +164,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
     return options
 
 
-def _refuse_nothing(prog: str, tokens: Sequence[str]) -> None:
+def _refuse_empty(prog: str, tokens: Sequence[str]) -> None:
     """Raises ``ConfigError`` for an empty argument: what a shell makes of a variable that is not set."""
     before = ""
     for token in tokens:
@@ -339,7 +339,7 @@ class _Mistake:
                 return found
         return wrong("", self._said, hint=self._hint)
 
-    def _takes(self, flag: str) -> str:
+    def _metavar_text(self, flag: str) -> str:
         """What stands behind an option in the help, as text."""
         found = re.search(rf"(?:^|, |│ |  ){re.escape(flag)} (\S.*?)(?:  |\s*│|$)", self._help, re.MULTILINE)
         return " ".join(_KINDS.get(token, token) for token in found[1].split()) if found else ""
@@ -375,7 +375,7 @@ class _Mistake:
     def _no_value(self) -> ConfigError | None:
         if not (found := re.search(r"Missing value for argument '([^']*)'", self._all)):
             return None
-        return wrong(found[1], "a value is missing", self._takes(found[1]), self._hint)
+        return wrong(found[1], "a value is missing", self._metavar_text(found[1]), self._hint)
 
     def _no_choice(self) -> ConfigError | None:
         found = re.search(
@@ -405,7 +405,7 @@ class _Mistake:
         ]
         whole = " whole" if "base 10" in self._all else ""
         problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
-        takes = self._takes(flag)
+        takes = self._metavar_text(flag)
         return wrong(flag, problem, "" if bad and takes in _KINDS.values() else takes, self._hint)
 
 

@@ -22,7 +22,7 @@ from robot_ik.cli.arguments import (
     robot_argument,
     wrong,
 )
-from robot_ik.cli.connection import bus_argument, robot_meant
+from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 
@@ -84,7 +84,7 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
 
         board = parse_board(options.board, options.dictionary)
     return {
-        "robot": options.robot or robot_meant(options.arm, options.bus),
+        "robot": options.robot or resolved_robot(options.arm, options.bus),
         "bus": options.bus,
         "arm_file": optional_path(options.arm),
         "frame": options.frame or None,

@@ -156,7 +156,7 @@ def _detect(
     options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: DrawingFolder | None
 ) -> int:
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
-    rows = list(_looked(options, intrinsics, blank, drawings))
+    rows = list(_searched_pictures(options, intrinsics, blank, drawings))
     failed = [row for row in rows if row.error is not None]
     if len(failed) == len(rows):
         _raise_first(failed)
@@ -210,7 +210,7 @@ def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
     return f"there are markers of {other}: --dictionary {other}"
 
 
-def _looked(
+def _searched_pictures(
     options: CameraDetectOptions,
     intrinsics: CameraIntrinsics | None,
     blank: deque[Any],

@@ -150,7 +150,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
         return False
     text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
     console.say(f"zero_ticks: {text}")
-    if not options.yes and not console.agreed(f"write them to {options.arm}?"):
+    if not options.yes and not console.confirm(f"write them to {options.arm}?"):
         console.say(f"{options.arm} stays as it is", "yellow")
         return False
     kept = write_zeros(Path(options.arm), report.config, offsets)

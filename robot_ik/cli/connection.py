@@ -55,7 +55,7 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
     return arg(metavar="|".join(names), help=text, help_behavior_hint=hint)
 
 
-def robot_meant(arm: str, bus: str) -> str:
+def resolved_robot(arm: str, bus: str) -> str:
     """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
 
     Args:
@@ -109,7 +109,7 @@ def port_name(bus: str) -> str:
 
 
 @contextmanager
-def served_or_real(bus: str, arm: str) -> Iterator[str]:
+def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
     """A port by name; for ``pty`` and ``sim`` one that serves the arm's virtual servos at their rate."""
     name = port_name(bus)
     if name not in ("pty", "sim"):
@@ -153,7 +153,7 @@ def load_arm(name: str) -> ArmConfig:
     return ArmConfig.load(path)
 
 
-def tried(action: Callable[[], int]) -> int:
+def exit_code_of(action: Callable[[], int]) -> int:
     """Runs what may fail on the way: an error of the hardware then means "tried, not achieved"."""
     try:
         return action()
@@ -260,7 +260,7 @@ def driving(arm: Arm) -> Iterator[None]:
         with arm, stop_on_space(arm):
             yield
     finally:
-        if text := left(arm):
+        if text := exit_text(arm):
             console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
 
 
@@ -299,6 +299,6 @@ def model_limits(config: ArmConfig) -> Limits:
     }
 
 
-def left(arm: Arm) -> str:
+def exit_text(arm: Arm) -> str:
     """How an arm was left, as text; empty where it was never connected."""
     return arm.exit_report.text if arm.exit_report is not None else ""

@@ -45,7 +45,7 @@ _SPELLED = {
 _HANDLER = "robot_ik.spelled"
 
 
-def _spell(error: UnicodeError) -> tuple[str, int]:
+def _replace_unencodable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(_SPELLED.get(sign, "?") for sign in error.object[error.start : error.end]), error.end
@@ -73,7 +73,7 @@ def prepare_streams() -> bool:
         if stream is None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115 - for good
         elif not is_unicode(stream):
-            codecs.register_error(_HANDLER, _spell)
+            codecs.register_error(_HANDLER, _replace_unencodable)
             with contextlib.suppress(AttributeError, OSError):  # a stream that somebody made himself
                 stream.reconfigure(errors=_HANDLER)
     return there
@@ -130,14 +130,14 @@ def out() -> Console:
     return _Console(width=width_of(sys.stdout), highlight=False, soft_wrap=False)
 
 
-def talk() -> Console:
+def stderr_console() -> Console:
     """Console for everything that is not a result, on stderr."""
     return _Console(stderr=True, width=width_of(sys.stderr), highlight=False)
 
 
 def say(text: str, style: str = "") -> None:
-    """One line of talk; never folded, never read as markup."""
-    talk().print(Text(text, style=style), soft_wrap=True)
+    """One line on stderr; never folded, never read as markup."""
+    stderr_console().print(Text(text, style=style), soft_wrap=True)
 
 
 def result(text: str) -> None:
@@ -157,9 +157,9 @@ def refused(problem: str, hint: str = "") -> int:
     return NOT_ACHIEVED
 
 
-def agreed(question: str) -> bool:
+def confirm(question: str) -> bool:
     """Asks on stderr for a yes; the end of the input is a no."""
-    talk().print(Text(f"{question} [y/N] "), end="")
+    stderr_console().print(Text(f"{question} [y/N] "), end="")
     try:
         return input().strip().lower() in ("y", "yes")
     except EOFError:
@@ -227,7 +227,7 @@ def facts(*rows: tuple[str, str]) -> Table:
 
 def progress() -> Progress:
     """A progress bar on stderr that shows nothing unless stderr is a terminal."""
-    console = talk()
+    console = stderr_console()
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -270,7 +270,7 @@ def busy(what: str, seconds: float | None = None) -> Iterator[None]:
         what: What goes on.
         seconds: How long it will take, where that is known.
     """
-    console = talk()
+    console = stderr_console()
     if not console.is_terminal:
         takes = "" if seconds is None else f", about {seconds:.0f} s"
         timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
@@ -390,14 +390,14 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     text.append(message, style="default")
     if hint:
         text.append("\n" + hint, style="cyan")
-    talk().print(text, soft_wrap=True)
+    stderr_console().print(text, soft_wrap=True)
 
 
 # ------------------------------------------------------------------------------------- logs
 
 
-class _TalkHandler(logging.Handler):
-    """Shows log records as single lines of talk."""
+class _ConsoleLogHandler(logging.Handler):
+    """Shows log records as single lines on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
         try:
@@ -413,7 +413,7 @@ def logs_shown(*, debug: bool = False) -> Iterator[None]:
 
     The library itself installs no handler; this is the only place that does, and it is taken back.
     """
-    handler = _TalkHandler()
+    handler = _ConsoleLogHandler()
     levels = {
         "robot_ik": logging.DEBUG if debug else logging.WARNING,
         "robot_ik.kernels": logging.DEBUG if debug else logging.INFO,

@@ -23,7 +23,7 @@ from robot_ik.cli.arguments import (
     several,
     wrong,
 )
-from robot_ik.cli.connection import bus_argument, robot_meant
+from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import apart
@@ -192,7 +192,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
     if not 0.0 <= options.lead <= 0.2:
         raise wrong("--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
     return ReachRequest(
-        robot=options.robot or robot_meant(options.arm, options.bus),
+        robot=options.robot or resolved_robot(options.arm, options.bus),
         solver=options.solver,
         goal=make_goal(options.goal, options.frame) if options.goal else None,
         frame=options.frame or None,

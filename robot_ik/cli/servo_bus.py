@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
-from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_real
+from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_serial_port
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def run_scan(options: ServoScanOptions) -> int:
     from robot_ik.hardware.discovery import LIKELY, nobody_hint, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
-    with served_or_real(options.bus, options.arm) as port:
+    with served_or_serial_port(options.bus, options.arm) as port:
         found = scanned(port, bauds)
     if options.json:
         rows = [{"model": servo.model, **asdict(servo)} for servo in found]
@@ -180,7 +180,7 @@ def run_setup(options: ServoSetupOptions) -> int:
     baud = config.baud if options.baud is None else options.baud
     bauds = checked_rates(options.from_baud) or LIKELY
     checked_rates([baud])
-    with served_or_real(options.bus, options.arm) as port:
+    with served_or_serial_port(options.bus, options.arm) as port:
         found = scanned(port, bauds)
         if not found:
             return console.refused(f"no servo answers on {port}", nobody_hint(bauds))

@@ -21,10 +21,10 @@ from robot_ik.cli.connection import (
     Limits,
     arm_on,
     driving,
+    exit_code_of,
     load_arm,
     model_limits,
     require_model,
-    tried,
 )
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
@@ -179,7 +179,7 @@ def _calibrate(
 
     with arm:
         require_limp(arm)
-        return tried(measure)
+        return exit_code_of(measure)
 
 
 def _write(options: ServoCalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
@@ -274,7 +274,7 @@ def _record(options: ServoTeachOptions, arm: Arm) -> int:
             _keep(options.file, taught.motion(), arm.config)
         return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
 
-    return tried(record)
+    return exit_code_of(record)
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
@@ -325,7 +325,7 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        return tried(lambda: _play(arm, motion, stretch, sinks))
+        return exit_code_of(lambda: _play(arm, motion, stretch, sinks))
 
 
 def _play(arm: Arm, motion: Trajectory, stretch: float, sinks: Sequence[JointSink]) -> int:

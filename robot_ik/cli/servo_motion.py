@@ -16,10 +16,10 @@ from robot_ik.cli.connection import (
     Link,
     arm_on,
     driving,
+    exit_code_of,
     load_arm,
     opened,
     require_model,
-    tried,
 )
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
@@ -74,7 +74,7 @@ def run_move(options: ServoMoveOptions) -> int:
         return console.DONE
 
     with driving(arm):
-        return tried(move)
+        return exit_code_of(move)
 
 
 def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -179,7 +179,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
             return console.DONE
 
         with driving(arm):
-            code = tried(switch_on)
+            code = exit_code_of(switch_on)
         return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:

@@ -182,7 +182,7 @@ def _ended_by_signal() -> Iterator[threading.Event]:
 
 
 def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:
-    """The port alone on stdout, for scripts; the rest is talk."""
+    """The port alone on stdout, for scripts; the rest goes to stderr."""
     name = str(port.link or port.path)
     ids = ", ".join(f"{joint.id} {joint.name} ({joint.model})" for joint in config.whole.joints)
     print(name, flush=True)

@@ -38,7 +38,7 @@ def run(options: StopOptions) -> int:
         where = f" on {options.bus}" if options.bus else ""
         console.say(f"no arm runs{where}", "yellow")
         return console.NOT_ACHIEVED
-    if options.torque_off and not options.yes and not _agreed([arm.name for arm in arms]):
+    if options.torque_off and not options.yes and not _confirmed([arm.name for arm in arms]):
         console.say("nothing was done", "dim")
         return console.NOT_ACHIEVED
     policy = "torque_off" if options.torque_off else "hold"
@@ -50,7 +50,7 @@ def run(options: StopOptions) -> int:
     return console.DONE if stopped == len(arms) else console.NOT_ACHIEVED
 
 
-def _agreed(names: list[str]) -> bool:
+def _confirmed(names: list[str]) -> bool:
     if not sys.stdin.isatty():
         raise wrong("--torque-off", "there is no terminal to ask at", "--torque-off --yes")
-    return console.agreed(f"{', '.join(names)}: without torque an arm falls. Support it. Torque off?")
+    return console.confirm(f"{', '.join(names)}: without torque an arm falls. Support it. Torque off?")

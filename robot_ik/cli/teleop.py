@@ -14,7 +14,15 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import wrong
-from robot_ik.cli.connection import bus_argument, driving, left, load_arm, port_name, require_model, tried
+from robot_ik.cli.connection import (
+    bus_argument,
+    driving,
+    exit_code_of,
+    exit_text,
+    load_arm,
+    port_name,
+    require_model,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT
 
@@ -111,7 +119,7 @@ def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Calla
         )
         return console.DONE
 
-    return tried(action)
+    return exit_code_of(action)
 
 
 @contextlib.contextmanager
@@ -121,7 +129,7 @@ def _left_at_the_end(arm: Arm) -> Iterator[None]:
         with arm:
             yield
     finally:
-        console.say(left(arm), "dim")
+        console.say(exit_text(arm), "dim")
 
 
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:

@@ -167,7 +167,7 @@ def board_views(
     intrinsics: CameraIntrinsics,
     most: int,
     *,
-    progress: Callable[[int], None] = lambda looked: None,
+    progress: Callable[[int], None] = lambda searched: None,
     left_out: Callable[[str], None] = lambda why: None,
 ) -> tuple[list[BoardView], int]:
     """The views of a board in the next pictures of a source, and how many pictures were searched.
@@ -181,21 +181,21 @@ def board_views(
         left_out: Is given why a file cannot be used.
     """
     views: list[BoardView] = []
-    looked = 0
+    searched = 0
     try:
         for frame in frames_of(source):
             if isinstance(frame, CameraNotFoundError):
                 left_out(str(frame.args[0]))
                 continue
-            looked += 1
+            searched += 1
             if (view := board.see(frame, intrinsics)) is not None:
                 views.append(view)
-            progress(looked)
-            if looked == most:
+            progress(searched)
+            if searched == most:
                 break
     except FrameTimeoutError:
         pass
-    return views, looked
+    return views, searched
 
 
 def board_misses(views: Sequence[BoardView], pose: Pose, intrinsics: CameraIntrinsics) -> list[float]:
@@ -264,9 +264,9 @@ def gather_views(
                 if isinstance(frame, CameraNotFoundError):
                     gatherer.notices.append(f"left out: {frame.args[0]}")
                 else:
-                    gatherer.offer(frame, path.name, choosy=False)
+                    gatherer.offer(frame, path.name, selective=False)
         elif isinstance(source, ImageSource):
-            gatherer.offer(source.read(), Path(name).name, choosy=False)
+            gatherer.offer(source.read(), Path(name).name, selective=False)
         else:
             _gather_moving(source, name, gatherer, folder, count, say)
 
@@ -284,7 +284,7 @@ def _gather_moving(
         say("show the board, hold it still, move it on; Ctrl-C when done")
     while not getattr(source, "exhausted", False) and len(gatherer.views) < MOST_VIEWS:
         frame = source.read()
-        taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", choosy=True)
+        taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", selective=True)
         unseen = 0 if gatherer.in_view else unseen + 1
         if live and unseen == UNSEEN:
             say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")

@@ -29,10 +29,12 @@ def noisy(pose: Pose, rng: np.random.Generator) -> Pose:
 def test_a_still_target_gives_the_mean_and_is_not_predicted(
     seed: int, place: np.ndarray, turn: np.ndarray
 ) -> None:
-    """With no restlessness and no speed the filter is recursive least squares: the mean of all."""
+    """With no process noise and no speed the filter is recursive least squares: the mean of all."""
     rng = np.random.default_rng(seed)
     truth, seen = Pose(place, rotation_exp(turn)), []
-    still = MotionFilter(FilterOptions(restlessness=(1e-9, 1e-9), fastest=(1e-9, 1e-9), least=(0.0, 0.0)))
+    still = MotionFilter(
+        FilterOptions(process_noise=(1e-9, 1e-9), initial_speed_sigma=(1e-9, 1e-9), least_sigma=(0.0, 0.0))
+    )
     usual = MotionFilter()
     for k in range(40):
         seen.append(noisy(truth, rng))
@@ -84,7 +86,7 @@ def test_the_covariance_stays_symmetric_and_positive_at_any_gaps(seed: int, gaps
 
 def test_the_covariance_is_honest() -> None:
     """Normalised errors of a walk that is what the filter assumes: six degrees of freedom."""
-    rng, options = np.random.default_rng(3), FilterOptions(restlessness=(0.5, 2.0), least=(0.0, 0.0))
+    rng, options = np.random.default_rng(3), FilterOptions(process_noise=(0.5, 2.0), least_sigma=(0.0, 0.0))
     squares = []
     for _ in range(6):
         tracked, truth, rate = MotionFilter(options), Pose(), np.zeros(6)
@@ -93,7 +95,7 @@ def test_the_covariance_is_honest() -> None:
             found = tracked.predict(k * PERIOD)
             off = difference(found.pose, truth)
             squares.append(off @ np.linalg.solve(found.covariance, off))
-            change = rng.normal(0.0, np.repeat(options.restlessness, 3)) * np.sqrt(PERIOD)
+            change = rng.normal(0.0, np.repeat(options.process_noise, 3)) * np.sqrt(PERIOD)
             truth, rate = moved(truth, PERIOD * (rate + 0.5 * change)), rate + change
     assert 5.0 < np.mean(squares) < 7.0
 

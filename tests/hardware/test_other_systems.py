@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import serial
 
-from robot_ik.cli.connection import served_or_real
+from robot_ik.cli.connection import served_or_serial_port
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware import open_bus
 from robot_ik.hardware.bus import Counters
@@ -146,7 +146,10 @@ def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_c
     with pytest.raises(BusNotOpenError, match="no pseudo terminals") as caught:
         open_bus("pty", arm_config)
     assert "--bus sim" in caught.value.hint
-    with pytest.raises(BusNotOpenError, match="no pseudo terminals"), served_or_real("pty", "tabletop_puma"):
+    with (
+        pytest.raises(BusNotOpenError, match="no pseudo terminals"),
+        served_or_serial_port("pty", "tabletop_puma"),
+    ):
         pass
     open_bus("sim", arm_config).close()
 

@@ -23,10 +23,10 @@ PARTS = (
 )
 # A part counts as shown by a view that has this many corners in it, and is covered by so many views.
 _CORNERS, _VIEWS = 2, 2
-#: Sides of the board that can lean away from the camera, with the direction of each in the picture.
-LEANS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "top": (0.0, -1.0), "bottom": (0.0, 1.0)}
-#: A side leans away from this angle on, degrees.
-LEAN_DEG = 12.0
+#: Sides of the board that can tilt away from the camera, with the direction of each in the picture.
+TILTS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "top": (0.0, -1.0), "bottom": (0.0, 1.0)}
+#: A side is tilted away from this angle on, degrees.
+TILT_DEG = 12.0
 # Nearest and farthest board differ less than this: all at one distance.
 _DEPTH_RATIO = 1.25
 
@@ -39,14 +39,14 @@ class Coverage:
         size: (width, height) of the pictures, px.
         pixels: (n, 2) all corners of all views.
         parts: (3, 3) number of views that showed each part of the picture.
-        leans: (views, 2) tilt in degrees, towards the side of the picture on which the board is farther away.
+        tilts: (views, 2) in degrees, towards the side of the picture on which the board is farther away.
         missing: As text; empty when nothing is.
     """
 
     size: tuple[int, int]
     pixels: Array
     parts: NDArray[np.int64]
-    leans: Array
+    tilts: Array
     missing: tuple[str, ...]
 
 
@@ -64,13 +64,13 @@ def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple
         counts = np.zeros((3, 3), dtype=np.int64)
         np.add.at(counts, (cell[:, 1], cell[:, 0]), 1)
         parts += counts >= _CORNERS
-    leans = np.array([_lean(r) for r in rotations]).reshape(-1, 2)
+    tilts = np.array([_tilt(r) for r in rotations]).reshape(-1, 2)
     spacings = np.array([_spacing(f) for f in found])
     pixels = np.concatenate([f.pixels for f in found]) if found else np.zeros((0, 2))
-    return Coverage(size, pixels, parts, leans, tuple(_missing(parts, leans, spacings)))
+    return Coverage(size, pixels, parts, tilts, tuple(_missing(parts, tilts, spacings)))
 
 
-def _lean(rotation: Array) -> Array:
+def _tilt(rotation: Array) -> Array:
     """Tilt vector in degrees: where in the picture the board is farther away."""
     normal = rotation[:, 2] * (1.0 if rotation[2, 2] >= 0 else -1.0)
     across = float(np.hypot(normal[0], normal[1]))
@@ -86,10 +86,10 @@ def _spacing(view: FoundPattern) -> float:
     return float(np.sqrt(spans[0] / spans[1])) if spans[1] > 0 else 0.0
 
 
-def _missing(parts: NDArray[np.int64], leans: Array, spacings: Array) -> list[str]:
+def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[str]:
     missing = [f"the board in the {PARTS[r][c]}" for r in range(3) for c in range(3) if parts[r, c] < _VIEWS]
-    for side, direction in LEANS.items():
-        if not len(leans) or (leans @ np.array(direction)).max() < LEAN_DEG:
+    for side, direction in TILTS.items():
+        if not len(tilts) or (tilts @ np.array(direction)).max() < TILT_DEG:
             missing.append(f"its {side} side tilted away")
     if len(spacings) > 1 and spacings.max() < _DEPTH_RATIO * spacings.min():
         missing.append("it nearer and farther")
@@ -116,8 +116,8 @@ def coverage_picture(coverage: Coverage, width: int = 900) -> Image:
     tall = max(height, disc) + 3 * _RIM
     canvas = np.full((tall, width, 3), _PAPER, dtype=np.uint8)
     _draw_parts(canvas[2 * _RIM : 2 * _RIM + height, _RIM : _RIM + shown], coverage)
-    _draw_leans(canvas[2 * _RIM : 2 * _RIM + disc, width - disc - _RIM : width - _RIM], coverage)
-    _write(canvas, f"corners of {len(coverage.leans)} views (views to a part)", (_RIM, 2 * _RIM - 10))
+    _draw_tilts(canvas[2 * _RIM : 2 * _RIM + disc, width - disc - _RIM : width - _RIM], coverage)
+    _write(canvas, f"corners of {len(coverage.tilts)} views (views to a part)", (_RIM, 2 * _RIM - 10))
     _write(
         canvas,
         "tilts: rings 20, 40, 60 deg",
@@ -142,19 +142,19 @@ def _draw_parts(area: Image, coverage: Coverage) -> None:
     cv2.rectangle(area, (0, 0), (width - 1, height - 1), _INK, 1)
 
 
-def _draw_leans(area: Image, coverage: Coverage) -> None:
+def _draw_tilts(area: Image, coverage: Coverage) -> None:
     side = area.shape[0]
     centre, scale = side / 2, side / 2 / 65.0
     start = {"right": -45, "bottom": 45, "left": 135, "top": 225}
-    for name, direction in LEANS.items():
-        enough = len(coverage.leans) > 0 and (coverage.leans @ np.array(direction)).max() >= LEAN_DEG
+    for name, direction in TILTS.items():
+        enough = len(coverage.tilts) > 0 and (coverage.tilts @ np.array(direction)).max() >= TILT_DEG
         colour = _GOOD if enough else _LACK
         radius = round(60 * scale)
         middle = (round(centre), round(centre))
         cv2.ellipse(area, middle, (radius, radius), 0, start[name], start[name] + 90, colour, -1, cv2.LINE_AA)
     for ring in (20, 40, 60):
         cv2.circle(area, (round(centre), round(centre)), round(ring * scale), _INK, 1, cv2.LINE_AA)
-    for x, y in centre + scale * np.clip(coverage.leans, -60, 60):
+    for x, y in centre + scale * np.clip(coverage.tilts, -60, 60):
         cv2.circle(area, (round(16 * x), round(16 * y)), 64, _DOT, -1, cv2.LINE_AA, 4)
 
 

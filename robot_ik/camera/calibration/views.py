@@ -30,17 +30,17 @@ Image = NDArray[np.uint8]
 
 # Corners of a board held still move less from picture to picture: 1 px where the picture has 640.
 _STILL = 1.0 / 640.0
-# What makes a view a new one: place in parts of the picture, scale as a ratio, lean in degrees.
-_NEW_PLACE, _NEW_SCALE, _NEW_LEAN = 0.12, 1.2, 9.0
+# What makes a view a new one: position in parts of the picture, scale as a ratio, tilt in degrees.
+_NEW_POSITION, _NEW_SCALE, _NEW_TILT = 0.12, 1.2, 9.0
 # Pictures without the pattern after which it is asked whether another one is meant; then after four times as
 # many, and so on: asking takes a second, and a live board is often just not yet there.
-_MISSES, _PATIENCE = 12, 4
+_UNMATCHED, _PATIENCE = 12, 4
 # Pictures to ask about while more are to come.
-_ASKED = 3
+_IDENTIFIED = 3
 # Markers that make a ChArUco board; fewer may be chance finds among the squares of a chessboard.
 _BOARD_MARKERS = 4
 # Pictures without the pattern, and views still missing, that are named.
-_NAMED, _WISHES = 5, 3
+_NAMED, _NAMED_MISSING = 5, 3
 
 
 class ViewGatherer:
@@ -60,10 +60,10 @@ class ViewGatherer:
         self.views: list[CalibrationView] = []
         self.notices: list[str] = []
         self.size: tuple[int, int] | None = None
-        self._before: FoundPattern | None = None
-        self._kinds: list[Array] = []
-        self._misses: deque[Image] = deque(maxlen=_MISSES)
-        self._missed, self._ask_at = 0, _MISSES
+        self._previous: FoundPattern | None = None
+        self._features: list[Array] = []
+        self._unmatched: deque[Image] = deque(maxlen=_UNMATCHED)
+        self._unmatched_count, self._identify_at = 0, _UNMATCHED
         self._found_any = False
         self._without: list[str] = []
         self._first: list[Image] = []
@@ -71,15 +71,15 @@ class ViewGatherer:
     @property
     def in_view(self) -> bool:
         """Whether the last picture showed the pattern."""
-        return self._before is not None
+        return self._previous is not None
 
-    def offer(self, frame: Frame, name: str, *, choosy: bool) -> bool:
+    def offer(self, frame: Frame, name: str, *, selective: bool) -> bool:
         """Looks at a picture; True when it became a view.
 
         Args:
             frame: The picture.
             name: What it is called in the report.
-            choosy: Take it only when the board is held still and in a new way (moving sources).
+            selective: Take it only when the board is held still and in a new way (moving sources).
 
         Raises:
             FrameSizeError: It has another size than the others.
@@ -88,22 +88,22 @@ class ViewGatherer:
         self._check_size(frame, name)
         found = self.pattern.find(frame.image)
         if found is None:
-            self._before = None
-            if not choosy:
+            self._previous = None
+            if not selective:
                 self._without.append(name)
-            self._miss(frame.image)
+            self._add_unmatched(frame.image)
             return False
         self._found_any = True
-        still, self._before = self._is_still(found, frame.size), found
-        kind = self._kind(found, frame.size)
-        if choosy and not (still and self._is_new(kind)):
+        still, self._previous = self._is_still(found, frame.size), found
+        features = self._view_features(found, frame.size)
+        if selective and not (still and self._is_new(features)):
             return False
-        self._kinds.append(kind)
+        self._features.append(features)
         tone = measure_tone(
             to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
         )
         self.views.append(CalibrationView(name, found, tone))
-        if len(self._first) < _ASKED:
+        if len(self._first) < _IDENTIFIED:
             self._first.append(frame.image)
         return True
 
@@ -113,16 +113,16 @@ class ViewGatherer:
         Raises:
             CalibrationError: It was not; the hint says what was.
         """
-        if not self._found_any and self._misses:
-            self._ask_what_it_is(last=True)
-        self._doubt_the_count()
+        if not self._found_any and self._unmatched:
+            self._identify_pattern(last=True)
+        self._check_counts()
         if self._without and self._found_any:
             names = ", ".join(self._without[:_NAMED]) + (", …" if len(self._without) > _NAMED else "")
             self.notices.append(f"not seen well enough in {len(self._without)} of the pictures: {names}")
 
     @property
     def coverage(self) -> Coverage:
-        """What the views so far have shown, with leans by a guessed focal length."""
+        """What the views so far have shown, with tilts by a guessed focal length."""
         found = [v.found for v in self.views]
         size = self.size or (1, 1)
         return cover(found, [_pose_guess(f, size)[0] for f in found], size)
@@ -139,15 +139,15 @@ class ViewGatherer:
                 hint="a calibration is for one picture size: calibrate each size by itself",
             )
 
-    def _miss(self, image: Image) -> None:
-        self._misses.append(image)
-        self._missed += 1
-        if not self._found_any and self._missed == self._ask_at:
-            self._ask_at *= _PATIENCE
-            self._ask_what_it_is(last=False)
+    def _add_unmatched(self, image: Image) -> None:
+        self._unmatched.append(image)
+        self._unmatched_count += 1
+        if not self._found_any and self._unmatched_count == self._identify_at:
+            self._identify_at *= _PATIENCE
+            self._identify_pattern(last=False)
 
-    def _ask_what_it_is(self, *, last: bool) -> None:
-        images = list(self._misses) if last else list(self._misses)[-_ASKED:]
+    def _identify_pattern(self, *, last: bool) -> None:
+        images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]
         other = fitting_pattern(self.pattern, images)
         if isinstance(other, CharucoPattern) and other.legacy and _same_counts(other, self.pattern):
             self.pattern = other
@@ -156,7 +156,7 @@ class ViewGatherer:
             )
             self._without.clear()
             for number, image in enumerate(images):
-                self.offer(Frame(image, 0.0, number), f"picture {number + 1}", choosy=False)
+                self.offer(Frame(image, 0.0, number), f"picture {number + 1}", selective=False)
         elif other is not None:
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
@@ -168,20 +168,20 @@ class ViewGatherer:
                 hint=_other_kind(self.pattern, images),
             )
 
-    def _doubt_the_count(self) -> None:
+    def _check_counts(self) -> None:
         """Reports a chessboard that was counted wrongly although it was found: in part, or by chance."""
         larger = larger_chessboard(self.pattern, self._first)
         if larger is not None:
             self.notices.append(
-                f"only a part of the board is used: it is a {describe(larger)}{_asked(larger)}"
+                f"only a part of the board is used: it is a {describe(larger)}{_option_text(larger)}"
             )
         elif 0 < len(self.views) < len(self._without):
-            other = fitting_pattern(self.pattern, list(self._misses)[-_ASKED:])
+            other = fitting_pattern(self.pattern, list(self._unmatched)[-_IDENTIFIED:])
             if other is not None and other != self.pattern:
-                self.notices.append(f"most of the pictures show a {describe(other)}{_asked(other)}")
+                self.notices.append(f"most of the pictures show a {describe(other)}{_option_text(other)}")
 
     def _is_still(self, found: FoundPattern, size: tuple[int, int]) -> bool:
-        before = self._before
+        before = self._previous
         if before is None:
             return False
         _, new, old = np.intersect1d(found.ids, before.ids, return_indices=True)
@@ -190,15 +190,15 @@ class ViewGatherer:
         moved = np.linalg.norm(found.pixels[new] - before.pixels[old], axis=1)
         return bool(np.median(moved) < _STILL * size[0])
 
-    def _kind(self, found: FoundPattern, size: tuple[int, int]) -> Array:
-        """How the board is held, in units in which 1 makes a difference: place (2), scale, lean (2)."""
+    def _view_features(self, found: FoundPattern, size: tuple[int, int]) -> Array:
+        """How the board is held, in units in which 1 makes a difference: position (2), scale, tilt (2)."""
         rotation, depth = _pose_guess(found, size)
-        centre = found.pixels.mean(axis=0) / size / _NEW_PLACE
-        lean = cover([found], [rotation], size).leans[0] / _NEW_LEAN
-        return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *lean])
+        centre = found.pixels.mean(axis=0) / size / _NEW_POSITION
+        tilt = cover([found], [rotation], size).tilts[0] / _NEW_TILT
+        return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *tilt])
 
-    def _is_new(self, kind: Array) -> bool:
-        return all(np.linalg.norm(kind - other) > 1.0 for other in self._kinds)
+    def _is_new(self, features: Array) -> bool:
+        return all(np.linalg.norm(features - other) > 1.0 for other in self._features)
 
 
 def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
@@ -207,7 +207,7 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
         return (
             "it must be in view as a whole, with a white margin; check --columns and --rows, light and focus"
         )
-    seen = guess_dictionary(images[-_ASKED:], least=_BOARD_MARKERS)
+    seen = guess_dictionary(images[-_IDENTIFIED:], least=_BOARD_MARKERS)
     if seen is None:
         return "there are no markers at all: is it a chessboard (--pattern chessboard)? Check light and focus"
     if seen != pattern.dictionary:
@@ -215,7 +215,7 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
     return "there are markers of its dictionary: check --columns, --rows and the two sizes against the print"
 
 
-def _asked(pattern: Pattern) -> str:
+def _option_text(pattern: Pattern) -> str:
     return f": --columns {pattern.columns} --rows {pattern.rows}"
 
 
@@ -242,5 +242,5 @@ def missing_text(missing: Sequence[str]) -> str:
     """What is still to be shown, shortly."""
     if not missing:
         return "nothing is missing"
-    rest = f" and {len(missing) - _WISHES} more" if len(missing) > _WISHES else ""
-    return "still to show: " + "; ".join(missing[:_WISHES]) + rest
+    rest = f" and {len(missing) - _NAMED_MISSING} more" if len(missing) > _NAMED_MISSING else ""
+    return "still to show: " + "; ".join(missing[:_NAMED_MISSING]) + rest

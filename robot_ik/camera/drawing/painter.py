@@ -267,9 +267,9 @@ def _cells(count: int, width: int) -> tuple[Float32, Float32, int, int, tuple[fl
     tall = max(rasteriser.LANES // count, 1)
     below = np.arange(tall) - 0.5 * (tall - 1)
     down = (below[:, None] + SAMPLES[count][:, 1]).reshape(-1)
-    aside = np.tile(SAMPLES[count][:, 0], tall)
-    across = (np.arange(width)[:, None] + aside).reshape(-1)
-    reach = (float(np.abs(aside).max()), float(np.abs(down).max()))
+    across_offset = np.tile(SAMPLES[count][:, 0], tall)
+    across = (np.arange(width)[:, None] + across_offset).reshape(-1)
+    reach = (float(np.abs(across_offset).max()), float(np.abs(down).max()))
     return across.astype(np.float32), np.tile(down, width).astype(np.float32), tall, tall * count, reach
 
 

@@ -1,6 +1,6 @@
 """Compiled: faces into sample buffers with depth.
 
-A pixel has ``n`` samples at given places in it.  Each sample keeps the nearest surface: one over its depth
+A pixel has ``n`` samples at given positions in it.  Each sample keeps the nearest surface: one over its depth
 and whose it is.  What is nearer wins, in whatever order faces come.
 
 Samples lie in *cells* of one column and so many rows of pixels that a cell has ``LANES`` samples: then all of
@@ -414,7 +414,7 @@ def resolve(
         samples: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
         planes: See ``whose``.
         extent: See ``whose``.
-        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or a phantom, not drawn.
+        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or an occluder.
         base: (m, 3) float32 colours 0..255; ``gloss`` of the highlights likewise.
         gloss: See ``base``.
         colour: (h, w, 3) uint8, 0 before: colour times coverage; ``coverage`` (h, w).

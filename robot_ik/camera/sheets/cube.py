@@ -39,7 +39,7 @@ def unfold(poses: Mapping[int, Pose], edge: float) -> list[NetFace]:
     """
     first = next(iter(poses.values())).rotation
     x, y, z = first.T
-    # Where a face with this normal goes, in edges, and the turns that bring it into the first one's plane.
+    # Where a face with this normal goes, in edges, and its rotation into the plane of the first.
     net_positions = [(z, (0, 0), np.eye(3)), (x, (1, 0), _fold(x, z)), (-x, (-1, 0), _fold(-x, z))]
     net_positions += [
         (y, (0, 1), _fold(y, z)),

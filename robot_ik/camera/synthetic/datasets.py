@@ -179,8 +179,8 @@ def random_pose(
         right /= np.linalg.norm(right)
         facing = Pose.from_rotation(np.column_stack([right, np.cross(back, right), back]))
         azimuth, roll = rng.uniform(0, 2 * np.pi, 2)
-        lean = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
-        rotation = facing.compose(lean).compose(Pose(wxyz=rotation_exp([0.0, 0.0, roll])))
+        tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
+        rotation = facing.compose(tilt_rotation).compose(Pose(wxyz=rotation_exp([0.0, 0.0, roll])))
         pose = Pose(position, rotation.wxyz)
         outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN))))
         if (outline > margin).all() and (outline < np.array(camera.size) - 1 - margin).all():
@@ -287,8 +287,8 @@ def pattern_pose(
         depth = camera.fx * pattern.size[0] / (camera.width * rng.uniform(*fill))
         pixel = rng.uniform((0, 0), camera.size)
         tilt, azimuth = np.deg2rad(rng.uniform(*tilt_deg)), rng.uniform(0, 2 * np.pi)
-        lean = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
-        rotation = lean.compose(Pose(wxyz=rotation_exp([0.0, 0.0, rng.normal(0.0, 0.15)])))
+        tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0]))
+        rotation = tilt_rotation.compose(Pose(wxyz=rotation_exp([0.0, 0.0, rng.normal(0.0, 0.15)])))
         position = camera.unproject(pixel) * depth - rotation.rotation @ centre
         pose = Pose(position, rotation.wxyz)
         if _in_view(pattern, camera, pose):

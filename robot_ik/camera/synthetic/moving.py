@@ -99,9 +99,9 @@ class OrbitSource(MovingSource):
     def _picture(self, index: int) -> tuple[Image, dict[str, object]]:
         phase = 2 * np.pi * index / _RATE_HZ / _ORBIT_S
         tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * phase))
-        lean = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
+        tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
         position = (0.04 * np.sin(phase), 0.03 * np.cos(phase), 0.45 + 0.12 * np.sin(0.61 * phase))
-        pose = Pose(position, _FACING.compose(lean).wxyz)
+        pose = Pose(position, _FACING.compose(tilt_rotation).wxyz)
         image = render_marker(
             self.intrinsics,
             pose,

@@ -43,7 +43,7 @@ class SteppedClock:
 
 
 @dataclass(frozen=True, eq=False)
-class Furniture:
+class TableObjects:
     """What really stands on the table, as the synthetic camera wants it: a robot without joints."""
 
     model: mujoco.MjModel = field(default_factory=lambda: mujoco.MjSpec().compile())
@@ -157,7 +157,7 @@ def synthetic_scene(
     if follow:
         markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
     scene = SyntheticScene(
-        Furniture() if occluders is None else Furniture(occluders),
+        TableObjects() if occluders is None else TableObjects(occluders),
         lens(width, height),
         look_at(eye, target),
         tuple(markers),

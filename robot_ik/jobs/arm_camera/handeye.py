@@ -37,7 +37,7 @@ _WRONG = np.array([0.02, -0.015, 0.01, 0.02, -0.015, 0.02])
 # The simulated camera on the hand, in reaches of the robot: beside the tool and behind it, looking inwards.
 _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
 # Sides of the tool to carry it on, rad, and how far it must see ahead, in reaches: past the tool.
-_SIDES, _SEEN_AHEAD = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
+_SIDES, _VIEW_DEPTH = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
 # The simulated board on the table: columns, rows, first id, and parts of the scene's marker.
 _GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
@@ -152,10 +152,12 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
         return beside
     sides = [Pose(wxyz=rotation_exp([0.0, 0.0, angle])).compose(beside) for angle in _SIDES]
     clearance, hand = Clearance(robot, robot.home), robot.forward(robot.home, frame)
-    ahead = _SEEN_AHEAD * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
+    view_points = (
+        _VIEW_DEPTH * reach * np.array([(u, v, 1.0) for u in (-0.2, 0.0, 0.2) for v in (-0.15, 0.15)])
+    )
     for side in sides:
         camera = hand.compose(side)
-        if clearance.sees(robot.home, camera.position, camera.apply(ahead)):
+        if clearance.sees(robot.home, camera.position, camera.apply(view_points)):
             return side
     return beside
 

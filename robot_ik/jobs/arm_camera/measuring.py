@@ -79,7 +79,7 @@ class ArmCameraRequest:
 Array = NDArray[np.float64]
 
 # Servos may take this long to arrive after the last command, and then to come to rest.
-_SETTLE_SECONDS, _LOOK_SECONDS, _LOOKS = 0.3, 0.1, 20
+_SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
 # Two readings that differ by no more than this many ticks are of an arm at rest.
 _STILL_TICKS = 1.01
 
@@ -149,8 +149,8 @@ def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
     if setup.arm is None:
         setup.scene.send(last, setup.clock.now())
         return last, True
-    for _ in range(_LOOKS):
-        setup.settle(_LOOK_SECONDS)
+    for _ in range(_REST_CHECKS):
+        setup.settle(_REST_CHECK_SECONDS)
         now = setup.q
         if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
             return now, True

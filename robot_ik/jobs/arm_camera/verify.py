@@ -330,13 +330,13 @@ class _VerifyPhases(ViewPhases):
         joints, pose = self.setup.robot.joints, request.pose_frame_board
         if pose is None:
             pose = Pose() if truth is None else truth.pose_other_board
-        ahead = [request.zero_offset_deg.get(name, 0.0) for name in joints]
+        offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
         return VerifySamples(
             SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
             _known_camera(extrinsics),
             KnownPose.within(pose, *request.board_sigma),
             _by_arm(extrinsics),
-            None if truth is None else np.deg2rad(ahead),
+            None if truth is None else np.deg2rad(offsets_deg),
             () if config is None else tuple(servo_values(joint) for joint in config.joints),
         )
 

@@ -333,8 +333,8 @@ def _tilted(position: Array, rng: np.random.Generator) -> Pose:
     back = -position / np.linalg.norm(position)
     facing = _rotation_onto(np.array([0.0, 0.0, 1.0]), back, rng)
     tilt, azimuth = rng.uniform(0.0, _LARGEST_TILT), rng.uniform(0.0, 2.0 * np.pi)
-    lean = rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0])
-    return Pose(position, facing).compose(Pose(wxyz=lean))
+    tilt_rotation = rotation_exp([tilt * np.cos(azimuth), tilt * np.sin(azimuth), 0.0])
+    return Pose(position, facing).compose(Pose(wxyz=tilt_rotation))
 
 
 def _rotation_onto(source: Array, target: Array, rng: np.random.Generator) -> Array:

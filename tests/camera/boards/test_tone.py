@@ -58,13 +58,13 @@ def test_the_shift_of_edges_is_measured_between_saddles() -> None:
 
 def test_overexposed_sharpened_and_compressed_views_are_named() -> None:
     assert tone_of(CHESSBOARD, QUIET).troubles == ()
-    for sensor, words in (
+    for sensor, text in (
         (replace(QUIET, exposure=2.5), "overexposed"),
         (replace(QUIET, sharpening=1.5), "sharpened"),
         (replace(QUIET, jpeg=30), "compressed"),
     ):
         (trouble,) = tone_of(CHESSBOARD, sensor).troubles
-        assert trouble.startswith(words) and ":" in trouble
+        assert trouble.startswith(text) and ":" in trouble
 
 
 def test_the_camera_file_holds_what_is_expected_of_edges(tmp_path: Path) -> None:

@@ -25,13 +25,13 @@ BOARD = Pose((0.4, -0.1, 0.02), rotation_exp([0.0, 0.0, 0.7]))
 SEEN = Pose((0.03, -0.02, 0.7), (0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, -0.3, 0.2])))
 
 
-def looked(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
+def observed(rng: np.random.Generator, noise: float = 0.1) -> BoardView:
     """One frame of the board."""
     pixels = STANDARD_CAMERA.project(SEEN.apply(POINTS)) + rng.normal(0, noise, (len(POINTS), 2))
     return BoardView(POINTS, pixels, SEEN.compose(Pose.exp(rng.normal(0, 2e-3, 6))), 0.1)
 
 
-def place_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
+def extrinsics_of(pose: Pose, covariance: np.ndarray) -> CameraExtrinsics:
     return CameraExtrinsics(pose, "world", covariance, 0.12, 0.2, today(), STANDARD_CAMERA.digest)
 
 
@@ -44,19 +44,21 @@ def test_the_file_gives_back_what_was_written(
     twist: list[float], parent: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("place") / "place.toml"
-    place = dataclasses.replace(place_of(Pose.exp(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent)
-    place.save(path)
+    extrinsics = dataclasses.replace(
+        extrinsics_of(Pose.exp(twist), np.diag(np.arange(6.0)) * 1e-7), parent=parent
+    )
+    extrinsics.save(path)
     read = CameraExtrinsics.load(path, STANDARD_CAMERA)
-    np.testing.assert_array_equal(read.pose_parent_camera.position, place.pose_parent_camera.position)
-    assert max(read.pose_parent_camera.distance(place.pose_parent_camera)) < 1e-15
-    np.testing.assert_array_equal(read.covariance, place.covariance)
+    np.testing.assert_array_equal(read.pose_parent_camera.position, extrinsics.pose_parent_camera.position)
+    assert max(read.pose_parent_camera.distance(extrinsics.pose_parent_camera)) < 1e-15
+    np.testing.assert_array_equal(read.covariance, extrinsics.covariance)
     assert (read.parent, read.date, read.residual_px, read.views) == (parent, today(), 0.12, 1)
     assert "OpenCV" in path.read_text(encoding="utf-8")
 
 
 def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
     path = tmp_path / "place.toml"
-    place_of(Pose(), np.eye(6)).save(path)
+    extrinsics_of(Pose(), np.eye(6)).save(path)
     other = dataclasses.replace(STANDARD_CAMERA, fx=801.0)
     with pytest.raises(CalibrationError, match="another calibration") as refused:
         CameraExtrinsics.load(path, other)
@@ -78,7 +80,7 @@ def test_it_belongs_to_one_calibration_and_one_parent(tmp_path: Path) -> None:
 )
 def test_a_wrong_file_is_reported_in_one_sentence(tmp_path: Path, text: str | None, words: str) -> None:
     path = tmp_path / "place.toml"
-    place_of(Pose(), np.eye(6)).save(path)
+    extrinsics_of(Pose(), np.eye(6)).save(path)
     good = path.read_text()
     if text is None:
         path.unlink()
@@ -98,19 +100,19 @@ def test_a_camera_is_located_with_an_honest_uncertainty() -> None:
     true = BOARD.compose(SEEN.inverse())
     errors, stated = [], []
     for seed in range(12):
-        place = locate_camera([looked(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
-        errors.append(place.pose_parent_camera.distance(true))
-        stated.append((place.sigma_position, place.sigma_angle))
+        extrinsics = locate_camera([observed(np.random.default_rng(seed))], BOARD, STANDARD_CAMERA)
+        errors.append(extrinsics.pose_parent_camera.distance(true))
+        stated.append((extrinsics.sigma_position, extrinsics.sigma_angle))
     off, said = (np.sqrt(np.mean(np.square(v), axis=0)) for v in (errors, stated))
     assert off[0] < 2e-3 and off[1] < np.deg2rad(0.25)
     assert (off < 2 * said).all() and (said < 2 * off).all()
-    assert 0.05 < place.residual_px < 0.2
-    assert place.residual_mm == pytest.approx(1e3 * place.residual_px * 0.7 / 800, rel=0.1)
+    assert 0.05 < extrinsics.residual_px < 0.2
+    assert extrinsics.residual_mm == pytest.approx(1e3 * extrinsics.residual_px * 0.7 / 800, rel=0.1)
 
 
 def test_frames_are_averaged_and_a_hand_before_the_board_does_no_harm() -> None:
     true, rng = BOARD.compose(SEEN.inverse()), np.random.default_rng(1)
-    views = [looked(rng) for _ in range(9)]
+    views = [observed(rng) for _ in range(9)]
     one = locate_camera(views[:1], BOARD, STANDARD_CAMERA)
     spoilt = BoardView(POINTS, views[0].pixels + 25.0, SEEN.compose(Pose((0.05, 0.0, 0.1))), 0.1)
     part = BoardView(POINTS[:8], views[1].pixels[:8], SEEN, 0.1)
@@ -130,8 +132,8 @@ def test_markers_are_seen_in_a_picture_as_a_board() -> None:
     assert isinstance(board, MarkerBoard)
     view = board.see(frame, STANDARD_CAMERA)
     assert view is not None and len(view.points) == 24
-    place = locate_camera([view], BOARD, STANDARD_CAMERA)
-    assert place.pose_parent_camera.distance(BOARD.compose(SEEN.inverse()))[0] < 1e-3
+    extrinsics = locate_camera([view], BOARD, STANDARD_CAMERA)
+    assert extrinsics.pose_parent_camera.distance(BOARD.compose(SEEN.inverse()))[0] < 1e-3
     assert MarkerBoard(grid_body(1, 1, 0.05, 0.01, 40).markers).see(frame, STANDARD_CAMERA) is None
 
 

@@ -151,16 +151,16 @@ def test_a_flipped_first_estimate_does_no_harm() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    ("changes", "text"),
     [
         ({"axes": (1.0, 0.02, 0.02)}, "about one axis only"),
         ({"spread_deg": 1.0}, "hardly turned"),
         ({"count": 3}, "3 views are too few"),
     ],
 )
-def test_motions_that_cannot_tell_are_refused(changes: dict[str, object], words: str) -> None:
+def test_motions_that_cannot_tell_are_refused(changes: dict[str, object], text: str) -> None:
     _, samples = handeye_set(**changes)  # type: ignore[arg-type]
-    with pytest.raises(CalibrationError, match=words) as refused:
+    with pytest.raises(CalibrationError, match=text) as refused:
         solve_handeye(samples, STANDARD_CAMERA, mounting="eye_in_hand")
     assert "30 degrees" in refused.value.hint
 

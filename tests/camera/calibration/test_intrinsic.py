@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
-from robot_ik.camera.calibration.coverage import LEANS, coverage_picture
+from robot_ik.camera.calibration.coverage import TILTS, coverage_picture
 from robot_ik.camera.calibration.intrinsic import CalibrationResult, CalibrationView, calibrate
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, pattern_set
@@ -153,18 +153,18 @@ def test_what_was_not_shown_is_named() -> None:
         found.append(seen(STANDARD_CAMERA, Pose((-0.2, -0.07, 0.55), turn), rng))
     coverage = calibrate(found, SIZE).coverage
     missing = " ".join(coverage.missing)
-    for words in ("the board in the right", "the board in the lower right", "its left side tilted away"):
-        assert words in missing
+    for text in ("the board in the right", "the board in the lower right", "its left side tilted away"):
+        assert text in missing
     assert "its right side" not in missing and "the board in the left" not in missing
     tops = {"top": -1.0, "bottom": 1.0}
-    shown = max(tops, key=lambda side: float((coverage.leans[:, 1] * tops[side]).max()))
+    shown = max(tops, key=lambda side: float((coverage.tilts[:, 1] * tops[side]).max()))
     assert f"its {shown} side" not in missing
     assert f"its {({'top', 'bottom'} - {shown}).pop()} side" in missing
 
 
-@pytest.mark.parametrize("side", LEANS)
-def test_a_lean_points_to_the_side_that_is_farther(side: str) -> None:
-    way = np.array(LEANS[side])
+@pytest.mark.parametrize("side", TILTS)
+def test_a_tilt_points_to_the_side_that_is_farther(side: str) -> None:
+    way = np.array(TILTS[side])
     # Turning about the axis across ``way`` brings that side away: checked on the depths themselves.
     turn = rotation_exp(np.deg2rad(25.0) * np.array([way[1], -way[0], 0.0]))
     found = [seen(STANDARD_CAMERA, Pose((-0.1, -0.06, 0.5), turn), np.random.default_rng(0))]
@@ -173,8 +173,8 @@ def test_a_lean_points_to_the_side_that_is_farther(side: str) -> None:
     assert np.corrcoef(depth, along)[0, 1] > 0.9
     from robot_ik.camera.calibration.coverage import cover
 
-    lean = cover(found, [Pose(wxyz=turn).rotation], SIZE).leans[0]
-    assert lean == pytest.approx(25.0 * way, abs=1e-6)
+    tilt = cover(found, [Pose(wxyz=turn).rotation], SIZE).tilts[0]
+    assert tilt == pytest.approx(25.0 * way, abs=1e-6)
 
 
 def test_the_coverage_picture_shows_what_is_missing(twenty: CalibrationResult) -> None:

@@ -48,7 +48,7 @@ def gatherer() -> ViewGatherer:
 
 def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
     def show(*numbers: int) -> list[bool]:
-        return [gatherer.offer(frame(n), f"{n}", choosy=True) for n in numbers]
+        return [gatherer.offer(frame(n), f"{n}", selective=True) for n in numbers]
 
     assert show(0) == [False], "the first picture may be of a moving board"
     assert show(1) == [True], "a third of a pixel is hand tremor"
@@ -64,12 +64,12 @@ def test_only_what_is_still_and_new_is_taken(gatherer: ViewGatherer) -> None:
 
 
 def test_of_pictures_all_are_taken(gatherer: ViewGatherer) -> None:
-    assert all(gatherer.offer(frame(0), "same", choosy=False) for _ in range(3))
+    assert all(gatherer.offer(frame(0), "same", selective=False) for _ in range(3))
     with pytest.raises(FrameSizeError, match=r"big\.png has 1280x960 px, the pictures before it 640x480"):
-        gatherer.offer(frame(0, (1280, 960)), "big.png", choosy=False)
+        gatherer.offer(frame(0, (1280, 960)), "big.png", selective=False)
 
 
-def test_missing_words_are_short() -> None:
+def test_missing_text_is_short() -> None:
     assert missing_text(()) == "nothing is missing"
     assert missing_text(list("abcde")) == "still to show: a; b; c and 2 more"
 
@@ -86,7 +86,7 @@ def picture(pattern: Pattern) -> Frame:
 def test_a_board_of_the_old_layout_is_taken_and_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(6, 4, 0.03, 0.022))
     old = picture(CharucoPattern(6, 4, 0.03, 0.022, legacy=True))
-    assert not gatherer.offer(old, "old.png", choosy=False)
+    assert not gatherer.offer(old, "old.png", selective=False)
     gatherer.finish()
     assert isinstance(gatherer.pattern, CharucoPattern) and gatherer.pattern.legacy
     assert len(gatherer.views) == 1
@@ -96,7 +96,7 @@ def test_a_board_of_the_old_layout_is_taken_and_reported() -> None:
 def test_a_wrong_board_size_is_reported() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
     for _ in range(3):
-        gatherer.offer(picture(ChessboardPattern(7, 4, 0.025)), "photo", choosy=False)
+        gatherer.offer(picture(ChessboardPattern(7, 4, 0.025)), "photo", selective=False)
     with pytest.raises(
         CalibrationError, match=r"no chessboard of 8x5 inner .* but a chessboard of 7x4"
     ) as caught:
@@ -109,13 +109,13 @@ def test_a_wrong_board_before_a_live_camera_is_reported_soon() -> None:
     other = picture(ChessboardPattern(7, 4, 0.025))
     with pytest.raises(CalibrationError, match="but a chessboard of 7x4"):
         for _ in range(12):
-            assert not gatherer.offer(other, "live", choosy=True)
+            assert not gatherer.offer(other, "live", selective=True)
             assert not gatherer.in_view
 
 
 def test_nothing_there_is_reported() -> None:
     gatherer = ViewGatherer(CharucoPattern(8, 6, 0.03, 0.022))
-    gatherer.offer(frame(120), "wall.png", choosy=False)
+    gatherer.offer(frame(120), "wall.png", selective=False)
     with pytest.raises(CalibrationError, match=r"no ChArUco board of 8x6 squares .* in any of the pictures"):
         gatherer.finish()
 
@@ -134,7 +134,7 @@ def test_nothing_there_is_reported() -> None:
 )
 def test_a_board_of_another_kind_is_reported(asked: Pattern, shown: Pattern, hint: str) -> None:
     gatherer = ViewGatherer(asked)
-    gatherer.offer(picture(shown), "photo", choosy=False)
+    gatherer.offer(picture(shown), "photo", selective=False)
     with pytest.raises(CalibrationError, match="in any of the pictures") as caught:
         gatherer.finish()
     assert hint in caught.value.hint
@@ -142,7 +142,7 @@ def test_a_board_of_another_kind_is_reported(asked: Pattern, shown: Pattern, hin
 
 def test_pictures_without_the_board_are_named(gatherer: ViewGatherer) -> None:
     for image, name in ((0, "good"), (255, "wall"), (0, "again")):
-        gatherer.offer(frame(image), name, choosy=False)
+        gatherer.offer(frame(image), name, selective=False)
     gatherer.finish()
     assert gatherer.notices == ["not seen well enough in 1 of the pictures: wall"]
 
@@ -167,7 +167,7 @@ def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
         return there if (pattern.columns, pattern.rows) == (10, 6) else None
 
     monkeypatch.setattr(ChessboardPattern, "find", find)
-    assert gatherer.offer(frame(0), "photo", choosy=False)
+    assert gatherer.offer(frame(0), "photo", selective=False)
     gatherer.finish()
     assert gatherer.notices == [
         "only a part of the board is used: it is a chessboard of 10x6 inner corners (squares 25 mm): "
@@ -177,12 +177,12 @@ def test_a_board_of_which_only_a_part_was_asked_for_is_reported(
 
 def test_a_chance_find_does_not_hide_a_wrong_count() -> None:
     gatherer = ViewGatherer(ChessboardPattern(8, 5, 0.025))
-    assert gatherer.offer(picture(ChessboardPattern(8, 5, 0.025)), "chance", choosy=False)
+    assert gatherer.offer(picture(ChessboardPattern(8, 5, 0.025)), "chance", selective=False)
     right = Frame(np.full_like(picture(ChessboardPattern(8, 5, 0.025)).image, 255), 0.0, 1)
     smaller = picture(ChessboardPattern(7, 4, 0.025)).image
     right.image[: smaller.shape[0], : smaller.shape[1]] = smaller
     for k in range(3):
-        assert not gatherer.offer(right, f"photo {k}", choosy=False)
+        assert not gatherer.offer(right, f"photo {k}", selective=False)
     gatherer.finish()
     assert gatherer.notices[0] == (
         "most of the pictures show a chessboard of 7x4 inner corners (squares 25 mm): --columns 7 --rows 4"

@@ -164,7 +164,7 @@ def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "words"),
+    ("changes", "error", "text"),
     [
         ({"camera": "0"}, CalibrationError, "has no calibration"),
         ({"camera": "0", "intrinsics": Path("x.yaml")}, CameraError, "what board"),
@@ -172,9 +172,9 @@ def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_what_is_missing_is_reported_before_anything_moves(
-    changes: dict[str, Any], error: type[Exception], words: str
+    changes: dict[str, Any], error: type[Exception], text: str
 ) -> None:
-    with pytest.raises(error, match=words):
+    with pytest.raises(error, match=text):
         run_handeye(HandEyeRequest(bus="none", **changes))
 
 

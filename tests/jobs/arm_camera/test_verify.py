@@ -171,7 +171,7 @@ def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytes
 
 
 @pytest.mark.parametrize(
-    ("changes", "error", "words"),
+    ("changes", "error", "text"),
     [
         ({"camera": "0"}, CalibrationError, "camera locate"),
         ({"camera": "0", "zero_offset_deg": {"joint1": 1.0}}, ConfigError, "synthetic camera only"),
@@ -180,11 +180,11 @@ def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytes
     ],
 )
 def test_what_is_missing_is_reported_before_anything_moves(
-    changes: dict[str, Any], error: type[Exception], words: str
+    changes: dict[str, Any], error: type[Exception], text: str
 ) -> None:
     with pytest.raises(error) as reported:
         run_verify(VerifyRequest("tabletop_puma", **changes))
-    assert words in str(reported.value)
+    assert text in str(reported.value)
 
 
 def test_sums_are_over_halves_of_the_space() -> None:
