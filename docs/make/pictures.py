@@ -163,7 +163,6 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
         motion=still,
         occluders=objects,
         quality="full",
-        noise=0.3,
         eye=(0.12, -0.66, 0.46),
         target=(0.0, 0.05, 0.13),
     )
