@@ -18,7 +18,7 @@ from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.bvh_robot import export_bvh
 from robot_ik.pose_prior import PosePrior
 
-PLACES = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
+POSITIONS = {"high": (0.35, -0.25, 1.6), "low": (0.4, -0.3, 0.9)}
 
 
 def recorded(figure: rik.Robot) -> KeyPoses:
@@ -27,8 +27,8 @@ def recorded(figure: rik.Robot) -> KeyPoses:
     book.record("stand", figure.home)
     natural = PosePriorGoal(prior=PosePrior.of(figure))
     feet = [rik.PoseGoal.at(foot, figure.forward(figure.home, foot)) for foot in ("left_foot", "right_foot")]
-    for name, place in PLACES.items():
-        found = rik.solve(figure, [*feet, rik.PositionGoal("right_hand", place), natural], solver="lm")
+    for name, position in POSITIONS.items():
+        found = rik.solve(figure, [*feet, rik.PositionGoal("right_hand", position), natural], solver="lm")
         book.record(name, found.require().q)
     book.record_motion("greet", ["stand", "high", "low", "stand"], [0.8, 0.6, 0.8])
     return book

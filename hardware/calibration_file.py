@@ -321,7 +321,7 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
 
     Args:
         config: The arm as it was when the offsets were found.
-        offsets: Joint -> rad (m of a slide) by which it is ahead of what its servos say.
+        offsets: Joint -> rad (m of a slide) by which it exceeds what its servos say.
 
     Raises:
         UnknownJointError: No such joint.

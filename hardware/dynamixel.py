@@ -86,12 +86,12 @@ class RoundTripEstimator:
 # ------------------------------------------------------------------------------------------
 # Many servos in one go: goals out, measurements back, within the time a control cycle has.
 #
-# Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
+# Goals and the request for measurements leave in one write.  Servos whose firmware allows it answer together
 # in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE`` failures
 # in a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
-# A reply does not say which question it answers.  So in a control cycle, after a reply was missed, the next
-# question asks for a byte more than the last: a reply that comes late has another length, and is known.
+# A reply does not say which request it answers.  So in a control cycle, after a reply was missed, the next
+# request asks for a byte more than the last: a reply that comes late has another length, and is known.
 
 
 log = logging.getLogger(__name__)
@@ -103,13 +103,13 @@ FAST_PATIENCE = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
 PHASES = 4
-"""Lengths in turn: a reply is known to be late unless it comes just so many questions after its own."""
+"""Lengths in turn: a reply is known to be late unless it comes just so many requests after its own."""
 
 
 class _ReadPlan(NamedTuple):
-    """A question to many servos: in words, as bytes, and what comes back."""
+    """A request to many servos: its name, its bytes, and what comes back."""
 
-    asks: str
+    query: str
     request: bytes
     bytes_back: int
     fast: bool
@@ -118,7 +118,7 @@ class _ReadPlan(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """What a question is for: servo id -> register, the same as asked (perhaps longer), what is there."""
+    """What a request is for: servo id -> register, the same as asked (perhaps longer), what is there."""
 
     registers: Mapping[int, Register]
     asked: Mapping[int, Register]
@@ -135,7 +135,7 @@ class GroupTraffic:
 
     Args:
         wire: The port.
-        retries: How often the question is repeated to those that did not answer.
+        retries: How often the request is repeated to those that did not answer.
 
     Attributes:
         fast_ids: Servos that may be asked by fast reads.
@@ -170,7 +170,7 @@ class GroupTraffic:
             BusDisconnectedError, BusNotOpenError.
         """
         request = write_request(values) if values else b""
-        # It has no reply, so a reply still outstanding keeps belonging to the question before.
+        # It has no reply, so a reply still outstanding keeps belonging to the request before.
         with self._wire.transaction(None) as port:
             if request:
                 port.send(request)
@@ -187,8 +187,8 @@ class GroupTraffic:
 
         Args:
             registers: Servo id -> what is read from it.
-            writes: As for ``write``; leave in the same piece as the question.
-            within: s; after that no servo is asked again.  The first question always gets its full time.
+            writes: As for ``write``; leave in the same write as the request.
+            within: s; after that no servo is asked again.  The first request always gets its full time.
             guarded: Late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
                 must be readable as well.
 
@@ -204,7 +204,7 @@ class GroupTraffic:
         # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
-        with self._wire.transaction(plan.asks) as port:
+        with self._wire.transaction(plan.query) as port:
             end = self._wire.now() + (CYCLE_TIME if within is None else within)
             self._counters.cycles += 1
             self._counters.asked += len(registers)
@@ -251,7 +251,7 @@ class GroupTraffic:
             sizes = tuple((id, register.size) for id, register in registers.items())
             each = FAST_FRAME if fast else SHORTEST_STATUS
             back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
-            if len(self._plans) > 1000:  # questions about changing sets of servos
+            if len(self._plans) > 1000:  # requests to changing sets of servos
                 self._plans.clear()
             request = read_request(registers, fast=fast)
             names = ", ".join({register.name: None for register in registers.values()})
@@ -260,7 +260,7 @@ class GroupTraffic:
         return plan
 
     def _patience(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
-        """s from sending the question to giving up the replies."""
+        """s from sending the request to giving up the replies."""
         wait = self._times.patience(self._wire.response_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
@@ -524,7 +524,7 @@ class DynamixelBus:
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        """A control cycle: goals and the question for measurements leave in one piece.
+        """A control cycle: goals and the request for measurements leave in one write.
 
         Args:
             writes: Servo id -> register and value.

@@ -223,7 +223,7 @@ def _check_models(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def _mismatch_hint(found: set[int], damaged: set[int]) -> str:
-    """What to look at; empty: the error's own words."""
+    """What to check; empty: the error's own text."""
     if damaged and found:
         return "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
     if damaged:
