@@ -33,7 +33,7 @@ LONGEST_DRAIN = 0.1
 RESPONSE_TIME = 0.034
 """s a servo is given beyond the bytes' own time: twice a 16 ms USB latency timer and 2 ms, as in the SDK."""
 
-OVERTIME = 1024
+MAX_LATE_BYTES = 1024
 """Bytes read at most after a packet's time is over: what came in while this program was held up, no more."""
 
 WRITE_TIMEOUT = 0.5
@@ -88,7 +88,7 @@ class SleepingPortHandler(PortHandler):
         self.seconds_per_byte = 10.0 / baud
         self._counters = counters
         self._file = -1
-        self._overtime = OVERTIME
+        self._late_bytes = MAX_LATE_BYTES
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Opens the port, exclusively."""
@@ -129,7 +129,7 @@ class SleepingPortHandler(PortHandler):
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """So many milliseconds from now."""
         super().setPacketTimeoutMillis(msec)
-        self._overtime = OVERTIME
+        self._late_bytes = MAX_LATE_BYTES
 
     def send(self, data: bytes) -> None:
         """Writes all of it, or raises."""
@@ -179,12 +179,12 @@ class SleepingPortHandler(PortHandler):
     def readPort(self, length: int) -> bytes:
         """At most ``length`` bytes; sleeps until there are some or the packet's time is over.
 
-        The SDK looks at the clock only where too few bytes came.  So after that time there are ``OVERTIME``
-        bytes at most, then none, whatever comes in.
+        The SDK looks at the clock only where too few bytes came.  So after that time there are at most
+        ``MAX_LATE_BYTES`` bytes, then none, whatever comes in.
         """
         if self.getTimeSinceStart() > self.packet_timeout:
-            length = min(length, self._overtime)
-            self._overtime -= max(length, 0)
+            length = min(length, self._late_bytes)
+            self._late_bytes -= max(length, 0)
         if length <= 0:
             return b""
         if not self._posix:

@@ -29,7 +29,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.joint_map import HOMING_CURES, POSITION_MODE_HOMING, JointMap
+from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 
 # ------------------------------------------------------------------------------------------
 # How hard servos in current-based position mode may press.
@@ -195,7 +195,7 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
                 "which servos in position mode ignore",
                 file=config.file or config.name,
                 key=f"joints[{config.whole.names.index(servo.name)}].mode",
-                allowed=HOMING_CURES,
+                allowed=HOMING_FIXES,
             )
 
 
