@@ -15,7 +15,7 @@ import robot_ik as rik
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 
-TURN = np.radians(8.0)
+STEP = np.radians(8.0)
 
 
 def main(bus: str = "sim", arm_file: str = "") -> None:
@@ -29,7 +29,7 @@ def main(bus: str = "sim", arm_file: str = "") -> None:
     with open_arm(config, bus, **start) as arm:  # checks servos, models, supply; torque stays as it is
         arm.enable()  # torque on where the arm stands; from here the exit policy holds
         begin = arm.read().q
-        target = begin + np.where(robot.upper - begin > TURN, TURN, -TURN)  # the way where there is room
+        target = begin + np.where(robot.upper - begin > STEP, STEP, -STEP)  # down near the upper limit
         move = rik.joint_move(
             robot, begin, target, speed=0.2, rate=config.rate_hz,
             velocity=config.velocity, acceleration=config.acceleration,

@@ -41,7 +41,7 @@ LOCK_PATIENCE = 0.5
 """s for which leaving waits for a cycle of another thread; then the arm is left all the same."""
 
 _AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
-_LOOK_PERIOD = 0.02  # s between two looks for a request to stop
+_POLL_PERIOD = 0.02  # s between two polls for a request to stop
 
 T = TypeVar("T")
 
@@ -123,7 +123,7 @@ class Arm:
         self._stop_file = StopFile(config.name)
         self._stop_policy: str | None = None  # somebody asked to stop: how the arm is left, whatever on_exit
         self._stop_acknowledged = True
-        self._looked = 0.0
+        self._polled_at = 0.0
 
     @property
     def reports(self) -> MotionReport:
@@ -492,8 +492,8 @@ class Arm:
     def _stop_asked(self) -> bool:
         """Whether somebody asks, in this process or in another one."""
         now = self.clock.now()
-        if self._stop_acknowledged and now - self._looked >= _LOOK_PERIOD:
-            self._looked = now
+        if self._stop_acknowledged and now - self._polled_at >= _POLL_PERIOD:
+            self._polled_at = now
             if (policy := self._stop_file.requested()) is not None:
                 self.request_stop(policy)
         return not self._stop_acknowledged

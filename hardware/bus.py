@@ -63,7 +63,7 @@ class Counters:
         answered: … that came; ``refused``: … for which an error number came; ``timeouts``: … that never came.
             Single reads and writes without a reply count as ``asked`` and ``timeouts`` too.
         corrupt: Replies that came and could not be trusted (checksum, length).
-        late: Replies that came after their question was given up; nothing of them was used.
+        late: Replies that came after their request was given up; nothing of them was used.
         retries: Requests repeated because of the above.
         alerts: Replies that carried the alert bit.
         fallbacks: Times fast reads were given up.

@@ -15,7 +15,7 @@ from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, Sign
+from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, JointMap, Sign
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
 
@@ -40,8 +40,8 @@ STILL_TICKS = 12
 _HALF = TICKS_PER_REVOLUTION // 2
 
 
-class HandError(HardwareError):
-    """A hand did not do what it was asked for; it can do it again."""
+class OperatorError(HardwareError):
+    """A person did not do what a step asks for; the step can be repeated."""
 
 
 class Sweep:
@@ -87,7 +87,7 @@ def check_sweep(config: ArmConfig, sweep: Sweep) -> None:
         low, high = sweep.low[joint.id], sweep.high[joint.id]
         if sweep.travel(joint) < LEAST_SWEEP * joint.lever:
             which = f" (servo id {joint.id})" if joint.id not in config.ids else ""
-            raise HandError(
+            raise OperatorError(
                 f"joint {joint.name!r}{which} moved by {joint.text(sweep.travel(joint))} only",
                 hint="sweep every joint from one stop to the other",
             )
@@ -135,12 +135,12 @@ def counting_directions(
     farthest = largest.text(abs(ways[largest.id]) * largest.lever)
     own = ways[joint.id]
     if abs(ways[largest.id]) < LEAST_WIGGLE:
-        raise HandError(
+        raise OperatorError(
             f"joint {joint.name!r} did not turn (most: {largest.name} by {farthest})",
             hint=f"turn it by about {joint.text(ASKED_WIGGLE * joint.lever, 0)} and leave it there",
         )
     if abs(own) < LEAST_WIGGLE or (largest.name != joint.name and abs(ways[largest.id]) > 2.0 * abs(own)):
-        raise HandError(
+        raise OperatorError(
             f"{joint.name!r} was to be turned, and {largest.name!r} did (by {farthest})",
             hint="are two ids swapped? compare cables and arm file; robot-ik servo setup changes an id",
         )
@@ -407,7 +407,7 @@ def _differences(
     present = servo["present_position"]
     if joint.mode == OperatingMode.POSITION:
         present %= TICKS_PER_REVOLUTION
-    if not row.range_min - BESIDE_TICKS <= present <= row.range_max + BESIDE_TICKS:
+    if not row.range_min - RANGE_TOLERANCE_TICKS <= present <= row.range_max + RANGE_TOLERANCE_TICKS:
         rows.append((joint.name, "present position", f"{row.range_min} .. {row.range_max}", str(present)))
     return rows + ([] if limits is None else _other_limits(joint, row, limits))
 

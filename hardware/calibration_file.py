@@ -15,7 +15,7 @@ from robot_ik.errors import ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_CURES, POSITION_MODE_HOMING, JointMap, Sign
+from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.reading import read_json, shown
 from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
@@ -223,7 +223,7 @@ def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
             f"{row['homing_offset']} ticks",
             file=path,
             key=f"{joint.name}.homing_offset",
-            allowed=HOMING_CURES,
+            allowed=HOMING_FIXES,
         )
     if bool(row["drive_mode"] & REVERSE) != bool(joint.reverse):
         said = "not reversed" if joint.reverse else "reversed"
@@ -321,7 +321,7 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
 
     Args:
         config: The arm as it was when the offsets were found.
-        offsets: Joint -> rad (m of a slide) by which it is ahead of what its servos say.
+        offsets: Joint -> rad (m of a slide) by which it exceeds what its servos say.
 
     Raises:
         UnknownJointError: No such joint.

@@ -293,7 +293,7 @@ def _swing(j: SlideFile) -> SwingArm | None:
 
 
 # ------------------------------------------------------------------------------------------
-# What no single key of an arm file can tell: models, modes, rates, currents, duplicates, empty ranges.
+# What no single key of an arm file shows: models, modes, rates, currents, duplicates, empty ranges.
 
 
 def check_arm(config: ArmConfig, file: Path | str) -> None:
@@ -318,10 +318,10 @@ def check_arm(config: ArmConfig, file: Path | str) -> None:
                 f"joint {joint.name!r} is already joints[{names[joint.name]}]", file=file, key=f"{at}.name"
             )
         names[joint.name] = k
-        for place, servo in zip((at, f"{at}.twin"), joint.servos, strict=False):
+        for prefix, servo in zip((at, f"{at}.twin"), joint.servos, strict=False):
             if servo.id in ids:
-                raise ConfigError(f"id {servo.id} is already {ids[servo.id]}", file=file, key=f"{place}.id")
-            ids[servo.id] = place
+                raise ConfigError(f"id {servo.id} is already {ids[servo.id]}", file=file, key=f"{prefix}.id")
+            ids[servo.id] = prefix
         _check_currents(joint, table, at, file)
         _check_stops(joint, table, at, file)
         _check_caps(joint, at, file)

@@ -76,7 +76,7 @@ class Register:
         size: In bytes: 1, 2 or 4, little-endian.
         access: ``"r"`` or ``"rw"``.
         signed: Two's complement.
-        unit: What one count means, in words.
+        unit: What one count means, as text.
         eeprom: Kept without power, and locked while torque is on.
         initial: Factory value; ``None`` where it depends on the state of the servo.
         minimum, maximum: Smallest and largest value a write may have; limits that depend on other registers

@@ -74,7 +74,7 @@ class MotionReport:
 
 
 # ------------------------------------------------------------------------------------------
-# Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is put into words.
+# Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is described.
 
 
 def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
@@ -258,8 +258,8 @@ class Cycle:
         """``drive`` for a command of all joints."""
         if not math.isfinite(now):
             raise UnsafeCommandError(f"a command for the time {now}", "a finite time in seconds")
-        # The time before the packet, and before the last look at the clock: this process may be stalled
-        # anywhere between, and the next look must see that.
+        # The time before the packet, and before the clock was last read: this process may be stalled
+        # anywhere between, and the next reading must show that.
         start = self._clock.now()
         self.stay_alive()
         self.held = False

@@ -32,7 +32,7 @@ IDS = range(253)
 PING_WAIT = RESPONSE_TIME
 """s for one id to answer a ping of its own."""
 
-_LOOKS = 4  # reads of changing registers that two servos with one id would have to answer alike
+_READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,10 @@ def scan(
         bus = ScanBus(port, baud, retries=0)
         bus.open()
         try:
-            heard, damaged = bus.collect_pings(listening_time(baud))
-            servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(heard.items())]
+            responses, damaged = bus.collect_pings(listening_time(baud))
+            servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(responses.items())]
             if damaged:
-                rest = [id for id in IDS if id not in heard]
+                rest = [id for id in IDS if id not in responses]
                 servos += _one_by_one(bus, baud, rest, progress)
             found += sorted(servos, key=lambda servo: servo.id)
         finally:
@@ -150,7 +150,7 @@ def scan(
 
 
 def nobody_hint(bauds: Iterable[int]) -> str:
-    """What to look at when no servo answered."""
+    """What to check when no servo answered."""
     rates = set(bauds)
     text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"
     left = [rate for rate in BAUD_RATES.values() if rate not in rates]
@@ -186,12 +186,12 @@ def _one_by_one(
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{baud} baud, id {id}", k / len(ids))
-        heard, damaged = bus.ping_once(id, PING_WAIT)
-        if damaged and id not in heard:
-            heard, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one reply
-        for other, who in heard.items():
+        responses, damaged = bus.ping_once(id, PING_WAIT)
+        if damaged and id not in responses:
+            responses, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one reply
+        for other, who in responses.items():
             found[other] = _details(bus, FoundServo(other, baud, *who))
-        if damaged and id not in heard:
+        if damaged and id not in responses:
             found[id] = FoundServo(id, baud, shared=True)
     return list(found.values())
 
@@ -208,7 +208,7 @@ def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
         "hardware_error_status",
         "present_input_voltage",
         "present_temperature",
-        *("present_position", "realtime_tick") * (_LOOKS // 2),
+        *("present_position", "realtime_tick") * (_READS // 2),
     )
     for name in names:
         try:
@@ -278,7 +278,7 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
         BusNotOpenError, BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     table = servo.table
-    assert table is not None  # the_only_one has looked
+    assert table is not None  # the_only_one has checked
     if not 0 <= id <= 252:
         raise ConfigError(f"{id} is no servo id", file="command line", key="--id", allowed="0..252")
     if baud not in table.baud_rates:

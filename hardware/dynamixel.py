@@ -37,16 +37,16 @@ from robot_ik.hardware.serial_port import QUIET, RESPONSE_TIME, SleepingPortHand
 # How long servos take to answer, learned from their replies: how long to wait, when to watch the port.
 
 
-SHORTEST_WAIT = 0.005
+MIN_TIMEOUT = 0.005
 """s; a servo has at least so long to answer, however quick it used to be: computers pause."""
 
-SLOWNESS = 3.0
+TIMEOUT_FACTOR = 3.0
 """A servo has so many times the longest recent response time."""
 
-STEADY = 1e-4
+MAX_JITTER = 1e-4
 """s; replies whose times scatter by less are worth watching for: who sleeps wakes up about so late."""
 
-_FORGET = 0.98  # share of the longest response time kept from one reply to the next
+_DECAY = 0.98  # share of the longest response time kept from one reply to the next
 _GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
 
 
@@ -66,32 +66,32 @@ class RoundTripEstimator:
         """One more reply; ``took`` may be a little below 0, for adapters hand bytes over in pieces."""
         if self._longest is None:
             self._longest, self._usual = took, took
-        self._longest = max(took, _FORGET * self._longest)
+        self._longest = max(took, _DECAY * self._longest)
         miss = took - self._usual
         self._usual += _GAIN * miss
         self._spread += _SPREAD_GAIN * (min(abs(miss), 1.0) - self._spread)
 
-    def patience(self, at_most: float) -> float:
+    def timeout(self, at_most: float) -> float:
         """s to wait for a reply."""
         if self._longest is None:
             return at_most
-        return min(max(SLOWNESS * self._longest, SHORTEST_WAIT), at_most)
+        return min(max(TIMEOUT_FACTOR * self._longest, MIN_TIMEOUT), at_most)
 
     @property
     def expected(self) -> float | None:
-        """s after which a reply usually comes; None where that is not known to within ``STEADY``."""
-        return self._usual if self._spread < STEADY else None
+        """s after which a reply usually comes; None where that is not known to within ``MAX_JITTER``."""
+        return self._usual if self._spread < MAX_JITTER else None
 
 
 # ------------------------------------------------------------------------------------------
 # Many servos in one go: goals out, measurements back, within the time a control cycle has.
 #
-# Goals and the question for measurements leave in one piece.  Servos whose firmware allows it answer together
-# in one packet (fast read); where that fails, they are asked the plain way, after ``FAST_PATIENCE`` failures
-# in a row for good.  A servo that does not answer is asked again while there is time, and hides no other.
+# Goals and the request for measurements leave in one write.  Servos whose firmware allows it answer together
+# in one packet (fast read); where that fails, they are asked the plain way, after ``MAX_FAST_FAILURES`` in a
+# row for good.  A servo that does not answer is asked again while there is time, and hides no other.
 #
-# A reply does not say which question it answers.  So in a control cycle, after a reply was missed, the next
-# question asks for a byte more than the last: a reply that comes late has another length, and is known.
+# A reply does not say which request it answers.  So in a control cycle, after a reply was missed, the next
+# request asks for a byte more than the last: a reply that comes late has another length, and is known.
 
 
 log = logging.getLogger(__name__)
@@ -99,17 +99,17 @@ log = logging.getLogger(__name__)
 CYCLE_TIME = 0.100
 """s after which a read is not tried again, whoever is still missing, where the caller names no time."""
 
-FAST_PATIENCE = 5
+MAX_FAST_FAILURES = 5
 """Fast reads in a row that fail before they are given up until the port is opened again."""
 
 PHASES = 4
-"""Lengths in turn: a reply is known to be late unless it comes just so many questions after its own."""
+"""Lengths in turn: a reply is known to be late unless it comes just so many requests after its own."""
 
 
 class _ReadPlan(NamedTuple):
-    """A question to many servos: in words, as bytes, and what comes back."""
+    """A request to many servos: its name, its bytes, and what comes back."""
 
-    asks: str
+    query: str
     request: bytes
     bytes_back: int
     fast: bool
@@ -118,7 +118,7 @@ class _ReadPlan(NamedTuple):
 
 
 class _Wanted(NamedTuple):
-    """What a question is for: servo id -> register, the same as asked (perhaps longer), what is there."""
+    """What a request is for: servo id -> register, the same as asked (perhaps longer), what is there."""
 
     registers: Mapping[int, Register]
     asked: Mapping[int, Register]
@@ -135,7 +135,7 @@ class GroupTraffic:
 
     Args:
         wire: The port.
-        retries: How often the question is repeated to those that did not answer.
+        retries: How often the request is repeated to those that did not answer.
 
     Attributes:
         fast_ids: Servos that may be asked by fast reads.
@@ -160,7 +160,7 @@ class GroupTraffic:
     @property
     def fast(self) -> bool:
         """Whether fast reads are in use, or would be if all asked could do them."""
-        return bool(self.fast_ids) and self._fast_misses < FAST_PATIENCE
+        return bool(self.fast_ids) and self._fast_misses < MAX_FAST_FAILURES
 
     def write(self, values: Mapping[int, tuple[Register, int]]) -> None:
         """Servo id -> register and value, in one packet, which has no reply.
@@ -170,7 +170,7 @@ class GroupTraffic:
             BusDisconnectedError, BusNotOpenError.
         """
         request = write_request(values) if values else b""
-        # It has no reply, so a reply still outstanding keeps belonging to the question before.
+        # It has no reply, so a reply still outstanding keeps belonging to the request before.
         with self._wire.transaction(None) as port:
             if request:
                 port.send(request)
@@ -187,8 +187,8 @@ class GroupTraffic:
 
         Args:
             registers: Servo id -> what is read from it.
-            writes: As for ``write``; leave in the same piece as the question.
-            within: s; after that no servo is asked again.  The first question always gets its full time.
+            writes: As for ``write``; leave in the same write as the request.
+            within: s; after that no servo is asked again.  The first request always gets its full time.
             guarded: Late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
                 must be readable as well.
 
@@ -204,7 +204,7 @@ class GroupTraffic:
         # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
-        with self._wire.transaction(plan.asks) as port:
+        with self._wire.transaction(plan.query) as port:
             end = self._wire.now() + (CYCLE_TIME if within is None else within)
             self._counters.cycles += 1
             self._counters.asked += len(registers)
@@ -229,7 +229,7 @@ class GroupTraffic:
                         self._phase = (self._phase + 1) % PHASES
                     if self._silent.issuperset(missing):
                         break
-                    if self._wire.now() + self._patience(plan, port) > end:
+                    if self._wire.now() + self._timeout(plan, port) > end:
                         break
             except BaseException:  # the port went, or a signal came: who has not answered never will
                 self._counters.timeouts += len(registers) - len(found)
@@ -251,7 +251,7 @@ class GroupTraffic:
             sizes = tuple((id, register.size) for id, register in registers.items())
             each = FAST_FRAME if fast else SHORTEST_STATUS
             back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
-            if len(self._plans) > 1000:  # questions about changing sets of servos
+            if len(self._plans) > 1000:  # requests to changing sets of servos
                 self._plans.clear()
             request = read_request(registers, fast=fast)
             names = ", ".join({register.name: None for register in registers.values()})
@@ -259,9 +259,9 @@ class GroupTraffic:
             self._plans[key] = plan
         return plan
 
-    def _patience(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
-        """s from sending the question to giving up the replies."""
-        wait = self._times.patience(self._wire.response_time)
+    def _timeout(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
+        """s from sending the request to giving up the replies."""
+        wait = self._times.timeout(self._wire.response_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
@@ -271,7 +271,7 @@ class GroupTraffic:
         sent = self._wire.now()
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
-        deadline = sent + len(before) * port.seconds_per_byte + self._patience(plan, port)
+        deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
         bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
         usual = self._times.expected
         expected = None if usual is None else bytes_over + usual
@@ -336,7 +336,7 @@ class GroupTraffic:
 
     def _judge_fast(self, *, failed: bool) -> None:
         self._fast_misses = self._fast_misses + 1 if failed else 0
-        if failed and self._fast_misses == FAST_PATIENCE:
+        if failed and self._fast_misses == MAX_FAST_FAILURES:
             self._counters.fallbacks += 1
             log.warning("fast reads on %s fail: from here on every servo answers by itself", self._wire.port)
 
@@ -524,7 +524,7 @@ class DynamixelBus:
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        """A control cycle: goals and the question for measurements leave in one piece.
+        """A control cycle: goals and the request for measurements leave in one write.
 
         Args:
             writes: Servo id -> register and value.

@@ -6,8 +6,8 @@ a restart the indirect addresses are gone too and the torque byte reads 0: such 
 Servos that do not take indirect addresses are read plainly.
 
 Of joints with thresholds (``[joints.stop_at]``) one servo a cycle, in turn, is asked for more in the same
-question: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
-which questions differ (``dynamixel``), so that a late reply is still known by its length.
+request: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
+which requests differ (``dynamixel``), so that a late reply is still known by its length.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ class Measurement(NamedTuple):
 
 
 class _FeedbackBlock(NamedTuple):
-    """Registers of one servo that are read in one piece.
+    """Contiguous registers of one servo, read at once.
 
     Attributes:
-        register: The piece.
-        offsets: Name -> place of its first byte in the piece.
+        register: The block.
+        offsets: Name -> offset of its first byte in the block.
     """
 
     register: Register
@@ -107,7 +107,7 @@ class Feedback:
         for id, table in self._tables.items():
             try:
                 parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
-                block = _point(bus, id, table, parts)
+                block = _indirect_block(bus, id, table, parts)
                 self.registers[id] = _short(block.register, table)
                 if id in self._thresholds:
                     self._health[id] = block
@@ -122,7 +122,7 @@ class Feedback:
         """Only the position of this servo from here on; with thresholds what lies around it in its turn."""
         self.registers[id] = self._tables[id]["present_position"]
         if id in self._thresholds:
-            self._health[id] = _stretch(self._tables[id])
+            self._health[id] = _contiguous_block(self._tables[id])
 
     def asked(self) -> Mapping[int, Register]:
         """Servo id -> register of the next cycle: ``registers``, with more of the servo whose turn it is."""
@@ -167,8 +167,8 @@ class Feedback:
         return all(register.name == _BLOCK for register in self.registers.values())
 
 
-_BLOCK, _LONG_BLOCK, _STRETCH = "torque and position", "torque, position and health", "health and position"
-_KINDS = frozenset((_BLOCK, _LONG_BLOCK, _STRETCH))
+_BLOCK, _LONG_BLOCK, _CONTIGUOUS = "torque and position", "torque, position and health", "health and position"
+_KINDS = frozenset((_BLOCK, _LONG_BLOCK, _CONTIGUOUS))
 
 
 class Thresholds:
@@ -235,41 +235,41 @@ def _health_of(table: ControlTable) -> tuple[str, ...]:
     return (effort, "present_temperature", "present_input_voltage")
 
 
-def _point(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _FeedbackBlock:
+def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _FeedbackBlock:
     """The block of a servo, after its indirect addresses point at the parts.
 
     Raises:
         HardwareError, KeyError: It has none, does not take them, or does not answer.
     """
-    places = [a for name in parts for a in range(table[name].address, table[name].end)]
+    addresses = [a for name in parts for a in range(table[name].address, table[name].end)]
     first, data = table["indirect_address_1"], table["indirect_data_1"]
-    size = 2 * len(places)
+    size = 2 * len(addresses)
     pointers = Register(
         "indirect addresses", first.address, size, "rw", False, "", False, None, 0, 256**size - 1
     )
-    wanted = int.from_bytes(b"".join(a.to_bytes(2, "little") for a in places), "little")
+    wanted = int.from_bytes(b"".join(a.to_bytes(2, "little") for a in addresses), "little")
     if bus.read(id, pointers).data != wanted:
         bus.write(id, pointers, wanted)
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
-    offsets = {name: places.index(table[name].address) for name in parts}
-    return _FeedbackBlock(_piece(_LONG_BLOCK, data.address, len(places)), offsets)
+    offsets = {name: addresses.index(table[name].address) for name in parts}
+    return _FeedbackBlock(_block_register(_LONG_BLOCK, data.address, len(addresses)), offsets)
 
 
 def _short(block: Register, table: ControlTable) -> Register:
     """Torque and position at the head of a block."""
-    return _piece(_BLOCK, block.address, sum(table[name].size for name in _PARTS))
+    return _block_register(_BLOCK, block.address, sum(table[name].size for name in _PARTS))
 
 
-def _stretch(table: ControlTable) -> _FeedbackBlock:
+def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
     """From current or load to temperature, as they lie: for servos without indirect addresses."""
     names = (*_health_of(table), "present_position")
     first = min(table[name].address for name in names)
     size = max(table[name].end for name in names) - first
     return _FeedbackBlock(
-        _piece(_STRETCH, first, size), {name: table[name].address - first for name in names}
+        _block_register(_CONTIGUOUS, first, size), {name: table[name].address - first for name in names}
     )
 
 
-def _piece(name: str, address: int, size: int) -> Register:
+def _block_register(name: str, address: int, size: int) -> Register:
     return Register(name, address, size, "r", True, "", False, None, 0, 0)

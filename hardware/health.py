@@ -105,7 +105,7 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
     position = servo.to_radians(values["present_position"]) if "present_position" in values else None
     lever = servo.lever_at(servo.lower if position is None else position)
     speed = VELOCITY_UNIT / (servo.direction * servo.ratio) * lever / servo.per_unit
-    place = None if position is None else position / servo.per_unit
+    shown = None if position is None else position / servo.per_unit
     return ServoState(
         servo.name,
         servo.id,
@@ -116,7 +116,7 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         temperature=values.get("present_temperature"),
         torque=bool(values["torque_enable"]) if "torque_enable" in values else None,
         errors=hardware_error_names(values.get("hardware_error_status", 0)),
-        **{f"position_{servo.unit}": place, f"velocity_{servo.unit}": scaled("present_velocity", speed)},
+        **{f"position_{servo.unit}": shown, f"velocity_{servo.unit}": scaled("present_velocity", speed)},
     )
 
 
@@ -130,7 +130,7 @@ WATCHDOG_FIRMWARE = 38
 _LATE = 4e-3
 """s; a latency timer of 1 ms, the computer and its USB stay below."""
 
-_ASKED = 6  # questions whose quickest reply counts
+_ASKED = 6  # requests whose quickest reply counts
 _READ_BYTES = 14 + 15  # a read of four bytes, and its reply
 _CYCLE_BYTES, _CYCLE_BYTES_EACH = 14 + 14, 5 + 1 + 16  # a sync write and a sync read; of each servo in them
 
@@ -172,14 +172,14 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
 
 def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> list[CheckRow]:
     """How late replies come, beyond the time that their bytes take, and how many cycles that leaves."""
-    heard = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
-    if not heard:
+    responding = [f for f in found if f.baud == config.baud and not f.shared and f.return_delay is not None]
+    if not responding:
         return []
-    seconds = _response_time(port, heard[0])
+    seconds = _response_time(port, responding[0])
     if seconds is None:
         return []
     byte, n = 10.0 / config.baud, len(config.servo_ids)
-    late = max(seconds - _READ_BYTES * byte - 1e-6 * (heard[0].return_delay or 0), 0.0)
+    late = max(seconds - _READ_BYTES * byte - 1e-6 * (responding[0].return_delay or 0), 0.0)
     rate = 1.0 / (late + (_CYCLE_BYTES + _CYCLE_BYTES_EACH * n) * byte)
     said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
@@ -191,7 +191,7 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
 
 
 def _response_time(port: str, servo: FoundServo) -> float | None:
-    """s from a question to its reply, the best of some: a busy computer is not the adapter's fault."""
+    """s from a request to its reply, the best of some: a busy computer is not the adapter's fault."""
     table = servo.table or control_table("XM430-W350")
     times = []
     try:

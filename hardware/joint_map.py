@@ -40,12 +40,12 @@ MODE_TICKS = {
 POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
 (ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""
-HOMING_CURES = (
+HOMING_FIXES = (
     'mode = "extended_position" (the offset counts there); or Homing Offset 0 in the servo, and the zero in '
     "zero_ticks: robot-ik servo calibrate"
 )
 
-BESIDE_TICKS = 60
+RANGE_TOLERANCE_TICKS = 60
 """About 5 degrees beyond a range: backlash and a soft stop, not a lost revolution."""
 
 ARM = "arm"
@@ -359,12 +359,12 @@ class JointMap:
         """
         first, last = self.ticks_range
         outside = max(first - ticks, ticks - last)
-        if self.mode == OperatingMode.POSITION or outside <= BESIDE_TICKS:
+        if self.mode == OperatingMode.POSITION or outside <= RANGE_TOLERANCE_TICKS:
             return 0
         revolutions = round(((first + last) / 2 - ticks) / TICKS_PER_REVOLUTION)
         there = ticks + TICKS_PER_REVOLUTION * revolutions
         single_revolution = last - first < TICKS_PER_REVOLUTION
-        inside = single_revolution and first - BESIDE_TICKS <= there <= last + BESIDE_TICKS
+        inside = single_revolution and first - RANGE_TOLERANCE_TICKS <= there <= last + RANGE_TOLERANCE_TICKS
         return revolutions if inside or outside > TICKS_PER_REVOLUTION / 2 else 0
 
     @cached_property

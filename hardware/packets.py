@@ -1,6 +1,6 @@
 """Bytes of the control cycle, on the host's side: group requests, and the replies to them; the ping to all.
 
-A cycle is the one thing that must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
+Only a cycle must be quick; requests to one servo are left to the Dynamixel SDK.  That takes
 a reply apart byte by byte in Python; here whole replies are found and checked at once.  The tests hold the
 requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those after it.
 """
@@ -30,7 +30,7 @@ FAST_HEAD = 8
 FAST_FRAME = 4
 """Bytes of a fast status that each servo adds to its data: error 1, id 1, CRC 2."""
 
-LONGEST = 1024
+MAX_PACKET = 1024
 """Bytes of a packet; a length field that says more is damaged."""
 
 _STATUS = bytes((STATUS,))
@@ -90,7 +90,7 @@ def _packer(count: int, size: int, signed: bool) -> struct.Struct:
 
 
 def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
-    """Sync write if all registers lie at one place, else bulk write.
+    """Sync write if all registers have the same address, else bulk write.
 
     Raises:
         ValueError: A value does not fit its register.
@@ -110,7 +110,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
 
 
 def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
-    """Sync read if all registers lie at one place, else bulk read; fast: one status packet for all."""
+    """Sync read if all registers have one address, else bulk read; fast: one status packet for all."""
     if _same_address(registers.values()):
         first = next(iter(registers.values()))
         return build(BROADCAST_ID, FAST_SYNC_READ if fast else SYNC_READ, _where(first) + bytes(registers))
@@ -149,7 +149,7 @@ class StatusParser:
                 break
             length = buffer[at + 5] | buffer[at + 6] << 8
             end = at + 7 + length
-            if not last and length <= LONGEST and len(buffer) < end:
+            if not last and length <= MAX_PACKET and len(buffer) < end:
                 break
             packet = _status(buffer[at:end]) if len(buffer) >= end else None
             if packet is None:
@@ -176,7 +176,7 @@ def _status(packet: bytes) -> StatusPacket | None:
 
 
 class _FastLayout(NamedTuple):
-    """Where things are in a fast status in which all servos asked have their part."""
+    """Layout of a fast status in which all servos asked have their part."""
 
     head: bytes
     spans: tuple[tuple[int, int, int], ...]

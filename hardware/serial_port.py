@@ -33,7 +33,7 @@ LONGEST_DRAIN = 0.1
 RESPONSE_TIME = 0.034
 """s a servo is given beyond the bytes' own time: twice a 16 ms USB latency timer and 2 ms, as in the SDK."""
 
-OVERTIME = 1024
+MAX_LATE_BYTES = 1024
 """Bytes read at most after a packet's time is over: what came in while this program was held up, no more."""
 
 WRITE_TIMEOUT = 0.5
@@ -58,7 +58,7 @@ except ImportError:
 class SleepingPortHandler(PortHandler):
     """One serial port for one process; counts its bytes.
 
-    ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into words.
+    ``openPort`` raises what pyserial raises; ``describe_failure`` turns that into text.
 
     Args:
         port_name: As the system names it.
@@ -88,7 +88,7 @@ class SleepingPortHandler(PortHandler):
         self.seconds_per_byte = 10.0 / baud
         self._counters = counters
         self._file = -1
-        self._overtime = OVERTIME
+        self._late_bytes = MAX_LATE_BYTES
 
     def setupPort(self, cflag_baud: int) -> bool:
         """Opens the port, exclusively."""
@@ -129,7 +129,7 @@ class SleepingPortHandler(PortHandler):
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """So many milliseconds from now."""
         super().setPacketTimeoutMillis(msec)
-        self._overtime = OVERTIME
+        self._late_bytes = MAX_LATE_BYTES
 
     def send(self, data: bytes) -> None:
         """Writes all of it, or raises."""
@@ -179,12 +179,12 @@ class SleepingPortHandler(PortHandler):
     def readPort(self, length: int) -> bytes:
         """At most ``length`` bytes; sleeps until there are some or the packet's time is over.
 
-        The SDK looks at the clock only where too few bytes came.  So after that time there are ``OVERTIME``
-        bytes at most, then none, whatever comes in.
+        The SDK looks at the clock only where too few bytes came.  So after that time there are at most
+        ``MAX_LATE_BYTES`` bytes, then none, whatever comes in.
         """
         if self.getTimeSinceStart() > self.packet_timeout:
-            length = min(length, self._overtime)
-            self._overtime -= max(length, 0)
+            length = min(length, self._late_bytes)
+            self._late_bytes -= max(length, 0)
         if length <= 0:
             return b""
         if not self._posix:
@@ -242,13 +242,13 @@ def describe_failure(
         system: As ``sys.platform``.
     """
     text, number = str(error), getattr(error, "errno", None)
-    if system == "win32":  # pyserial gives the reason in words only; a port in use is "access denied"
-        words = {
+    if system == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
+        codes = {
             "PermissionError": errno.EBUSY,
             "Access is denied": errno.EBUSY,
             "FileNotFound": errno.ENOENT,
         }
-        number = next((value for word, value in words.items() if word in text), number)
+        number = next((value for phrase, value in codes.items() if phrase in text), number)
     if "exclusively lock" in text or number in (errno.EBUSY, errno.EWOULDBLOCK):
         who = holders(port)
         reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
@@ -371,13 +371,13 @@ class Wire:
                     log.warning("closing %s: %s", self.port, error)
 
     @contextmanager
-    def transaction(self, asks: str | None) -> Iterator[SleepingPortHandler]:
+    def transaction(self, query: str | None) -> Iterator[SleepingPortHandler]:
         """The open port, for one request and its replies.
 
         Args:
-            asks: What is asked, in a word; None where there is no reply.  A packet does not say which
-                request it answers.  So after a reply was missed, another question waits until that reply
-                cannot come any more; the same question need not: a late reply to it is as good as any.
+            query: Name of the request; None where there is no reply.  A packet does not say which
+                request it answers.  So after a reply was missed, another request waits until that reply
+                cannot come any more; the same request need not: a late reply to it is as good as any.
 
         Raises:
             BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
@@ -389,11 +389,11 @@ class Wire:
             clean = False
             try:
                 handler.is_using = False
-                if asks is not None:
+                if query is not None:
                     if self._dirty:
-                        handler.drain(QUIET if asks == self._asked else self.response_time)
+                        handler.drain(QUIET if query == self._asked else self.response_time)
                         self._dirty = False
-                    self._asked = asks
+                    self._asked = query
                 yield handler
                 clean = True
             except PORT_ERRORS as error:

@@ -29,7 +29,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.joint_map import HOMING_CURES, POSITION_MODE_HOMING, JointMap
+from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 
 # ------------------------------------------------------------------------------------------
 # How hard servos in current-based position mode may press.
@@ -195,7 +195,7 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
                 "which servos in position mode ignore",
                 file=config.file or config.name,
                 key=f"joints[{config.whole.names.index(servo.name)}].mode",
-                allowed=HOMING_CURES,
+                allowed=HOMING_FIXES,
             )
 
 
@@ -223,7 +223,7 @@ def _check_models(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def _mismatch_hint(found: set[int], damaged: set[int]) -> str:
-    """What to look at; empty: the error's own words."""
+    """What to check; empty: the error's own text."""
     if damaged and found:
         return "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
     if damaged:

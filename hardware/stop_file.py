@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 POLICIES = ("hold", "torque_off")
 """What may be asked for."""
 
-_POLL = 0.01  # s between two looks for a reply
+_POLL = 0.01  # s between two polls for a reply
 
 
 def runtime_folder() -> Path:
@@ -137,7 +137,7 @@ class RunningArm:
             timeout: s.
 
         Returns:
-            Whether every servo confirmed it; what happened, in words.
+            Whether every servo confirmed it; what happened, as text.
         """
         reply, request = self.stem.with_suffix(".done"), self.stem.with_suffix(".stop")
         reply.unlink(missing_ok=True)

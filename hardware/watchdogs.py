@@ -57,7 +57,7 @@ def stale_time(stale_ms: int, period: float) -> float:
 
 
 def least_watchdog_ms(stale_ms: int, period: float) -> int:
-    """The shortest Bus Watchdog that the heartbeat is always ahead of.
+    """The shortest Bus Watchdog that the heartbeat always beats.
 
     The arm is found stale by the first beat after ``stale_time``; holding it takes up to two control cycles.
 

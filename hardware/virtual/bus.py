@@ -48,7 +48,7 @@ class VirtualBus:
         world: Moves the shafts by a model of the arm; ``None``: their profiles do.
 
     Attributes:
-        wire: The way of the replies to the host.
+        wire: Transmits the replies to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
         latency: Seconds by which replies come later than they should, besides what the port was given.

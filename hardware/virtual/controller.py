@@ -13,7 +13,7 @@ from robot_ik.hardware.x_series import SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 _ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
-# Heat and strain change slowly: they are looked at no more often than this, s.
+# Heat and strain change slowly: they are updated no more often than this, s.
 _ELECTRICS_PERIOD = 0.02
 _NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *motor.TORQUE_MODES)))
 

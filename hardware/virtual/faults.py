@@ -1,4 +1,4 @@
-"""What can go wrong on a virtual bus: a ``Fault`` is of a kind of ``FAULTS``, on somebody, for a time.
+"""What can go wrong on a virtual bus: a ``Fault`` is of a kind of ``FAULTS``, on a servo or bus, for a time.
 
 A row of ``FAULTS`` is all there is of a kind: files, scripts, the command line and the table in the docs
 take names, values and help from it.  A file of faults::
@@ -76,7 +76,7 @@ class Kind:
 
     @property
     def span(self) -> str:
-        """What its value may be, in words; empty where it takes none."""
+        """What its value may be, as text; empty where it takes none."""
         if self.among:
             return ", ".join(map(str, self.among))
         whole = "a whole number, " if self.whole else ""
@@ -154,7 +154,7 @@ class Fault:
 
 
 def joint_offset(joint: JointMap, degrees: float) -> Fault:
-    """The ``zero_offset`` by which a joint is so many degrees ahead, in its own direction."""
+    """The ``zero_offset`` by which a joint is so many degrees further, in its own direction."""
     return Fault("zero_offset", joint.id, degrees * joint.direction * joint.ratio)
 
 

@@ -73,7 +73,7 @@ class Memory:
         self.values[name] = value
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
-        """Bytes of any stretch; gaps between registers read 0.
+        """Bytes of any range; gaps between registers read 0.
 
         Nothing is readable behind the table or where no register is at all (access error).
         """
@@ -85,7 +85,7 @@ class Memory:
         return bytes(self._bytes[self._resolve(a)] for a in range(address, end)), ErrorCode.NONE
 
     def spans(self, address: int, length: int) -> list[tuple[int, int]]:
-        """Stretches (first, end) of real memory that a stretch stands for; indirect data point elsewhere."""
+        """Ranges (first, end) of real memory that a range stands for; indirect data point elsewhere."""
         if address + length <= self.first_indirect:
             return [(address, address + length)]
         found: list[tuple[int, int]] = []

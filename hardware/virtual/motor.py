@@ -270,7 +270,7 @@ def profiled_move(
         ramp = min(profile_acceleration / 1000.0, 0.5 * total)
         top = abs(goal - position) / (total - ramp)
         acceleration = top / ramp if ramp > 0.0 else 0.0
-    # 0 is "as the motor can"; so is a time for no way at all.
+    # 0 is "as the motor can"; so is a time for no distance.
     top = min(top or math.inf, physical_top)
     acceleration = min(acceleration or math.inf, PHYSICAL_ACCELERATION)
     return move(t, position, velocity, goal, top, acceleration, kind)
@@ -279,7 +279,7 @@ def profiled_move(
 _CURRENT_UNITS = {"1 mA": 1.0, "2.69 mA": 2.69}
 
 TORQUE_MODES = (OperatingMode.CURRENT, OperatingMode.PWM)
-"""Modes that give a torque or a voltage and no place to be."""
+"""Modes that give a torque or a voltage and no goal position."""
 
 
 def current_unit(memory: Memory) -> float:

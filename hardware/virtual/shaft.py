@@ -31,14 +31,14 @@ _EFFORT_OF_GAIN = 1.0 / 128.0
 
 
 class Body(Protocol):
-    """The shaft as somebody else's world has it: encoder ticks, ticks/s and N m at the shaft."""
+    """The shaft as an external model has it: encoder ticks, ticks/s and N m at the shaft."""
 
     position: float
     velocity: float
     torque: float
 
     def rotate_by(self, ticks: float) -> None:
-        """Is turned from outside."""
+        """Is rotated from outside."""
 
 
 class Shaft:
@@ -206,7 +206,7 @@ class Shaft:
         self.motion = brake(t, *self.motion.at(t), PHYSICAL_ACCELERATION)
 
     def rotate_by(self, ticks: float) -> None:
-        """Is turned from outside, at once."""
+        """Is rotated from outside, at once."""
         if self.body is not None:
             self.body.rotate_by(ticks)
             ticks = 0.0

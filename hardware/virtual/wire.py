@@ -1,4 +1,4 @@
-"""When things happen on a virtual bus, and what becomes of status packets on their way to the host."""
+"""When faults happen on a virtual bus, and what becomes of status packets on their way to the host."""
 
 from __future__ import annotations
 
@@ -104,11 +104,11 @@ def _received(wire: list[int]) -> bytes:
 
 
 class Spoil(NamedTuple):
-    """One thing that can become of a status packet.
+    """One way in which a status packet can be spoilt.
 
     Attributes:
         help: One line for people.
-        apply: (wire, packet) -> the bytes that arrive in its place now.
+        apply: (wire, packet) -> the bytes that arrive instead of it now.
     """
 
     help: str
@@ -116,7 +116,7 @@ class Spoil(NamedTuple):
 
 
 class VirtualWire:
-    """The way of status packets to the host.
+    """The transmission of status packets to the host.
 
     Args:
         taken: Ids on the wire; no foreign id is one of them, so that its replies differ from theirs.

@@ -1,4 +1,4 @@
-"""The arm of a virtual bus as a MuJoCo model: one world, seen from the bus and by whoever looks at the model.
+"""The arm of a virtual bus as a MuJoCo model: one world, shared by the bus and the viewers of the model.
 
 The servos put torques on the joints, MuJoCo moves them, and what they read is where the joints are.  A load
 shows up as current, an arm without torque falls, one that is too weak sags and shuts down.  Two servos of one
@@ -104,7 +104,7 @@ class JointMotor:
         """What the encoder says now."""
         data = self._seat.data
         angle = float(data.qpos[self._seat.at])
-        self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the place
+        self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
         self.velocity = float(data.qvel[self._seat.dof]) * self._ticks_per
@@ -166,7 +166,7 @@ class JointMotor:
 
 STEP = 0.002
 """s of one step of the physics."""
-LONGEST = 30.0
+MAX_CATCH_UP = 30.0
 """s; of a longer silence only the last part is computed: the arm is at rest by then."""
 FRICTION_SHARE = 0.03
 """Of the stall torque; friction of the gear, where the model of the arm has none of its own."""
@@ -216,7 +216,7 @@ class World:
 
     def advance(self, now: float) -> None:
         """Computes what happened up to ``now``, s on the clock of the bus."""
-        self._time = max(self._time, now - LONGEST)
+        self._time = max(self._time, now - MAX_CATCH_UP)
         if now - self._time < STEP:
             return
         while now - self._time >= STEP:
@@ -372,7 +372,7 @@ class WorldObject:
 
     Attributes:
         name: Of its body.
-        position: Centre, m, world; wxyz: how it is turned.
+        position: Centre, m, world; wxyz: its orientation.
         size: Edges, m.
         mass: kg.
     """
@@ -397,7 +397,7 @@ def model_with(path: Path, objects: Sequence[WorldObject], floor: float | None =
     """
     spec = mujoco.MjSpec.from_file(str(path))
     for key in list(spec.keys):
-        spec.delete(key)  # they know nothing of the objects' places
+        spec.delete(key)  # they know nothing of the objects' positions
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.impratio = 10.0
     spec.option.noslip_iterations = 3  # else a grip creeps

@@ -33,7 +33,7 @@ from robot_ik.ports import Clock, JointSink
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
-    from robot_ik.hardware.calibration import HandError
+    from robot_ik.hardware.calibration import OperatorError
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.motion import Trajectory
@@ -80,7 +80,7 @@ class Prompts:
         """Shows what a step has given."""
         console.say(text)
 
-    def again(self, error: HandError) -> bool:
+    def again(self, error: OperatorError) -> bool:
         """Shows why a step was not done as asked; at a terminal it can be done again."""
         if self._seconds is not None or sys.__stdin__ is None or not sys.__stdin__.isatty():
             return False

@@ -383,8 +383,8 @@ class Painter:
         """One picture, BGR."""
         to = np.array([frame.q[0], frame.q[1], 0.54 * self._tall])
         if np.isfinite(frame.ball).all():
-            way = frame.ball - to
-            to = to + 0.3 * way * min(1.0, 2.0 / max(float(np.linalg.norm(way)), 1e-9)) * [1, 1, 0]
+            offset = frame.ball - to
+            to = to + 0.3 * offset * min(1.0, 2.0 / max(float(np.linalg.norm(offset)), 1e-9)) * [1, 1, 0]
         self._at = to if self._at is None else self._at + (to - self._at) * min(1.0, _FOLLOW / RATE)
         camera = look_at(self._at + self._tall * _FROM, self._at)
         ball = frame.ball if np.isfinite(frame.ball).all() else np.array([0.0, 0.0, -9.0])
@@ -535,8 +535,8 @@ def tour(
     save("strip-reach", strip(figure, only("reach"), 6, (-50.0, 8.0)))
     save("strip-jump", strip(figure, only("jump")[20:], 10, (-60.0, 4.0)))
     behind = FigureRequest(((-1.8, -0.3, 1.2),))
-    turned = watch(figure.robot, figure.hands, run_figure(abilities, behind), lambda frame: None)
-    steps = np.array([f.q for f in turned.frames if f.action == "walk"])
+    walk = watch(figure.robot, figure.hands, run_figure(abilities, behind), lambda frame: None)
+    steps = np.array([f.q for f in walk.frames if f.action == "walk"])
     save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
 

@@ -20,7 +20,7 @@ from robot_ik.jobs.teleop import Angles, Jog
 from robot_ik.ports import Array
 
 DEAD_ZONE = 0.15
-"""Of a stick's way: what one that is let go may rest at."""
+"""Share of a stick's range: one that is let go may rest within it."""
 _SPEED, _ANGULAR_SPEED = 0.12, np.radians(45.0)  # m/s and rad/s (joints, rotations) of a stick at its end
 _LONGEST = 0.1  # s: after a pause a stick counts for no more
 _FULL = 32767.0  # SDL's number for a stick at its end

@@ -14,8 +14,8 @@ from robot_ik.hardware.bus import read_all, shared_register
 from robot_ik.hardware.calibration import (
     ASKED_WIGGLE,
     STILL_TICKS,
-    HandError,
     Measured,
+    OperatorError,
     Sweep,
     check_sweep,
     counting_directions,
@@ -42,7 +42,7 @@ class Person(Protocol):
     def note(self, text: str) -> None:
         """Shows what a step has given."""
 
-    def again(self, error: HandError) -> bool:
+    def again(self, error: OperatorError) -> bool:
         """Shows why a step was not done as asked; whether it is to be asked for once more."""
 
 
@@ -71,7 +71,7 @@ def calibrate_by_hand(
         limits: Joint -> limits of the model, rad (m).
 
     Raises:
-        HandError: A step was not done as asked, and is not to be repeated.
+        OperatorError: A step was not done as asked, and is not to be repeated.
         HardwareError: A servo did not answer, or what it shows cannot be used.
     """
     config, bus = arm.config, arm.bus
@@ -110,7 +110,7 @@ def _step(person: Person, text: str, sample: Callable[[], None], judge: Callable
         person.step(text, sample)
         try:
             return judge()
-        except HandError as error:
+        except OperatorError as error:
             if not person.again(error):
                 raise
 
@@ -123,7 +123,9 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
         sample()
         for servo in arm.config.servos:
             if abs(sweep.now[servo.id] - zero[servo.id]) > STILL_TICKS:
-                raise HandError(f"joint {servo.name!r} moved while its zero was taken", hint="hold it still")
+                raise OperatorError(
+                    f"joint {servo.name!r} moved while its zero was taken", hint="hold it still"
+                )
     return zero
 
 

@@ -79,7 +79,7 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
     """Joints that leave their limits by more than ``ALLOWED_OUTSIDE``, and by how much at most, rad (m)."""
     beyond = np.maximum(config.lower - motion.q, motion.q - config.upper).max(axis=0)
     pairs = zip(config.joints, beyond.tolist(), strict=True)
-    return [(joint, most) for joint, most in pairs if most > ALLOWED_OUTSIDE * joint.lever]
+    return [(joint, excess) for joint, excess in pairs if excess > ALLOWED_OUTSIDE * joint.lever]
 
 
 # ------------------------------------------------------------------------------------------ files
@@ -147,10 +147,10 @@ def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajecto
         ConfigError: It cannot be read, is of other joints, or leaves the limits.
     """
     motion = load_motion(path, config.names)
-    for joint, most in outside(motion, config):
+    for joint, excess in outside(motion, config):
         low, high = joint.limits
         raise ConfigError(
-            f"it leaves the limits by {joint.text(most)}; nothing was moved",
+            f"it leaves the limits by {joint.text(excess)}; nothing was moved",
             file=path,
             key=joint.name,
             allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",
@@ -163,7 +163,7 @@ def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajecto
 
 @dataclass(frozen=True)
 class PlayReport:
-    """How a recording was repeated; a slide's way is compared as its pinion turns.
+    """How a recording was repeated; a slide's travel is compared as its pinion's rotation.
 
     Attributes:
         late: The joint with the largest tracking error.

@@ -221,9 +221,9 @@ class LeaderArm:
         assert self._begin is not None
         leader, hand = self._begin
         seen = self._pose(here)
-        way = self._scale * (np.array(seen.position) - leader.position)
+        step = self._scale * (np.array(seen.position) - leader.position)
         rotation = seen.rotation @ leader.rotation.T @ hand.rotation
-        return self._hand.go(Pose.from_rotation(rotation, hand.position + way))
+        return self._hand.go(Pose.from_rotation(rotation, hand.position + step))
 
     def feel(self, follower: Angles) -> None:
         if self._force and self._joints is not None and self._arm.state is not ArmState.CONNECTED:
@@ -370,9 +370,9 @@ class KeyboardJog:
                     self.jog.move_joint(number, step if key == pair[0] else -step)
         elif key in HAND_KEYS:
             axis, sign = HAND_KEYS[key]
-            way = np.zeros(6)
-            way[axis] = sign * self._size * (_STEP if axis < 3 else _ROTATION)
-            self.jog.move_hand(way[:3], way[3:])
+            motion = np.zeros(6)
+            motion[axis] = sign * self._size * (_STEP if axis < 3 else _ROTATION)
+            self.jog.move_hand(motion[:3], motion[3:])
 
 
 class Blend:
@@ -419,7 +419,7 @@ class TeleopReport:
         seconds: How long it ran.
         lag: Largest distance of a follower's joint from what it was led to, once engaged, rad or m.
         delay: Median seconds from reading the leader to the follower's packet.
-        end: Why it ended, in words.
+        end: Why it ended, as text.
     """
 
     ticks: int = 0

@@ -4,9 +4,9 @@ the product but its model and two numbers of a jump (where the centre of mass ta
 A pose is admissible when it is inside limits, both feet stand where they stood, the centre of mass is 10 mm
 inside the soles, the palm within 5 mm of the ball, no shape but the soles under the floor, and no body
 deeper than 2 mm in another.  *Reach*: one exists in the upright box.  *Bend*: one exists.  *Jump*: the trunk
-upright, the palm can be over the centre of mass by what a take-off of 2.6 m/s leaves, within 50 mm aside.
-*Walk*: none of these here, but one at some place beside the ball.  Else *nothing*.  A ball whose label is
-another one with margins of 15 mm and 0 mm (jump: 60 mm for 40 mm aside) is a border case.
+upright, the palm can be over the centre of mass by what a take-off of 2.6 m/s leaves, within 50 mm laterally.
+*Walk*: none of these here, but one at some point beside the ball.  Else *nothing*.  A ball whose label is
+another one with margins of 15 mm and 0 mm (jump: 60 mm for 40 mm laterally) is a border case.
 
 ``python tests/figure/judge.py COUNT SEED > judged_balls.csv`` judges random balls by 64 starts.
 """
@@ -50,7 +50,7 @@ class Judge:
         self.data = mujoco.MjData(self.model)
         self.joints = [self.model.joint(j).name for j in range(1, self.model.njnt)]
         self.lower, self.upper = self.model.jnt_range[1:].T.copy()
-        self.place(self.home)
+        self.set_pose(self.home)
         self.feet = {s: (self.site(f"{s}_foot")) for s in ("left", "right")}
         self.shapes = [g for g in range(self.model.ngeom) if self.model.geom_contype[g]]
         self.body = [self.model.body(b).name for b in self.model.geom_bodyid]
@@ -58,7 +58,7 @@ class Judge:
         self.hull = ConvexHull(np.array([p[:2] for p in points if p[2] < 0.003])).equations
         self.off = np.array([forward_at_take_off(figure), 0.0, highest_take_off(figure)])
 
-    def place(self, q: Array) -> None:
+    def set_pose(self, q: Array) -> None:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -69,15 +69,15 @@ class Judge:
 
     def lowest(self, g: int) -> list[Array]:
         """Low points of a geom: of boxes the corners, of capsules the ends, of ellipsoids the bottom."""
-        at, turn = self.data.geom_xpos[g], self.data.geom_xmat[g].reshape(3, 3)
+        at, rotation = self.data.geom_xpos[g], self.data.geom_xmat[g].reshape(3, 3)
         size, kind = self.model.geom_size[g], self.model.geom_type[g]
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
-            return [at + turn @ (size * (2 * np.array(k) - 1)) for k in np.ndindex(2, 2, 2)]
+            return [at + rotation @ (size * (2 * np.array(k) - 1)) for k in np.ndindex(2, 2, 2)]
         if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-            return [at + turn[:, 2] * s * size[1] - [0, 0, size[0]] for s in (-1, 1)]
+            return [at + rotation[:, 2] * s * size[1] - [0, 0, size[0]] for s in (-1, 1)]
         if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            down = -turn[2]
-            return [at + turn @ (size**2 * down / np.linalg.norm(size * down))]
+            down = -rotation[2]
+            return [at + rotation @ (size**2 * down / np.linalg.norm(size * down))]
         return [at - [0, 0, size[0]]]
 
     def over(self) -> float:
@@ -99,15 +99,15 @@ class Judge:
         """Whether a pose, of whomever, is admissible."""
         near, inside = margins
         low, high = self.limits(kind)
-        self.place(q)
+        self.set_pose(q)
         if np.linalg.norm(self.site(f"{arm}_hand")[0] - ball) > near or self.over() < inside:
             return False
         if (q[7:] < low - 1e-9).any() or (q[7:] > high + 1e-9).any():
             return False
-        for side, (place, turn) in self.feet.items():
+        for side, (position, rotation) in self.feet.items():
             p, r = self.site(f"{side}_foot")
-            angle = np.arccos(np.clip((np.trace(r @ turn.T) - 1) / 2, -1.0, 1.0))
-            if np.linalg.norm(p - place) > 2e-4 or angle > 2e-3:
+            angle = np.arccos(np.clip((np.trace(r @ rotation.T) - 1) / 2, -1.0, 1.0))
+            if np.linalg.norm(p - position) > 2e-4 or angle > 2e-3:
                 return False
         for g in self.shapes:
             if not self.body[g].endswith(("_foot", "_toes")) and min(p[2] for p in self.lowest(g)) < 0.0:
@@ -120,13 +120,13 @@ class Judge:
         m, d, nv = self.model, self.data, self.model.nv
         out, jac = [], []
         jp, jr = np.empty((3, nv)), np.empty((3, nv))
-        for side, (place, turn) in self.feet.items():
+        for side, (position, rotation) in self.feet.items():
             i = m.site(f"{side}_foot").id
             p, r = self.site(f"{side}_foot")
             mujoco.mj_jacSite(m, d, jp, jr, i)
-            e = turn @ r.T
+            e = rotation @ r.T
             out += [
-                10 * (place - p),
+                10 * (position - p),
                 2.5 * np.array([e[2, 1] - e[1, 2], e[0, 2] - e[2, 0], e[1, 0] - e[0, 1]]),
             ]
             jac += [10 * jp, 5 * jr]
@@ -163,7 +163,7 @@ class Judge:
     ) -> Array:
         """Damped Gauss-Newton; joints at a limit that push outwards are left out."""
         rest, damping, idle = q[7:].copy(), 1e-2, 0
-        self.place(q)
+        self.set_pose(q)
         e, jac = rows()
         for _ in range(80):
             weak = np.concatenate([np.zeros(6), 2e-3 * (rest - q[7:])])
@@ -182,7 +182,7 @@ class Judge:
             new = q.copy()
             mujoco.mj_integratePos(self.model, new, step, 1.0)
             new[7:] = np.clip(new[7:], low, high)
-            self.place(new)
+            self.set_pose(new)
             after, slope = rows()
             if after @ after < e @ e:
                 idle = idle + 1 if after @ after > 0.99 * (e @ e) else 0
@@ -200,7 +200,7 @@ class Judge:
             rng, least = np.random.default_rng([seed, kind == "bend", arm == "left"]), np.inf
             for k in range(starts):
                 q = self.solve(ball, arm, kind, rng)
-                self.place(q)
+                self.set_pose(q)
                 least = min(least, float(np.linalg.norm(self.site(f"{arm}_hand")[0] - ball)))
                 if self.admissible(q, ball, arm, kind):
                     return "yes"
@@ -248,15 +248,16 @@ class Judge:
 
     def inside(self, ball: Array) -> bool:
         """Whether a body part, arms aside, holds the ball: rays both ways from it hit one convex shape."""
-        self.place(self.home)
+        self.set_pose(self.home)
         way = np.array([0.36, 0.48, 0.8])
         for g in self.shapes:
             if any(part in self.body[g] for part in ("clavicle", "arm", "hand", "shoulder")):
                 continue
             size, kind = self.model.geom_size[g], int(self.model.geom_type[g])
-            turn = np.ascontiguousarray(self.data.geom_xmat[g])
+            rotation = np.ascontiguousarray(self.data.geom_xmat[g])
             hits = [
-                mujoco.mju_rayGeom(self.data.geom_xpos[g], turn, size, ball, way * s, kind) for s in (1, -1)
+                mujoco.mju_rayGeom(self.data.geom_xpos[g], rotation, size, ball, way * s, kind)
+                for s in (1, -1)
             ]
             if min(hits) >= 0.0:
                 return True
@@ -277,9 +278,9 @@ class Judge:
 
     def elsewhere(self, ball: Array, starts: int, seed: int) -> str:
         """``walk`` where some place beside the ball has an action; only its height is the same there."""
-        places = [np.array([x, -0.2, ball[2]]) for x in (0.4, 0.5, 0.3)]
+        positions = [np.array([x, -0.2, ball[2]]) for x in (0.4, 0.5, 0.3)]
         for kind in ("reach", "bend"):
-            if any(self.state(there, kind, 8, seed) == "yes" for there in places):
+            if any(self.state(there, kind, 8, seed) == "yes" for there in positions):
                 return "walk"
         columns = [np.array([x, y, ball[2]]) for x in (0.0, 0.1, 0.2) for y in (-0.1, -0.2, -0.3)]
         found = min(self.column(there, "right", 16, seed, 0.04) for there in columns)

@@ -37,12 +37,12 @@ BALLS = {
 
 
 @pytest.mark.parametrize("action", ACTIONS)
-@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (3.0, -2.0, 2.5)])
+@pytest.mark.parametrize("stance", [(0.0, 0.0, 0.0), (3.0, -2.0, 2.5)])
 def test_every_action_is_decided_anywhere(
-    decider: Decider, action: str, place: tuple[float, float, float]
+    decider: Decider, action: str, stance: tuple[float, float, float]
 ) -> None:
-    x, y, z = rotation("z", place[2]) @ np.array(BALLS[action]) + [place[0], place[1], 0.0]
-    found = decider.decide((x, y, z), place)
+    x, y, z = rotation("z", stance[2]) @ np.array(BALLS[action]) + [stance[0], stance[1], 0.0]
+    found = decider.decide((x, y, z), stance)
     assert found.action == action, found.reason
     assert (found.stand_point is not None) == (action == "walk")
     assert (found.arm is not None) == (action != "nothing") and found.reason
@@ -116,13 +116,13 @@ def test_it_never_walks_into_obstacles(abilities: Abilities) -> None:
 @settings(max_examples=10)
 @given(
     ball=st.tuples(st.floats(0.2, 0.8), st.floats(-0.6, 0.6), st.floats(0.2, 2.3)),
-    place=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
+    stance=st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(-3, 3)),
 )
 def test_decisions_do_not_depend_on_place_and_heading(
-    abilities: Abilities, ball: tuple[float, ...], place: tuple[float, float, float]
+    abilities: Abilities, ball: tuple[float, ...], stance: tuple[float, float, float]
 ) -> None:
-    x, y, z = rotation("z", place[2]) @ np.array(ball) + [place[0], place[1], 0.0]
-    here, there = decide(abilities, ball), decide(abilities, (x, y, z), place)
+    x, y, z = rotation("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
+    here, there = decide(abilities, ball), decide(abilities, (x, y, z), stance)
     assert (here.action, here.arm) == (there.action, there.arm)
 
 
@@ -195,9 +195,9 @@ def disagreement(decider: Decider, judge: Any, ball: Array, label: str, k: int) 
 
     A pose that the judge finds admissible proves what its own search may have missed.
     """
-    heading = 2 * np.pi * (k % 20) / 20  # twenty places and headings
-    place = (3.0 * np.cos(heading), 0.1 * (k % 20), heading)
-    found = decider.decide(rotation("z", heading) @ ball + [place[0], place[1], 0.0], place)
+    heading = 2 * np.pi * (k % 20) / 20  # twenty positions and headings
+    stance = (3.0 * np.cos(heading), 0.1 * (k % 20), heading)
+    found = decider.decide(rotation("z", heading) @ ball + [stance[0], stance[1], 0.0], stance)
     if found.action == label or label == "border":
         return ""
     if found.action in (REACH, BEND) and ACTIONS.index(found.action) < ACTIONS.index(label):

@@ -107,9 +107,9 @@ Action = Callable[[Figure, Array, Array, str], Motion]
 )
 def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball: tuple[float, ...]) -> None:
     """Anywhere in the world: the same motion, placed."""
-    place = (1.0, 2.0, 0.7)
-    there = rotation("z", place[2]) @ np.array(ball) + [place[0], place[1], 0.0]
-    motion = act(figure, figure.placed(figure.home, *place), there, "right")
+    stance = (1.0, 2.0, 0.7)
+    there = rotation("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
+    motion = act(figure, figure.placed(figure.home, *stance), there, "right")
     assert figure.robot.measure(motion.q[-1], "right_hand").position == pytest.approx(there, abs=1e-3)
     measure = measure_motion(figure, motion.q, motion.contact)
     require_feet(measure)

@@ -8,7 +8,7 @@ import pytest
 
 from robot_ik.hardware import BUSES, open_bus
 from robot_ik.hardware.control_table import CONTROL_TABLES, Register
-from robot_ik.hardware.dynamixel import FAST_PATIENCE, DynamixelBus
+from robot_ik.hardware.dynamixel import MAX_FAST_FAILURES, DynamixelBus
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
@@ -123,15 +123,15 @@ def test_at_one_bad_checksum_in_a_thousand_nothing_is_missing(sim):
 def test_servos_that_never_answer_fast_are_asked_plainly_for_good():
     """As firmware that does not know the instruction: nobody answers it."""
     sim = make_sim(firmware=44)
-    for k in range(FAST_PATIENCE):
+    for k in range(MAX_FAST_FAILURES):
         assert values(sim.sync_read(IDS, PRESENT)) == RIGHT
         assert sim.counters.retries == k + 1
     assert values(sim.sync_read(IDS, PRESENT)) == RIGHT
-    assert (sim.counters.retries, sim.counters.fallbacks) == (FAST_PATIENCE, 1)
+    assert (sim.counters.retries, sim.counters.fallbacks) == (MAX_FAST_FAILURES, 1)
     sim.close()
     sim.open()  # other servos, perhaps
     sim.sync_read(IDS, PRESENT)
-    assert sim.counters.retries == FAST_PATIENCE + 1
+    assert sim.counters.retries == MAX_FAST_FAILURES + 1
 
 
 def test_a_failure_now_and_then_does_not_end_fast_reads(sim):

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.joint_map import BESIDE_TICKS, JointMap, SwingArm, Twin
+from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, JointMap, SwingArm, Twin
 
 POSITION, EXTENDED = OperatingMode.POSITION, OperatingMode.EXTENDED_POSITION
 WX250S = SwingArm(0.014, 0.024)
@@ -165,12 +165,12 @@ def test_a_reading_that_is_turns_off_is_found_where_the_range_is_under_a_turn(
 ) -> None:
     """Wherever such a joint stands, it is never led back to its range from the wrong side."""
     first, last = joint.ticks_range
-    assume(joint.mode == EXTENDED and last - first < 4096 - 2 * BESIDE_TICKS)
+    assume(joint.mode == EXTENDED and last - first < 4096 - 2 * RANGE_TOLERANCE_TICKS)
     true = round(first + part * (last - first))
     assert joint.lost_revolutions(true - 4096 * turns) == turns
 
 
-@given(maps(), st.integers(0, BESIDE_TICKS))
+@given(maps(), st.integers(0, RANGE_TOLERANCE_TICKS))
 def test_backlash_beyond_the_range_is_no_lost_turn(joint: JointMap, beside: int) -> None:
     first, last = joint.ticks_range
     assert joint.lost_revolutions(first - beside) == joint.lost_revolutions(last + beside) == 0

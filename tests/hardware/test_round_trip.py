@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.dynamixel import SHORTEST_WAIT, SLOWNESS, STEADY, RoundTripEstimator
+from robot_ik.hardware.dynamixel import MAX_JITTER, MIN_TIMEOUT, TIMEOUT_FACTOR, RoundTripEstimator
 from robot_ik.hardware.serial_port import SleepingPortHandler
 
 AT_MOST = 0.034
@@ -28,20 +28,20 @@ def learned(times):
 
 @given(st.lists(st.floats(0.0, 0.1), min_size=1, max_size=100))
 def test_who_answered_so_late_once_is_given_that_time_again(times):
-    patience = learned(times).patience(AT_MOST)
-    assert min(SHORTEST_WAIT, AT_MOST) <= patience <= AT_MOST
-    assert patience >= min(SLOWNESS * times[-1], AT_MOST)
+    timeout = learned(times).timeout(AT_MOST)
+    assert min(MIN_TIMEOUT, AT_MOST) <= timeout <= AT_MOST
+    assert timeout >= min(TIMEOUT_FACTOR * times[-1], AT_MOST)
 
 
 def test_a_new_line_gets_all_the_time_and_is_not_watched():
-    assert RoundTripEstimator().patience(AT_MOST) == AT_MOST
+    assert RoundTripEstimator().timeout(AT_MOST) == AT_MOST
     assert RoundTripEstimator().expected is None
 
 
-@given(st.floats(0.0, 0.02), st.lists(st.floats(-STEADY / 4, STEADY / 4), min_size=60, max_size=80))
+@given(st.floats(0.0, 0.02), st.lists(st.floats(-MAX_JITTER / 4, MAX_JITTER / 4), min_size=60, max_size=80))
 def test_steady_answers_are_expected_where_they_come(usual, jitter):
     expected = learned([usual + late for late in jitter]).expected
-    assert expected == pytest.approx(usual, abs=STEADY / 2)
+    assert expected == pytest.approx(usual, abs=MAX_JITTER / 2)
 
 
 @given(st.floats(0.0, 0.02), st.lists(st.sampled_from([0.0, 1e-3]), min_size=60, max_size=80))

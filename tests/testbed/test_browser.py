@@ -70,8 +70,8 @@ class Window:
     said: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
-    def pixel(self, place: Any) -> tuple[float, float]:
-        x, y = self.page.evaluate(PIXEL, [float(value) for value in place])
+    def pixel(self, position: Any) -> tuple[float, float]:
+        x, y = self.page.evaluate(PIXEL, [float(value) for value in position])
         return x, y
 
     def leave_fields(self) -> None:
@@ -80,21 +80,21 @@ class Window:
         self.page.locator("canvas[data-engine]").hover()
 
     def drag(
-        self, place: Callable[[], Any], way: tuple[float, float], came: Callable[[], bool], what: str
+        self, position: Callable[[], Any], way: tuple[float, float], came: Callable[[], bool], what: str
     ) -> None:
-        """Drags what the browser draws at ``place``, a point of the world, by ``way`` pixels.
+        """Drags what the browser draws at ``position``, a point of the world, by ``way`` pixels.
 
         Again until it ``came`` to the session: where frames are late, one may miss the press.
         """
         end = time.monotonic() + LONG
         while not came():
             assert time.monotonic() < end, what
-            self._drag_once(place, way, end)
+            self._drag_once(position, way, end)
             for _ in range(20):
                 if not came():
                     self.page.wait_for_timeout(100)
 
-    def _drag_once(self, place: Callable[[], Any], way: tuple[float, float], end: float) -> None:
+    def _drag_once(self, position: Callable[[], Any], way: tuple[float, float], end: float) -> None:
         """A press needs a hover ray first, and what is drawn may be behind the session.
 
         The mouse goes there until the browser shows that it is over something that can be dragged.
@@ -103,7 +103,7 @@ class Window:
         mouse.move(10, self.page.viewport_size["height"] - 10)
         self.page.wait_for_function(CURSOR, arg="auto")
         while True:
-            begin = self.pixel(place())
+            begin = self.pixel(position())
             mouse.move(*begin)
             self.page.wait_for_timeout(300)
             if self.page.evaluate(CURSOR, "pointer"):
@@ -127,7 +127,7 @@ def chromium(require: Callable[..., str]) -> Iterator[Any]:
         browser.close()
 
 
-def look(chromium: Any, url: str, *, scene: bool, width: int = 1000, height: int = 560) -> Window:
+def open_window(chromium: Any, url: str, *, scene: bool, width: int = 1000, height: int = 560) -> Window:
     """Opens the page; its scene is waited for if somebody will look at it, or only its panels."""
     page = chromium.new_page(viewport={"width": width, "height": height})
     page.set_default_timeout(1e3 * LONG)
@@ -148,7 +148,7 @@ def look(chromium: Any, url: str, *, scene: bool, width: int = 1000, height: int
 def window(chromium: Any, bed: Bed) -> Iterator[Window]:
     """The driving browser; what all tests did to it is judged by the last one."""
     bed.until(lambda view: view.tick > 0, "kernels were never ready")
-    window = look(chromium, bed.page.url, scene=True)
+    window = open_window(chromium, bed.page.url, scene=True)
     yield window
     window.page.close()
 
@@ -279,7 +279,7 @@ def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Wind
         return bed.page.gate.driver is not None
 
     wait_for(drives, "the first browser does not drive")
-    watcher = look(chromium, bed.page.url, scene=False, width=420, height=760)
+    watcher = open_window(chromium, bed.page.url, scene=False, width=420, height=760)
     watcher.page.get_by_role("slider").first.focus()
     watcher.page.keyboard.press("ArrowRight")
     watcher.page.get_by_text("Another browser drives").first.wait_for()
@@ -304,6 +304,6 @@ def test_no_error_was_said_by_any_of_this(window: Window) -> None:
 
 
 def test_the_page_opens_with_its_token(chromium: Any, guarded: Any) -> None:
-    window = look(chromium, guarded.url, scene=False, width=420, height=400)
+    window = open_window(chromium, guarded.url, scene=False, width=420, height=400)
     assert window.page.url == guarded.url.split("?")[0]
     window.page.close()

@@ -133,8 +133,10 @@ def test_view_opens_the_page_writes_its_log_and_ends(
 ) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     log = tmp_path / "log.jsonl"
-    words = "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 2 --log"
-    assert main([*words.split(), str(log)]) == 0
+    arguments = (
+        "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 2 --log"
+    )
+    assert main([*arguments.split(), str(log)]) == 0
     assert "http://127.0.0.1:87" in capsys.readouterr().out
     again = CommandLog.load(log)
     assert again.start.robot == "tabletop_puma" and again.digest
@@ -159,8 +161,8 @@ def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -
         ("--method newton", "newton"), ("--method dls lm ccd sdls bfgs", "methods"), ("--seed -5", "seed"),
         ("--seconds -1", "--seconds"), ("--port 99999", "99999"), ("--host 192.0.2.1", "192.0.2.1"),
     ):  # fmt: skip
-        words = f"view --robot tabletop_puma --viewer browser --no-open --no-camera {wrong}"
-        assert main(words.split()) == 2
+        arguments = f"view --robot tabletop_puma --viewer browser --no-open --no-camera {wrong}"
+        assert main(arguments.split()) == 2
         assert said in capsys.readouterr().err
     assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
     assert "arm file" in capsys.readouterr().err

@@ -71,7 +71,7 @@ class Browser:
             head = struct.pack("!BBQ", 0x82, 0xFF, size)
         self.socket.sendall(head + mask + bytes(b ^ mask[k % 4] for k, b in enumerate(data)))
 
-    def look(self) -> Browser:
+    def open_page(self) -> Browser:
         """Connects as a page does: viser knows a browser from its first camera on."""
         assert self.ask()[0] == 101
         at = {
@@ -122,7 +122,7 @@ def port(bed: Bed) -> int:
 @pytest.fixture
 def browser(bed: Bed, port: int) -> Iterator[Browser]:
     nobody_drives(bed)
-    made = Browser(port).look()
+    made = Browser(port).open_page()
     yield made
     made.close()
 
@@ -243,7 +243,7 @@ def test_values_pass_and_attributes_do_not(bed: Bed, browser: Browser) -> None:
 
 
 def test_one_browser_drives_the_others_watch_and_stop_works_from_all(bed: Bed, browser: Browser) -> None:
-    watcher = Browser(browser.port).look()
+    watcher = Browser(browser.port).open_page()
     speed = uuid_of(bed, "Speed")
     browser.send(update(speed, value=2.0))
     bed.until(lambda view: view.speed == 2.0)
@@ -307,11 +307,11 @@ def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: Non
         loop.start()
         try:
             bed.until(lambda view: not view.busy and view.tick > 0)
-            browser = Browser(int(page.server.get_port())).look()
+            browser = Browser(int(page.server.get_port())).open_page()
             buttons = uuid_of(bed, "Arm")
             for lose in (browser.close, page.gate.hand_over):
                 if lose is not browser.close:
-                    browser = Browser(int(page.server.get_port())).look()
+                    browser = Browser(int(page.server.get_port())).open_page()
                 browser.send(update(buttons, value="Follow"))
                 bed.until(lambda view: arm_is("enabled", view), "it does not follow")
                 lose()
@@ -368,7 +368,7 @@ def rubbish(rng: random.Random, bed: Bed) -> object:
 
 def fuzz(bed: Bed, count: int, seed: int) -> None:
     rng, port = random.Random(seed), int(bed.page.server.get_port())
-    browser = Browser(port).look()
+    browser = Browser(port).open_page()
     for k in range(count):
         try:
             browser.send(rubbish(rng, bed))
@@ -379,14 +379,14 @@ def fuzz(bed: Bed, count: int, seed: int) -> None:
         except TimeoutError:
             browser.socket.settimeout(LONG)
         except OSError:  # dropped after too many
-            browser = Browser(port).look()
+            browser = Browser(port).open_page()
     browser.close()
 
 
 def test_fuzzed_messages_make_no_command_and_no_traceback(
     bed: Bed, capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    watcher = Browser(int(bed.page.server.get_port())).look()
+    watcher = Browser(int(bed.page.server.get_port())).open_page()
     before = len(bed.sent)
     fuzz(bed, 600, seed=1)
     assert bed.sent[before:] == []

@@ -279,8 +279,8 @@ def _take_time(now: RunState, step: Action, result: StepResult) -> None:
     over = step.time_limit_s is not None and result.seconds > step.time_limit_s + 0.5 / now.config.rate_hz
     if over and result.outcome == PASSED:
         result.outcome = FAILED
-        took, most = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
-        result.found = "; ".join(filter(None, (f"took {took} s, allowed {most} s", result.found)))
+        took, permitted = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
+        result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))
 
 
 def resolved(script: Script, name: str) -> str:

@@ -191,8 +191,8 @@ class RunState:
         result.trajectory = trajectory
         result.numbers["planned_s"] = round(trajectory.duration, 6)
         if limit is not None and trajectory.duration > limit:
-            planned, most = apart(trajectory.duration, limit, digits=2)
-            raise StepFailed(f"planned {planned} s, allowed {most} s; nothing was sent")
+            planned, permitted = apart(trajectory.duration, limit, digits=2)
+            raise StepFailed(f"planned {planned} s, allowed {permitted} s; nothing was sent")
         allowed = trajectory.duration + GRACE if limit is None else limit
         end = self.setup.clock.now() + allowed
 

@@ -299,7 +299,7 @@ class GripperWidth(ScriptStep):
                 problem = f"that needs a {what} of the arm file's group gripper"
                 raise WrongKey(problem, key, "opening alone")
         if self.width_mm is not None:
-            most = sum(1e3 * joint.limits[1] * fingers_on(context.robot, joint) for joint in joints)
-            if self.width_mm > most + 1e-9:
-                asked, widest = apart(self.width_mm, most, digits=6, form="g")
+            opening = sum(1e3 * joint.limits[1] * fingers_on(context.robot, joint) for joint in joints)
+            if self.width_mm > opening + 1e-9:
+                asked, widest = apart(self.width_mm, opening, digits=6, form="g")
                 raise WrongKey(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

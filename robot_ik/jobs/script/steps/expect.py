@@ -39,7 +39,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class _Finding:
-    """One thing that was looked at: what it is, and what it should be."""
+    """One finding: what it is, and what it should be."""
 
     right: bool
     found: str
@@ -51,8 +51,10 @@ class _Finding:
 
 
 def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Finding:
-    here, most = apart(off, allowed, digits=2)
-    return _Finding(off <= allowed, f"{what} {here}{unit} off", f"at most {most}{unit}", {key: round(off, 4)})
+    here, permitted = apart(off, allowed, digits=2)
+    return _Finding(
+        off <= allowed, f"{what} {here}{unit} off", f"at most {permitted}{unit}", {key: round(off, 4)}
+    )
 
 
 _POSE_KEYS = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe", "width_mm")
@@ -60,7 +62,7 @@ _REST = ("state", "error", "joint", "cause", "status", "step_seconds", "run_seco
 
 
 class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
-    """What must be true now; at least one thing.
+    """What must be true now; at least one condition.
 
     Attributes:
         shafts: Judge by where the simulated shafts really are, not by what the servos say.

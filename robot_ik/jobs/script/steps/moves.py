@@ -62,7 +62,7 @@ class Move(Tolerant, Action):
 
         Raises:
             StepFailed: They did not, or not in time.
-            NotConvergedError, TrajectoryError: There is no way; nothing was sent.
+            NotConvergedError, TrajectoryError: There is no path; nothing was sent.
             RobotIkError: Of the arm or the camera.
         """
         trajectory, judge = self.plan(now, now.start(), result)
@@ -73,7 +73,7 @@ class Move(Tolerant, Action):
             raise StepFailed(f"not arrived: {result.found}")
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
-        """The way from ``start`` (nq,), and who says whether the arm is at its end."""
+        """The path from ``start`` (nq,), and who says whether the arm is at its end."""
         raise NotImplementedError
 
     def caps(self, now: RunState) -> dict[str, Any]:
@@ -105,8 +105,8 @@ class Move(Tolerant, Action):
 
         def judge() -> tuple[bool, str, dict[str, float]]:
             joint, off, allowed, unit = self.farthest(now.robot, now.arm.read().q, wanted)
-            here, most = apart(off, allowed, digits=2)
-            text = f"{joint} {here}{unit} off; allowed {most}{unit}"
+            here, permitted = apart(off, allowed, digits=2)
+            text = f"{joint} {here}{unit} off; allowed {permitted}{unit}"
             return off <= allowed, text, {"off_deg" if unit == "°" else "off_mm": round(off, 4)}
 
         return judge
