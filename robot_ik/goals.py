@@ -186,11 +186,8 @@ class Rows:
     @property
     def whole(self) -> bool:
         """A whole position, orientation or pose of a frame: what every method understands."""
-        return (
-            self.position in (NO_POSITION, WHOLE)
-            and self.orientation in (NO_ORIENTATION, ALL_AXES)
-            and self.of == OF_FRAME
-        )
+        whole = self.position in (NO_POSITION, WHOLE) and self.orientation in (NO_ORIENTATION, ALL_AXES)
+        return whole and self.of == OF_FRAME
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -314,9 +311,7 @@ class Goal:
 
 
 # Made once: ``solve`` reads them in every call.
-_WHOLE_ORIENTATION = {
-    position: Rows(position=position, orientation=ALL_AXES) for position in (NO_POSITION, WHOLE)
-}
+_WHOLE_ORIENTATION = {part: Rows(position=part, orientation=ALL_AXES) for part in (NO_POSITION, WHOLE)}
 _WHOLE_POSITION = Rows(position=WHOLE)
 
 

@@ -24,9 +24,7 @@ _WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or
 
 
 _Positive = Annotated[float, Field(gt=0.0)]
-_PositionAndQuaternion = Annotated[
-    tuple[float, float, float, float, float, float, float], Field(strict=False)
-]
+_PosQuat = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
 
 
 class Tool(Table):
@@ -93,7 +91,7 @@ class GalleryScene(Table):
     """
 
     about: str = "reaching"
-    goals: dict[str, Position | _PositionAndQuaternion] = Field(default={})
+    goals: dict[str, Position | _PosQuat] = Field(default={})
     keep: Several[str] = ()
     view_deg: Pair = (-55.0, 16.0)
 

@@ -311,7 +311,7 @@ def _window(
     if scene is not None:
         marker = scene.pose_world_marker
         view["see"] = np.vstack([marker.position, marker.compose(scene.pose_marker_tool).position])
-        view["eye"] = scene.pose_world_camera.position
+        view["viewpoint"] = scene.pose_world_camera.position
     return stack.enter_context(WindowSink(setup.robot, start=setup.q, **view))
 
 

@@ -384,9 +384,8 @@ def partial_column(tree, goal, work, g, u, v, moves):
     if row_codes[g, OF] == OF_MASS:
         vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, rotational)
     else:
-        vx, vy, vz = point_velocity(
-            world, k, ax, ay, az, rotational, frames[g, 0], frames[g, 1], frames[g, 2]
-        )
+        fx, fy, fz = frames[g, 0], frames[g, 1], frames[g, 2]
+        vx, vy, vz = point_velocity(world, k, ax, ay, az, rotational, fx, fy, fz)
     vx, vy, vz = moves * vx, moves * vy, moves * vz
     if row_codes[g, POSITION_PART] != NO_POSITION:
         target, w = goal.target, goal.weight[g, 0]
@@ -514,13 +513,13 @@ def whole_columns(tree, goal, work, points, g, first, end):
     kind, vadr, dof_node, moved = tree.kind, tree.vadr, tree.dof_node, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
-    angular_row = row if what == ORIENTATION else row + 3
+    angle_row = row if what == ORIENTATION else row + 3
     px, py, pz = points[g, 0], points[g, 1], points[g, 2]
     metre, radian = goal.weight[g, 0], goal.weight[g, 1]
     rx, ry, rz, factor = 0.0, 0.0, 0.0, 0.0
     if what != POSITION:
         s = 1.0 / radian if radian != 0.0 else 0.0
-        rx, ry, rz = s * residual[angular_row], s * residual[angular_row + 1], s * residual[angular_row + 2]
+        rx, ry, rz = s * residual[angle_row], s * residual[angle_row + 1], s * residual[angle_row + 2]
         factor = curvature(rx, ry, rz)
     for at in range(first, end):
         mover = goal.movers[g, at]
@@ -535,11 +534,8 @@ def whole_columns(tree, goal, work, points, g, first, end):
         if what != POSITION:
             w = radian * moves if rotational else 0.0
             x, y, z = rate_of_rotation_vector(rx, ry, rz, factor, ax, ay, az)
-            jacobian[angular_row, u], jacobian[angular_row + 1, u], jacobian[angular_row + 2, u] = (
-                w * x,
-                w * y,
-                w * z,
-            )
+            x, y, z = w * x, w * y, w * z
+            jacobian[angle_row, u], jacobian[angle_row + 1, u], jacobian[angle_row + 2, u] = x, y, z
 
 
 @outlined

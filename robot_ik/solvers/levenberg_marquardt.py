@@ -99,17 +99,13 @@ def second_order(tree, goal, work, out):
             out[i, j] = 0.0
     for g in range(goal.kind.shape[0]):
         what, row, weight = goal.kind[g], goal.row[g], goal.weight[g, 1]
-        angular_row = row if what == ORIENTATION else row + 3
+        angle_row = row if what == ORIENTATION else row + 3
         ex, ey, ez, fx, fy, fz, k, square = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if what != ORIENTATION:
             ex, ey, ez = residual[row], residual[row + 1], residual[row + 2]
         if what != POSITION and weight > 0.0:
             s = 1.0 / weight
-            fx, fy, fz = (
-                s * residual[angular_row],
-                s * residual[angular_row + 1],
-                s * residual[angular_row + 2],
-            )
+            fx, fy, fz = s * residual[angle_row], s * residual[angle_row + 1], s * residual[angle_row + 2]
             k, square = curvature(fx, fy, fz), fx * fx + fy * fy + fz * fz
         for j in range(n):
             node = dof_node[goal.dofs[j]]
@@ -138,7 +134,7 @@ def second_order(tree, goal, work, out):
                 hessian = cosine + k * (along * (fx * bx + fy * by + fz * bz) - square * cosine)
                 hessian -= 0.5 * (qx * bx + qy * by + qz * bz)
                 product = 0.0
-                for r in range(angular_row, angular_row + 3):
+                for r in range(angle_row, angle_row + 3):
                     product += jacobian[r, i] * jacobian[r, j]
                 out[i, j] += weight * weight * s * joint_scale[i] * hessian - product
 

@@ -14,7 +14,7 @@ from robot_ik.bench.page import PageClient
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session
-from tests.waiting import LONG
+from tests.waiting import LONG, wait_for
 
 ELSEWHERE = {"Path", "Hand over"}
 """A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
@@ -33,6 +33,7 @@ def controls() -> Iterator[tuple[Page, PageClient, Sent]]:
             session.tick()
         session.send = sent.put  # type: ignore[method-assign]
         with Page(session, port=8730, shadows=False) as page, PageClient(page.url) as client:
+            wait_for(lambda: page.server._websock_server._client_state_from_id)
             yield page, client, sent
 
 
