@@ -1,6 +1,6 @@
 """What makes numba compile faster, with the same machine code.
 
-Three quarters of a first compile are numba's own Python.  Most of that is spent on finding again what it
+Three quarters of a first compile are numba's own Python.  Much of that is spent on finding again what it
 found for the operation before: which of thirty implementations an addition of two numbers takes.
 ``jit`` calls ``tune()`` when something is about to be compiled.  It reaches into numba, whose versions
 pyproject.toml bounds.

@@ -2,6 +2,11 @@
 
 import gc
 import math
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -104,3 +109,28 @@ def test_equal_options_are_equal_and_different_ones_are_not() -> None:
     assert one == other
     one.release_gil = one.release_gil  # given, and the same as where it is not given
     assert one == other
+
+
+ASSEMBLY = """
+import sys
+import numpy as np
+from robot_ik.kernels import jit, numba_tuning
+if sys.argv[1] == "untuned":
+    numba_tuning.tune = lambda: None
+from robot_ik.camera.pose_fit import fit_poses
+sizes = (4, 3), (4, 2), (1, 8, 8), (2, 7), (2,)
+jit.entry(fit_poses, *(np.zeros(size) for size in sizes))
+print(*fit_poses.inspect_asm().values())
+"""
+
+
+def test_the_machine_code_is_the_same(tmp_path: Path) -> None:
+    """In the order of one hash seed: numba's own order of sets differs from process to process."""
+    instructions = []
+    for mode in ("tuned", "untuned"):
+        environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path / mode), "PYTHONHASHSEED": "0"}
+        command = [sys.executable, "-c", ASSEMBLY, mode]
+        run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        instructions.append(re.findall(r"^\s+([a-z]\w+)\s", run.stdout, re.MULTILINE))
+    assert len(instructions[0]) > 1000
+    assert instructions[0] == instructions[1]
