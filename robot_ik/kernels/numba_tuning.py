@@ -3,7 +3,7 @@
 Three quarters of a first compile are numba's own Python.  Much of that is spent on finding again what it
 found for the operation before: which of thirty implementations an addition of two numbers takes.
 ``jit`` calls ``tune()`` when something is about to be compiled.  It reaches into numba, whose versions
-pyproject.toml bounds.
+pyproject.toml bounds, and so concerns all that the process compiles from then on.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,19 @@ def test_a_generated_scene_can_be_seen_and_reached(name: str, upright: bool, arm
 def test_a_scene_is_the_same_each_time(arms: dict[str, Path]) -> None:
     robot = load_robot(arms["planar"])
     assert str(scene_for(robot, upright=True)) == str(scene_for(robot, upright=True))
+
+
+@pytest.mark.parametrize("name", ["planar", "ur"])
+def test_rounding_errors_choose_no_view(
+    name: str, arms: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of views that are equally good the first is taken, whatever the processor makes of the last digit."""
+    robot = load_robot(str(arms[name]))
+    expected = scene_for(robot, upright=name == "planar").pose_world_camera
+    visibility, views = scenes._visibility, itertools.count()
+    monkeypatch.setattr(scenes, "_visibility", lambda *view: visibility(*view) * (1.0 + 1e-14 * next(views)))
+    found = scene_for(robot, upright=name == "planar").pose_world_camera
+    assert next(views) > 1 and max(found.distance(expected)) < 1e-12
 
 
 def test_a_tool_hidden_in_a_box_has_no_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

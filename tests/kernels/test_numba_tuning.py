@@ -58,6 +58,16 @@ def test_a_remembered_signature_is_the_one_that_numba_finds(monkeypatch: pytest.
         assert (given, gives) == (found, finds), (key, args)
 
 
+def test_what_is_remembered_under_some_options_is_not_taken_under_others() -> None:
+    """A sum that may be reordered comes first; one that may not then still adds from first to last."""
+    numbers = 1e8 * np.random.default_rng(0).normal(size=1000)
+    numba.njit(fastmath=True)(lambda x: np.sum(x))(numbers)
+    total = 0.0
+    for number in numbers.tolist():
+        total += number
+    assert numba.njit(lambda x: np.sum(x))(numbers) == total
+
+
 def test_an_instruction_lists_the_variables_that_numba_lists() -> None:
     statements = [s for block in run_frontend(mixed).blocks.values() for s in block.body]
     values = [getattr(s, "value", None) for s in statements]
