@@ -124,23 +124,23 @@ class ServoBus(Protocol):
         ...
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
-        """One register of one servo.  No servo answers one to ``BROADCAST_ID``."""
+        """One register of one servo.  No servo answers one to ``BROADCAST_ID``.
+
+        Raises:
+            ValueError: The value does not fit the register, as in all that write; nothing is sent.
+        """
         ...
 
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
-        """The same register of many servos in one cycle; a row for every id asked."""
+        """The same register of many servos in one cycle; a row for every id asked.
+
+        Servos that do not answer are asked again, but only within a time and not if they were silent in the
+        cycle before as well: one dead servo must not slow down the others.
+        """
         ...
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         """The same register of many servos in one packet (servo id -> value), which has no reply."""
-        ...
-
-    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
-        """A register of its own from every servo, in one cycle; a row for every id asked."""
-        ...
-
-    def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """A register of its own of every servo in one packet (servo id -> register, value)."""
         ...
 
     def exchange(
@@ -149,9 +149,17 @@ class ServoBus(Protocol):
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        """A control cycle: ``bulk_write``, then ``bulk_read``, no servo asked again after ``within`` s.
+        """A control cycle: goals and the request for measurements leave in one write.
 
         Late replies are distinguished from good ones: at times some bytes behind each register are read.
+
+        Args:
+            writes: Servo id -> register and value, each its own; may be empty.
+            reads: Servo id -> register.
+            within: s after which no servo is asked again.
+
+        Returns:
+            A row for every id of ``reads``; ``data`` is None where nothing usable came.
         """
         ...
 

@@ -7,7 +7,6 @@ every id alone.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
@@ -20,8 +19,7 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
     model_by_number,
 )
-from robot_ik.hardware.dynamixel import PING, PING_BYTES, PING_DATA, DynamixelBus, listening_time
-from robot_ik.hardware.packets import StatusParser, build
+from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
 from robot_ik.hardware.serial_port import RESPONSE_TIME
 
 LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
@@ -73,44 +71,6 @@ class FoundServo:
         return "?" if self.number is None else f"model number {self.number}"
 
 
-class ScanBus(DynamixelBus):
-    """A driver that also reports what it could not understand."""
-
-    def collect_pings(self, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        """A ping to everybody.
-
-        Args:
-            listen: s.
-
-        Returns:
-            Servo id -> (model number, firmware), and how many bytes belong to no packet.
-
-        Raises:
-            BusDisconnectedError, BusNotOpenError.
-        """
-        return self._ping(BROADCAST_ID, listen)
-
-    def ping_once(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        """A ping to one id; late replies of others come under theirs.  Otherwise as ``collect_pings``."""
-        return self._ping(id, listen)
-
-    def _ping(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
-        parser, found, useful, received = StatusParser(), {}, 0, 0
-        with self._wire.transaction("scan") as port:
-            port.writePort(build(id, PING, b""))
-            end = time.monotonic() + listen
-            while data := port.receive(end):
-                received += len(data)
-                for packet in parser.feed(data):
-                    useful += PING_BYTES
-                    if len(packet.data) == PING_DATA:
-                        found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
-                if id in found:
-                    return found, received - useful
-            self._wire.missed()
-        return found, received - useful
-
-
 def scan(
     port: str,
     bauds: Sequence[int] = LIKELY,
@@ -134,10 +94,10 @@ def scan(
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
         progress(f"{baud} baud", k / len(bauds))
-        bus = ScanBus(port, baud, retries=0)
+        bus = DynamixelBus(port, baud, retries=0)
         bus.open()
         try:
-            responses, damaged = bus.collect_pings(listening_time(baud))
+            responses, damaged = bus.collect_pings(BROADCAST_ID, listening_time(baud))
             servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(responses.items())]
             if damaged:
                 rest = [id for id in IDS if id not in responses]
@@ -180,15 +140,15 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
 
 
 def _one_by_one(
-    bus: ScanBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
+    bus: DynamixelBus, baud: int, ids: Sequence[int], progress: Callable[[str, float], None]
 ) -> list[FoundServo]:
     """Servos that the ping to all did not find, and ids from which only damaged replies come."""
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{baud} baud, id {id}", k / len(ids))
-        responses, damaged = bus.ping_once(id, PING_WAIT)
+        responses, damaged = bus.collect_pings(id, PING_WAIT)
         if damaged and id not in responses:
-            responses, damaged = bus.ping_once(id, PING_WAIT)  # noise can hit one reply
+            responses, damaged = bus.collect_pings(id, PING_WAIT)  # noise can hit one reply
         for other, who in responses.items():
             found[other] = _details(bus, FoundServo(other, baud, *who))
         if damaged and id not in responses:
@@ -196,7 +156,7 @@ def _one_by_one(
     return list(found.values())
 
 
-def _details(bus: ScanBus, servo: FoundServo) -> FoundServo:
+def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
     """The same servo with its state, and whether its replies collide with another's."""
     table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
     before = bus.counters.corrupt

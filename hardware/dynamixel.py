@@ -173,7 +173,7 @@ class GroupTraffic:
         # It has no reply, so a reply still outstanding keeps belonging to the request before.
         with self._wire.transaction(None) as port:
             if request:
-                port.send(request)
+                port.writePort(request)
 
     def read(
         self,
@@ -267,7 +267,7 @@ class GroupTraffic:
     def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
         """One request and the replies to it; puts the usable ones into ``wanted.found``."""
         port.clear()
-        port.send(before + plan.request)
+        port.writePort(before + plan.request)
         sent = self._wire.now()
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
@@ -389,62 +389,58 @@ class DynamixelBus:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
         return self._wire.is_open
 
     def open(self) -> None:
-        """Opens the port for this process alone.
-
-        Raises:
-            BusNotOpenError: Missing, not a serial port, not permitted, in use, or an impossible rate.
-        """
         self._wire.open()
         self._group.reset()
 
     def close(self) -> None:
-        """Closes the port; may be called any number of times and never raises."""
         self._wire.close()
 
     # ---------------------------------------------------------------------------- single servos
 
     def ping(self, id: int) -> int:
-        """Model number of one servo.
-
-        Raises:
-            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError.
-        """
         packet = self._ask(id, "ping", PING_DATA, lambda port: self._bare(port, id, PING))
         return packet.data[0] | packet.data[1] << 8
 
     def broadcast_ping(self) -> dict[int, int]:
-        """Servo id -> model number of everyone who answers; takes about a second, whoever answers.
+        """Servo id -> model number of everyone who answers; takes about a second, whoever answers."""
+        found, _ = self.collect_pings(BROADCAST_ID, listening_time(self.baud))
+        return {id: number for id, (number, _) in sorted(found.items())}
+
+    def collect_pings(self, id: int, listen: float) -> tuple[dict[int, tuple[int, int]], int]:
+        """A ping to ``id``, one servo's or ``BROADCAST_ID``.
 
         Not by the SDK: it takes any packet of 14 bytes for a reply, an echoed request among them.
+
+        Returns:
+            Servo id -> (model number, firmware) of all who answered within ``listen`` s, late replies of
+            others among them, and how many bytes belong to no packet.
 
         Raises:
             BusDisconnectedError, BusNotOpenError.
         """
-        parser, found = StatusParser(), {}
-        with self._wire.transaction("broadcast ping") as port:
+        parser, found, useful, received = StatusParser(), {}, 0, 0
+        with self._wire.transaction("ping") as port:
             port.clear()
-            port.send(build(BROADCAST_ID, PING, b""))
-            end = self._wire.now() + listening_time(self.baud)
+            port.writePort(build(id, PING, b""))
+            end = self._wire.now() + listen
             over, data = False, b"begin"
-            while data and not over:
+            while data and not over and id not in found:
                 over = self._wire.now() > end  # a line may never fall silent: this is the last look
                 data = port.receive(end)
+                received += len(data)
                 for packet in parser.feed(data):
+                    useful += PING_BYTES
                     if len(packet.data) == PING_DATA:
-                        found[packet.id] = packet.data[0] | packet.data[1] << 8
+                        found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
+            if id not in found:
+                self._wire.missed()
         self.counters.corrupt += parser.damaged
-        return dict(sorted(found.items()))
+        return found, received - useful
 
     def read(self, id: int, register: Register) -> BusStatus:
-        """One register of one servo.
-
-        Raises:
-            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
-        """
         packet = self._ask(
             id,
             register.name,
@@ -454,12 +450,6 @@ class DynamixelBus:
         return BusStatus(id, register.decode(packet.data), 0, packet.alert)
 
     def write(self, id: int, register: Register, value: int) -> BusStatus:
-        """One register of one servo; no servo answers one to ``BROADCAST_ID``.
-
-        Raises:
-            ValueError: The value does not fit the register; nothing is sent.
-            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
-        """
         data = list(register.encode(value))
 
         def send(port: SleepingPortHandler) -> object:
@@ -473,50 +463,16 @@ class DynamixelBus:
         return BusStatus(id, None, 0, packet.alert)
 
     def reboot(self, id: int) -> None:
-        """Restarts one servo; it is deaf for some tenths of a second after.
-
-        Raises:
-            BusTimeoutError, BusCorruptError, BusDisconnectedError, BusNotOpenError, ServoRefusedError.
-        """
+        """Restarts one servo; it is deaf for some tenths of a second after."""
         self._ask(id, "reboot", 0, lambda port: self._bare(port, id, _REBOOT))
 
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        """The same register of many servos in one packet, which has no reply.
-
-        Raises:
-            ValueError: A value does not fit the register; nothing is sent.
-            BusDisconnectedError, BusNotOpenError.
-        """
         self._group.write({id: (register, value) for id, value in values.items()})
 
-    def bulk_write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """A register of its own of every servo in one packet, which has no reply.
-
-        Raises:
-            ValueError: A value does not fit its register; nothing is sent.
-            BusDisconnectedError, BusNotOpenError.
-        """
-        self._group.write(values)
-
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
-        """The same register of many servos in one cycle.
-
-        Servos that do not answer are asked again, but only within a time and not if they were silent in the
-        cycle before as well: one dead servo must not slow down the others.
-
-        Returns:
-            A row for every id; ``data`` is None where nothing usable came.
-
-        Raises:
-            BusDisconnectedError, BusNotOpenError.
-        """
         return self._group.read(dict.fromkeys(ids, register))
-
-    def bulk_read(self, registers: Mapping[int, Register]) -> dict[int, BusStatus]:
-        """A register of its own from every servo in one cycle; otherwise as ``sync_read``."""
-        return self._group.read(registers)
 
     def exchange(
         self,
@@ -524,24 +480,9 @@ class DynamixelBus:
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        """A control cycle: goals and the request for measurements leave in one write.
-
-        Args:
-            writes: Servo id -> register and value.
-            reads: Servo id -> register.
-            within: s after which no servo is asked again.
-
-        Returns:
-            A row for every id of ``reads``; ``data`` is None where nothing usable came.
-
-        Raises:
-            ValueError: A value does not fit its register; nothing is sent.
-            BusDisconnectedError, BusNotOpenError.
-        """
         return self._group.read(reads, writes, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
-        """Only these servos may be asked to answer together in one packet; at first none."""
         self._group.fast_ids = frozenset(ids)
 
     # ---------------------------------------------------------------------------------- packets

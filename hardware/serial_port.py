@@ -131,10 +131,6 @@ class SleepingPortHandler(PortHandler):
         super().setPacketTimeoutMillis(msec)
         self._late_bytes = MAX_LATE_BYTES
 
-    def send(self, data: bytes) -> None:
-        """Writes all of it, or raises."""
-        self.writePort(data)
-
     def receive(self, deadline: float, expected: float | None = None) -> bytes:
         """What has come in, at least a byte; sleeps until then, or ``deadline``: nothing.
 
@@ -144,16 +140,19 @@ class SleepingPortHandler(PortHandler):
             expected: When the reply usually comes, where that is known: shortly before and after it the
                 port is watched without sleeping, for who sleeps notices a reply late.
         """
+        if self._posix:
+            return self._take(4096) if self._comes(deadline, expected) else b""
+        while not (data := self._take(self.ser.in_waiting or 1)):
+            if time.monotonic() > deadline:
+                break
+        return data
+
+    def _take(self, length: int) -> bytes:
+        """At most ``length`` bytes of what has come in."""
         if not self._posix:
-            while not (data := bytes(self.ser.read(self.ser.in_waiting or 1))):
-                if time.monotonic() > deadline:
-                    break
-        else:
-            if not self._comes(deadline, expected):
-                return b""
-            data = os.read(self._file, 4096)
-            if not data:
-                raise serial.SerialException("the port is ready to read and has nothing: it went away")
+            data = bytes(self.ser.read(length))
+        elif not (data := os.read(self._file, length)):
+            raise serial.SerialException("the port is ready to read and has nothing: it went away")
         self._counters.bytes_received += len(data)
         return data
 
@@ -187,17 +186,10 @@ class SleepingPortHandler(PortHandler):
             self._late_bytes -= max(length, 0)
         if length <= 0:
             return b""
-        if not self._posix:
-            data = bytes(self.ser.read(length))
-        else:
-            wait = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
-            if not select.select([self.ser.fileno()], [], [], max(wait, 0.0))[0]:
-                return b""
-            data = os.read(self.ser.fileno(), length)
-            if not data:
-                raise serial.SerialException("the port is ready to read and has nothing: it went away")
-        self._counters.bytes_received += len(data)
-        return data
+        wait = (self.packet_timeout - self.getTimeSinceStart()) / 1000.0
+        if self._posix and not select.select([self._file], [], [], max(wait, 0.0))[0]:
+            return b""
+        return self._take(length)
 
     def writePort(self, packet: Sequence[int] | bytes) -> int:
         """Number of bytes written: all of them, or an error."""

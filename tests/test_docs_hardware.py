@@ -38,9 +38,7 @@ CALLS: dict[str, Callable[[ServoBus], object]] = {
     "write": lambda bus: bus.write(1, GOAL, 2048),
     "reboot": lambda bus: bus.reboot(2),
     "sync_write": lambda bus: bus.sync_write(GOAL, {1: 2048}),
-    "bulk_write": lambda bus: bus.bulk_write({1: (GOAL, 2048)}),
     "sync_read": lambda bus: bus.sync_read([1, 3], POSITION),
-    "bulk_read": lambda bus: bus.bulk_read({1: POSITION, 3: GOAL}),
     "exchange": lambda bus: bus.exchange({1: (GOAL, 2048)}, {1: POSITION}),
     "broadcast_ping": lambda bus: bus.broadcast_ping(),
 }
@@ -129,7 +127,7 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     ):
         arm.enable()
         execute(joint_move(ROBOT, arm.read().q, ROBOT.home + 0.1), [arm], clock=arm.clock)
-        for call in ("write", "sync_write", "bulk_write", "exchange"):
+        for call in ("write", "sync_write", "exchange"):
             CALLS[call](bus)
     logged: set[tuple[int, int]] = set()
     for record in caplog.records:

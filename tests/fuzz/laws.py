@@ -15,10 +15,9 @@ from typing import Any
 
 from robot_ik.errors import HardwareError
 from robot_ik.hardware.arm import Arm
-from robot_ik.hardware.bus import Counters
+from robot_ik.hardware.bus import BROADCAST_ID, Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.discovery import ScanBus
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.packets import FastParser, StatusParser
@@ -182,7 +181,7 @@ def driver(data: bytes) -> None:
         lines.append(Line(story, name, baud, counters))
         return lines[-1]
 
-    bus = ScanBus("fuzz", retries=1, make_handler=line, now=clock.now)
+    bus = DynamixelBus("fuzz", retries=1, make_handler=line, now=clock.now)
     bus.open()
     answers: list[tuple[int, int, int]] = []
     for ask in QUESTIONS:
@@ -208,7 +207,7 @@ def _exchange(bus: DynamixelBus, fast: tuple[int, ...]) -> list[tuple[int, int, 
     return _rows(bus.exchange(goals, dict.fromkeys((1, 2, 3), PRESENT), 0.01))
 
 
-QUESTIONS: tuple[Callable[[ScanBus], list[tuple[int, int, int]]], ...] = (
+QUESTIONS: tuple[Callable[[DynamixelBus], list[tuple[int, int, int]]], ...] = (
     lambda bus: [(1, 2, bus.ping(1))],
     lambda bus: _rows({2: bus.read(2, PRESENT)}),
     lambda bus: _rows({3: bus.write(3, GOAL, 5)}),
@@ -216,7 +215,7 @@ QUESTIONS: tuple[Callable[[ScanBus], list[tuple[int, int, int]]], ...] = (
     lambda bus: _exchange(bus, ()),
     lambda bus: _exchange(bus, (1, 2, 3)),
     lambda bus: [(id, 2, number) for id, number in bus.broadcast_ping().items()],
-    lambda bus: [(id, 2, who[0]) for id, who in bus.collect_pings(0.0)[0].items()],
+    lambda bus: [(id, 2, who[0]) for id, who in bus.collect_pings(BROADCAST_ID, 0.0)[0].items()],
 )
 
 

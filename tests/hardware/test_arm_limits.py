@@ -46,7 +46,7 @@ def test_the_recorder_sees_a_goal_beyond_the_limits_however_it_is_written(arm, g
     assert goal_recorder.goals == 2 and not goal_recorder.forbidden
     arm.bus.sync_write(GOAL, {1: last + 10})
     arm.bus.write(1, GOAL, first - 10)
-    arm.bus.bulk_write({1: (GOAL, last + 10), 2: (CONTROL_TABLES["XM430-W350"]["led"], 1)})
+    arm.bus.exchange({1: (GOAL, last + 10), 2: (CONTROL_TABLES["XM430-W350"]["led"], 1)}, {1: GOAL})
     assert len(goal_recorder.forbidden) == 3
     assert "joint1" in goal_recorder.forbidden[0]
     goal_recorder.forbidden.clear()

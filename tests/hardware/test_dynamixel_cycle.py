@@ -42,12 +42,12 @@ def test_each_servo_is_asked_for_its_own_register(any_bus, mixed, fast):
     any_bus.use_fast_reads([1, 2, 3] if fast else [])
     places = {1: XM["indirect_data_1"], 2: XL["indirect_data_1"], 3: XM["present_position"]}
     assert places[1].address != places[2].address
-    any_bus.bulk_write({1: (places[1], 11), 2: (places[2], 22), 3: (GOAL, 5)})
-    assert {id: s.data for id, s in any_bus.bulk_read(places).items()} == {1: 11, 2: 22, 3: 300}
+    writes = {1: (places[1], 11), 2: (places[2], 22), 3: (GOAL, 5)}
+    assert {id: s.data for id, s in any_bus.exchange(writes, places).items()} == {1: 11, 2: 22, 3: 300}
     assert mixed.servo(3).memory.get("goal_position") == 5
     # the request alone tells a fast from a plain read: one status packet comes back instead of three
     before = any_bus.counters.bytes_received
-    any_bus.bulk_read(places)
+    any_bus.exchange({}, places)
     plain, together = 3 * 11 + 1 + 1 + 4, 8 + 3 * 4 + 1 + 1 + 4
     assert any_bus.counters.bytes_received - before == (together if fast else plain)
 

@@ -42,10 +42,6 @@ class SpiedBus(SimBus):
         self.written |= set(values)
         super().sync_write(register, values)
 
-    def bulk_write(self, values):
-        self.written |= set(values)
-        super().bulk_write(values)
-
     def exchange(self, writes, reads, within=None):
         self.written |= set(writes)
         return super().exchange(writes, reads, within)
