@@ -7,17 +7,20 @@ reached: they are saved, and changed by setting a servo up, not here.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Literal
 
-from robot_ik.errors import ArmStateError, ConfigError, HardwareError, ServoMismatchError, ServoRefusedError
+from pydantic import Field, model_validator
+
+from robot_ik.errors import ArmStateError, HardwareError, ServoRefusedError
 from robot_ik.files import timestamp, write_atomically
-from robot_ik.hardware.bus import ServoBus, joint_named
+from robot_ik.hardware.bus import ServoBus, joint_named, require_models
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number
-from robot_ik.reading import read_json, shown
+from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
+from robot_ik.reading import read_json
+from robot_ik.tables import Several, Table, WrongKey, check_table, keys_of
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""
@@ -31,25 +34,24 @@ _PASSES = 2  # a limit may be refused until the one at the other end is written
 
 @dataclass(frozen=True)
 class SavedServo:
-    """One servo's control table.
+    """One servo's control table, as a table of the file.
 
     Attributes:
-        joint, id: Whose; ``number``: Model Number; ``firmware``: its version then.
+        joint, id: Whose; ``firmware``: its version then.
         registers: Name -> value.
     """
 
     joint: str
-    id: int
-    number: int
-    firmware: int
-    registers: Mapping[str, int]
+    id: Annotated[int, Field(ge=0, le=252)]
+    model: str
+    model_number: int
+    firmware: Annotated[int, Field(ge=1, le=255)]
+    registers: dict[str, int]
 
     @property
     def table(self) -> ControlTable:
-        """The model's registers with that firmware; ``load_backup`` knows the model."""
-        known = model_by_number(self.number)
-        assert known is not None
-        return control_table(known.model, self.firmware)
+        """The model's registers with that firmware; of a model that is known here."""
+        return control_table(model_name(self.model_number), self.firmware)
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,14 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
         ServoMismatchError: Missing servos, or other models than the arm file's.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint.
     """
-    _require_models(bus, {s.id: (s.name, s.table.number) for s in config.servos})
+    require_models(bus, {s.id: (s.name, s.table.number) for s in config.servos}, "the arm file")
     found = []
     with joint_named(config):
         for servo in config.servos:
             firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
             table = control_table(servo.model, firmware)
             registers = _read(bus, servo.id, [r for r in table if not r.name.startswith("indirect_data")])
-            found.append(SavedServo(servo.name, servo.id, table.number, firmware, registers))
+            found.append(SavedServo(servo.name, servo.id, table.model, table.number, firmware, registers))
     return found
 
 
@@ -87,17 +89,7 @@ def save_backup(path: Path, arm: str, servos: Sequence[SavedServo]) -> None:
     Raises:
         OutputError: It cannot be written.
     """
-    rows = [
-        {
-            "joint": s.joint,
-            "id": s.id,
-            "model": s.table.model,
-            "model_number": s.number,
-            "firmware": s.firmware,
-            "registers": dict(s.registers),
-        }
-        for s in servos
-    ]
+    rows = [asdict(servo) for servo in servos]
     content = {"schema": SCHEMA, "arm": arm, "created": timestamp(), "servos": rows}
     write_atomically(path, json.dumps(content, indent=1) + "\n")
 
@@ -108,42 +100,32 @@ def load_backup(path: Path) -> list[SavedServo]:
     Raises:
         ConfigError: Unreadable, not such a file, or a value that its register cannot have.
     """
-    content = read_json(path, "the backup")
-    if not isinstance(content, dict) or content.get("schema") != SCHEMA:
-        raise ConfigError("this is no backup of control tables", file=path, key="schema", allowed=str(SCHEMA))
-    rows = content.get("servos")
-    if not isinstance(rows, list) or not rows:
-        raise ConfigError("no servos in it", file=path, key="servos", allowed="a list of servos")
-    return [_saved(row, path, f"servos[{k}]") for k, row in enumerate(rows)]
+    return list(check_table(_BackupFile, read_json(path, "the backup"), path).servos)
 
 
-def _saved(row: Any, path: Path, at: str) -> SavedServo:
-    try:
-        numbers = [row[name] for name in ("id", "model_number", "firmware")]
-        registers: dict[str, Any] = dict(row["registers"])
-        joint = str(row["joint"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise ConfigError(
-            f"{error} is missing or not right", file=path, key=at, allowed="what backup has written"
-        ) from None
-    if not all(_whole(n) for n in numbers) or not 0 <= numbers[0] <= 252 or not 1 <= numbers[2] <= 255:
-        raise ConfigError(f"{numbers} is no id, model number and firmware", file=path, key=at)
-    if model_by_number(numbers[1]) is None:
-        raise ConfigError(f"model number {numbers[1]} is not known here", file=path, key=f"{at}.model_number")
-    servo = SavedServo(joint, numbers[0], numbers[1], numbers[2], registers)
-    for name, value in registers.items():
-        if name not in servo.table:
-            raise ConfigError(f"a {servo.table.model} has no register {name!r}", file=path, key=at)
-        register = servo.table[name]
-        low, high = (register.minimum, register.maximum) if _restored(register) else (-(2**31), 2**32)
-        if not _whole(value) or not low <= value <= high:
-            key, allowed = f"{at}.registers.{name}", f"{low}..{high}"
-            raise ConfigError(f"{shown(value)} is not right", file=path, key=key, allowed=allowed)
-    return servo
+_Saved = Annotated[SavedServo, keys_of(SavedServo)]
 
 
-def _whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+class _BackupFile(Table):
+    version: Annotated[Literal[1], Field(alias="schema")]
+    arm: str = ""
+    created: str = ""
+    servos: Annotated[Several[_Saved], Field(min_length=1, description="a list of servos")]
+
+    @model_validator(mode="after")
+    def _known_registers(self) -> _BackupFile:
+        for k, servo in enumerate(self.servos):
+            at, number = f"servos[{k}]", servo.model_number
+            if model_by_number(number) is None:
+                raise WrongKey(f"model number {number} is not known here", f"{at}.model_number")
+            for name, value in servo.registers.items():
+                if name not in servo.table:
+                    raise WrongKey(f"a {servo.table.model} has no register {name!r}", at)
+                register = servo.table[name]
+                low, high = (register.minimum, register.maximum) if _restored(register) else (-(2**31), 2**32)
+                if not low <= value <= high:
+                    raise WrongKey(f"{value} is not right", f"{at}.registers.{name}", f"{low}..{high}")
+        return self
 
 
 def _restored(register: Register) -> bool:
@@ -157,7 +139,7 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
         ServoMismatchError: A servo is missing, or another model.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
-    _require_models(bus, {s.id: (s.joint, s.number) for s in servos})
+    require_models(bus, {s.id: (s.joint, s.model_number) for s in servos}, "the backup")
     found = []
     for servo in servos:
         firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
@@ -179,9 +161,8 @@ def _read(bus: ServoBus, id: int, registers: Sequence[Register]) -> dict[str, in
         begin = left[0].address
         block = [register for register in left if register.end <= begin + _BLOCK]
         left = left[len(block) :]
-        size = block[-1].end - begin
-        whole = Register(f"{block[0].name} ...", begin, size, "r", False, "", False, None, 0, 0)
-        data = (bus.read(id, whole).data or 0).to_bytes(size, "little")
+        whole = Register(f"{block[0].name} ...", begin, block[-1].end - begin)
+        data = (bus.read(id, whole).data or 0).to_bytes(whole.size, "little")
         values |= {r.name: r.decode(data[r.address - begin : r.end - begin]) for r in block}
     return values
 
@@ -229,26 +210,3 @@ def _write(bus: ServoBus, table: ControlTable, change: Change, last: bool) -> bo
             raise
         return False
     return True
-
-
-def _require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]]) -> None:
-    found: dict[int, int] = {}
-    for id in wanted:
-        try:
-            found[id] = bus.ping(id)
-        except HardwareError:
-            if not bus.is_open:
-                raise
-    if all(found.get(id) == number for id, (_, number) in wanted.items()):
-        return
-
-    def name(number: int) -> str:
-        table = model_by_number(number)
-        return table.model if table else f"model number {number}"
-
-    raise ServoMismatchError(
-        {id: f"{joint}: {name(number)}" for id, (joint, number) in wanted.items()},
-        {id: name(number) for id, number in found.items()},
-        port=bus.port,
-        source="the backup",
-    )

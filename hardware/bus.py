@@ -6,14 +6,23 @@ radians begin one layer up, in ``JointMap``.  All methods are safe to call from 
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from robot_ik.errors import BusTimeoutError, ConfigError, ServoRefusedError
+from robot_ik.errors import (
+    BusCorruptError,
+    BusTimeoutError,
+    ConfigError,
+    ServoMismatchError,
+    ServoRefusedError,
+)
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import Register
+from robot_ik.hardware.control_table import Register, model_name
+
+log = logging.getLogger(__name__)
 
 ALERT_BIT = 0x80
 """Bit 7 of the ERR byte: the servo has a hardware error, see register 70 (Protocol 2.0 manual)."""
@@ -221,6 +230,46 @@ def joint_named(config: ArmConfig) -> Iterator[None]:
             reason=error.reason,
             joint=names.get(error.id, ""),
         ) from error
+
+
+def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source: str) -> None:
+    """Every servo is there, and is the right model.
+
+    Args:
+        bus: Open.
+        wanted: Servo id -> its joint, and its Model Number.
+        source: Who says so: "the arm file".
+
+    Raises:
+        ServoMismatchError: Missing or another model.
+        BusDisconnectedError, BusNotOpenError.
+    """
+    found: dict[int, int] = {}
+    damaged: set[int] = set()
+    for id in wanted:
+        try:
+            found[id] = bus.ping(id)
+        except BusCorruptError:
+            damaged.add(id)
+        except BusTimeoutError as error:
+            log.debug("ping %d: %s", id, error)
+    if all(found.get(id) == number for id, (_, number) in wanted.items()):
+        return
+    if len(found) < len(wanted):
+        found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
+    hint = ""  # the error's own
+    if damaged and found:
+        hint = "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
+    elif damaged:
+        hint = "no reply arrives whole: check the cable, its contacts and the adapter"
+    elif not found:
+        hint = (
+            "nobody answers at all: check the servos' power and the cable; "
+            "robot-ik servo scan looks for them at every baud rate"
+        )
+    models = dict.fromkeys(damaged, "damaged replies") | {id: model_name(n) for id, n in found.items()}
+    expected = {id: f"{joint}: {model_name(number)}" for id, (joint, number) in wanted.items()}
+    raise ServoMismatchError(expected, models, port=bus.port, hint=hint, source=source)
 
 
 def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None = None) -> dict[int, int]:

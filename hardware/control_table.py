@@ -68,7 +68,7 @@ def hardware_error_names(value: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Register:
-    """A named piece of a servo's memory.
+    """A named piece of a servo's memory, or a block of bytes that are read at once.
 
     Attributes:
         name: The manual's name in snake_case.
@@ -86,13 +86,13 @@ class Register:
     name: str
     address: int
     size: int
-    access: str
-    signed: bool
-    unit: str
-    eeprom: bool
-    initial: int | None
-    minimum: int
-    maximum: int
+    access: str = "r"
+    signed: bool = False
+    unit: str = ""
+    eeprom: bool = False
+    initial: int | None = None
+    minimum: int = 0
+    maximum: int = 0
 
     @property
     def writable(self) -> bool:
@@ -183,6 +183,15 @@ class ControlTable:
         """Bits per second the model can be set to."""
         return tuple(BAUD_RATES[code] for code in self.baud_codes)
 
+    def values(self, block: Register, value: int) -> dict[str, int]:
+        """Name -> value of the registers that lie within a block, from the value of the block."""
+        data = value.to_bytes(block.size, "little", signed=block.signed)
+        return {
+            r.name: r.decode(data[r.address - block.address : r.end - block.address])
+            for r in self
+            if block.address <= r.address and r.end <= block.end
+        }
+
 
 def _register(row: Row) -> Register:
     name, address, size, flags, unit, initial, minimum, maximum = row
@@ -259,6 +268,12 @@ _BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
 def model_by_number(number: int) -> ControlTable | None:
     """The table of the model whose Model Number register reads ``number``; ``None`` if unknown here."""
     return _BY_NUMBER.get(number)
+
+
+def model_name(number: int) -> str:
+    """Of the model whose Model Number register reads ``number``, or what is known of it."""
+    table = model_by_number(number)
+    return table.model if table else f"model number {number}"
 
 
 @lru_cache(maxsize=64)

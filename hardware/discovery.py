@@ -8,7 +8,8 @@ every id alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
@@ -18,6 +19,7 @@ from robot_ik.hardware.control_table import (
     control_table,
     hardware_error_names,
     model_by_number,
+    model_name,
 )
 from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
 from robot_ik.hardware.serial_port import RESPONSE_TIME
@@ -65,10 +67,7 @@ class FoundServo:
     @property
     def model(self) -> str:
         """Its model's name, or what is known of it."""
-        known = None if self.number is None else model_by_number(self.number)
-        if known is not None:
-            return known.model
-        return "?" if self.number is None else f"model number {self.number}"
+        return "?" if self.number is None else model_name(self.number)
 
 
 def scan(
@@ -94,17 +93,14 @@ def scan(
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
         progress(f"{baud} baud", k / len(bauds))
-        bus = DynamixelBus(port, baud, retries=0)
-        bus.open()
-        try:
+        with closing(DynamixelBus(port, baud, retries=0)) as bus:
+            bus.open()
             responses, damaged = bus.collect_pings(BROADCAST_ID, listening_time(baud))
             servos = [_details(bus, FoundServo(id, baud, *who)) for id, who in sorted(responses.items())]
             if damaged:
                 rest = [id for id in IDS if id not in responses]
                 servos += _one_by_one(bus, baud, rest, progress)
             found += sorted(servos, key=lambda servo: servo.id)
-        finally:
-            bus.close()
     progress("done", 1.0)
     return found
 
@@ -175,20 +171,16 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
             values[name] = bus.read(servo.id, table[name]).data or 0
         except HardwareError:  # a timeout, a refusal or damage: what is not known stays None
             continue
-    damaged = bus.counters.corrupt - before
-    if not values:  # it answers pings only, or its replies are damaged
-        return FoundServo(servo.id, servo.baud, servo.number, servo.firmware, shared=damaged > 1)
-    return FoundServo(
-        servo.id,
-        servo.baud,
-        servo.number,
-        values.get("firmware_version", servo.firmware),
-        values["present_input_voltage"] / 10.0 if "present_input_voltage" in values else None,
-        values.get("present_temperature"),
-        values["return_delay_time"] * 2 if "return_delay_time" in values else None,
-        bool(values["torque_enable"]) if "torque_enable" in values else None,
-        hardware_error_names(values.get("hardware_error_status", 0)),
-        shared=damaged > 1,
+    volts, delay, torque = (values.get(name) for name in ("present_input_voltage", *names[1:3]))
+    return replace(
+        servo,
+        firmware=values.get("firmware_version", servo.firmware),
+        voltage=None if volts is None else volts / 10.0,
+        temperature=values.get("present_temperature"),
+        return_delay=None if delay is None else 2 * delay,
+        torque=None if torque is None else bool(torque),
+        errors=hardware_error_names(values.get("hardware_error_status", 0)),
+        shared=bus.counters.corrupt - before > 1,
     )
 
 
@@ -246,19 +238,13 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
         raise ConfigError(
             f"{servo.model} cannot talk at {baud} bits/s", file="command line", key="--baud", allowed=allowed
         )
-    bus = DynamixelBus(port, servo.baud)
-    bus.open()
-    try:
+    with closing(DynamixelBus(port, servo.baud)) as bus:
+        bus.open()
         _write(bus, servo, table, id, baud)
-    finally:
-        bus.close()
-    bus = DynamixelBus(port, baud)
-    bus.open()
-    try:
+    with closing(DynamixelBus(port, baud)) as bus:
+        bus.open()
         names = ("model_number", "id", "baud_rate", "return_delay_time")
         said = tuple(bus.read(id, table[name]).data for name in names)
-    finally:
-        bus.close()
     if said != (servo.number, id, _CODES[baud], 0):
         raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
 

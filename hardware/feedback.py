@@ -108,7 +108,8 @@ class Feedback:
             try:
                 parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
                 block = _indirect_block(bus, id, table, parts)
-                self.registers[id] = _short(block.register, table)
+                size = sum(table[name].size for name in _PARTS)  # at the head of the block
+                self.registers[id] = Register(_BLOCK, block.register.address, size, signed=True)
                 if id in self._thresholds:
                     self._health[id] = block
             except (HardwareError, KeyError) as error:
@@ -244,21 +245,14 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
     addresses = [a for name in parts for a in range(table[name].address, table[name].end)]
     first, data = table["indirect_address_1"], table["indirect_data_1"]
     size = 2 * len(addresses)
-    pointers = Register(
-        "indirect addresses", first.address, size, "rw", False, "", False, None, 0, 256**size - 1
-    )
+    pointers = Register("indirect addresses", first.address, size, "rw")
     wanted = int.from_bytes(b"".join(a.to_bytes(2, "little") for a in addresses), "little")
     if bus.read(id, pointers).data != wanted:
         bus.write(id, pointers, wanted)
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
     offsets = {name: addresses.index(table[name].address) for name in parts}
-    return _FeedbackBlock(_block_register(_LONG_BLOCK, data.address, len(addresses)), offsets)
-
-
-def _short(block: Register, table: ControlTable) -> Register:
-    """Torque and position at the head of a block."""
-    return _block_register(_BLOCK, block.address, sum(table[name].size for name in _PARTS))
+    return _FeedbackBlock(Register(_LONG_BLOCK, data.address, len(addresses), signed=True), offsets)
 
 
 def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
@@ -267,9 +261,5 @@ def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
     first = min(table[name].address for name in names)
     size = max(table[name].end for name in names) - first
     return _FeedbackBlock(
-        _block_register(_CONTIGUOUS, first, size), {name: table[name].address - first for name in names}
+        Register(_CONTIGUOUS, first, size, signed=True), {name: table[name].address - first for name in names}
     )
-
-
-def _block_register(name: str, address: int, size: int) -> Register:
-    return Register(name, address, size, "r", True, "", False, None, 0, 0)

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
-    ControlTable,
     Register,
     control_table,
     hardware_error_names,
@@ -57,14 +56,12 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-def _block(name: str, table: ControlTable, first: str, last: str) -> Register:
-    begin, end = table[first].address, table[last].end
-    return Register(name, begin, end - begin, "r", False, "", False, None, 0, 0)
-
-
 _X = control_table("XM430-W350")  # all X servos have these at the same addresses
-_HEALTH = _block("torque and errors", _X, "torque_enable", "hardware_error_status")
-_MOTION = _block("current to temperature", _X, "present_current", "present_temperature")
+_ENDS = (("torque_enable", "hardware_error_status"), ("present_current", "present_temperature"))
+_HEALTH, _MOTION = (
+    Register(f"{first} to {last}", _X[first].address, _X[last].end - _X[first].address)
+    for first, last in _ENDS
+)
 
 
 def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
@@ -89,15 +86,10 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
     table = servo.table
     values: dict[str, int] = {}
     for block, value in ((_MOTION, motion), (_HEALTH, health)):
-        if value is None:
-            continue
-        data = value.to_bytes(block.size, "little")
-        for r in table:
-            if block.address <= r.address and r.end <= block.end:
-                values[r.name] = r.decode(data[r.address - block.address : r.end - block.address])
-    if motion is None and health is None:
+        if value is not None:
+            values |= table.values(block, value)
+    if not values:
         return ServoState(servo.name, servo.id)
-    unit = float(table["present_current"].unit.split()[0]) if "present_current" in table else 0.0
 
     def scaled(name: str, factor: float) -> float | None:
         return values[name] * factor if name in values else None
@@ -110,7 +102,7 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         servo.name,
         servo.id,
         ticks=values.get("present_position"),
-        current_ma=scaled("present_current", unit),
+        current_ma=scaled("present_current", current_unit(table)),
         load_percent=scaled("present_load", 0.1),
         voltage=scaled("present_input_voltage", 0.1),
         temperature=values.get("present_temperature"),

@@ -8,7 +8,6 @@ rod.  Outside this package angles are radians, ways metres.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import Annotated, Literal
@@ -138,7 +137,7 @@ class Gains:
     feedforward_2: _Gain | None = None
 
     @property
-    def registers(self) -> Mapping[str, int]:
+    def registers(self) -> dict[str, int]:
         """Name of the register -> value, of those given."""
         return {_GAINS[key]: value for key, value in asdict(self).items() if value is not None}
 

@@ -11,23 +11,20 @@ from collections.abc import Mapping
 
 from robot_ik.errors import (
     ArmStateError,
-    BusCorruptError,
     BusTimeoutError,
     ConfigError,
     HardwareError,
     MotorFaultError,
-    ServoMismatchError,
     ServoRefusedError,
     UnsafeCommandError,
 )
-from robot_ik.hardware.bus import ServoBus, joint_named, read_all, shared_register
+from robot_ik.hardware.bus import ServoBus, joint_named, read_all, require_models, shared_register
 from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     VELOCITY_UNIT,
     OperatingMode,
     hardware_error_names,
-    model_by_number,
 )
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
 
@@ -95,7 +92,8 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
         MotorFaultError: A latched hardware error, or a supply outside the servo's limits.
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
-    _check_models(bus, config)
+    wanted = {servo.id: (servo.name, servo.table.number) for servo in config.servos}
+    require_models(bus, wanted, "the arm file")
     with joint_named(config):
         for joint in config.servos:
             _return_all(bus, joint)
@@ -154,10 +152,8 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
     _set_current_limits(bus, config, torque)
     set_currents(bus, config, {})
     for servo in config.servos:
-        for name, value in servo.gains.registers.items():
+        for name, value in (servo.gains.registers | _profile(servo, config.rate_hz)).items():
             _write_register(bus, config, servo, name, value)
-    _write_verified(bus, config, "profile_acceleration", _profile(config)[1])
-    _write_verified(bus, config, "profile_velocity", _profile(config)[0])
 
 
 def _check_reverse(servo: JointMap, found: bool) -> None:
@@ -201,44 +197,6 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
 
 def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
     return [(joint, values[joint.id]) for joint in config.servos]
-
-
-def _check_models(bus: ServoBus, config: ArmConfig) -> None:
-    found: dict[int, int] = {}
-    damaged: set[int] = set()
-    for joint in config.servos:
-        try:
-            found[joint.id] = bus.ping(joint.id)
-        except BusCorruptError:
-            damaged.add(joint.id)
-        except BusTimeoutError as error:
-            log.debug("ping %d: %s", joint.id, error)
-    if all(found.get(joint.id) == joint.table.number for joint in config.servos):
-        return
-    if len(found) < len(config.servos):
-        found |= bus.broadcast_ping()  # who else is there: a wrong id is the usual reason
-    expected = {joint.id: f"{joint.name}: {joint.model}" for joint in config.servos}
-    models = dict.fromkeys(damaged, "damaged replies") | {id: _model_name(n) for id, n in found.items()}
-    raise ServoMismatchError(expected, models, port=bus.port, hint=_mismatch_hint(set(found), damaged))
-
-
-def _mismatch_hint(found: set[int], damaged: set[int]) -> str:
-    """What to check; empty: the error's own text."""
-    if damaged and found:
-        return "do two servos have that id? connect one of them alone: robot-ik servo setup --id N"
-    if damaged:
-        return "no reply arrives whole: check the cable, its contacts and the adapter"
-    if not found:
-        return (
-            "nobody answers at all: check the servos' power and the cable; "
-            "robot-ik servo scan looks for them at every baud rate"
-        )
-    return ""
-
-
-def _model_name(number: int) -> str:
-    table = model_by_number(number)
-    return table.model if table else f"model number {number}"
 
 
 def _return_all(bus: ServoBus, joint: JointMap) -> None:
@@ -355,25 +313,13 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
             )
 
 
-def _profile(config: ArmConfig) -> tuple[dict[int, int], dict[int, int]]:
-    """Profile velocity and acceleration by servo id, in register units."""
-    velocity, acceleration = {}, {}
-    for joint in config.servos:
-        # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
-        gear = joint.ratio / joint.levers[0]
-        speed = gear * (joint.profile_velocity or SPEED_HEADROOM * joint.velocity)  # rad/s
-        ramp = speed * config.rate_hz / RAMP_SHARE
-        if joint.profile_acceleration is not None:
-            ramp = gear * joint.profile_acceleration
-        velocity[joint.id] = min(max(math.ceil(speed / VELOCITY_UNIT), 1), _LARGEST_PROFILE)
-        acceleration[joint.id] = min(max(math.ceil(ramp / ACCELERATION_UNIT), 1), _LARGEST_PROFILE)
-    return velocity, acceleration
-
-
-def _write_verified(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> None:
-    register = shared_register(config, name)
-    with joint_named(config):
-        for joint in config.servos:
-            bus.write(joint.id, register, values[joint.id])
-    if read_all(bus, config, name) != dict(values):
-        raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
+def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
+    """The profile registers of a servo."""
+    # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
+    gear = servo.ratio / servo.levers[0]
+    speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s
+    ramp = speed * rate_hz / RAMP_SHARE
+    if servo.profile_acceleration is not None:
+        ramp = gear * servo.profile_acceleration
+    rows = (("profile_acceleration", ramp, ACCELERATION_UNIT), ("profile_velocity", speed, VELOCITY_UNIT))
+    return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}

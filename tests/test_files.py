@@ -151,7 +151,7 @@ def _recording(folder: Path) -> str:
 def _backup(path: Path) -> None:
     table = CONTROL_TABLES["XM430-W350"]
     registers = {r.name: max(r.minimum, 0) for r in table if r.eeprom and r.writable}
-    save_backup(path, "arm", [SavedServo("joint1", 1, 1020, 46, registers)])
+    save_backup(path, "arm", [SavedServo("joint1", 1, "XM430-W350", 1020, 46, registers)])
 
 
 @dataclass(frozen=True)
