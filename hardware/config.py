@@ -2,35 +2,142 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from pydantic import AfterValidator, Field, model_validator
 
 from robot_ik.errors import ConfigError, UnknownJointError
 from robot_ik.files import write_atomically
-from robot_ik.hardware.config_file import (
-    STALE_MS,
-    WATCHDOG_MS,
-    ArmFile,
-    BusFile,
-    JointFile,
-    SlideFile,
-    arm_file_text,
-    parse_arm_file,
+from robot_ik.hardware.control_table import (
+    BAUD_RATES,
+    MULTI_TURN_TICKS,
+    TICKS_PER_REVOLUTION,
+    ControlTable,
+    OperatingMode,
+    control_table,
 )
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, ControlTable, OperatingMode, control_table
-from robot_ik.hardware.joint_map import ARM, MODES, JointMap, SwingArm
+from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, Sign, StopAt, SwingArm, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
-from robot_ik.reading import read_text
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+from robot_ik.reading import parse_toml, read_text
+from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
 
 MAX_SERVOS = 252
+
+# ------------------------------------------------------------------------------------------
+# The keys of the file.
+
+
+WATCHDOG_MS, STALE_MS = 400, 200
+"""Where the arm file does not say."""
+WATCHDOG_MAX_MS = 127 * WATCHDOG_UNIT_MS
+
+_Positive = Annotated[float, Field(gt=0.0)]
+_Word = Annotated[str, Field(min_length=1)]
+
+
+def _known_rate(baud: int) -> int:
+    if baud not in BAUD_RATES.values():
+        raise WrongKey(f"no servo talks at {baud} bits/s", allowed=", ".join(map(str, BAUD_RATES.values())))
+    return baud
+
+
+class BusFile(Table):
+    """Table ``[bus]``."""
+
+    baud: Annotated[int, AfterValidator(_known_rate)] = 1_000_000
+    rate_hz: Annotated[float, Field(ge=1, le=1000)] = 100.0
+    watchdog_ms: Annotated[int, Field(ge=0, le=WATCHDOG_MAX_MS, multiple_of=WATCHDOG_UNIT_MS)] = WATCHDOG_MS
+    on_exit: Literal["torque_off", "hold", "park"] = "torque_off"
+    stale_ms: Annotated[int | None, Field(ge=0, le=60_000)] = None  # half of watchdog_ms
+    on_stale: Literal["hold", "park", "torque_off"] = "hold"
+
+
+class JointFile(Table):
+    """What both kinds of table of ``[[joints]]`` have."""
+
+    name: _Word
+    id: Annotated[int, Field(ge=0, le=252)]
+    model: _Word
+    mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
+    direction: Sign = 1
+    zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
+    ratio: _Positive = 1.0
+    reverse: bool = False
+    current_ma: _Positive | None = None
+    current_limit_ma: _Positive | None = None
+    group: _Word = ARM
+    twin: Annotated[Twin | None, keys_of(Twin)] = None
+    gains: Annotated[Gains, keys_of(Gains)] = Gains()
+    stop_at: Annotated[StopAt, keys_of(StopAt)] = StopAt()
+
+
+class HingeFile(JointFile):
+    """A joint that turns."""
+
+    lower_deg: float
+    upper_deg: float
+    velocity_deg: _Positive
+    acceleration_deg: _Positive
+    profile_velocity_deg: _Positive | None = None
+    profile_acceleration_deg: _Positive | None = None
+
+
+class SlideFile(JointFile):
+    """A joint that slides: a pinion of this radius moves it on a rack, or a horn and a rod do."""
+
+    pinion_mm: _Positive | None = None
+    horn_mm: _Positive | None = None
+    rod_mm: _Positive | None = None
+    lower_mm: float
+    upper_mm: float
+    velocity_mm: _Positive
+    acceleration_mm: _Positive
+    profile_velocity_mm: _Positive | None = None
+    profile_acceleration_mm: _Positive | None = None
+
+    @model_validator(mode="after")
+    def _one_gear(self) -> SlideFile:
+        """A pinion, or a horn and a rod that is at least as long."""
+        pair = (self.horn_mm, self.rod_mm)
+        allowed = "pinion_mm alone (a rack), or horn_mm and rod_mm (a swing arm)"
+        if self.pinion_mm is not None and pair != (None, None):
+            raise WrongKey(f"two gears move {self.name!r}", "pinion_mm", allowed)
+        if self.pinion_mm is None and None in pair:
+            key = "rod_mm" if self.horn_mm else "horn_mm" if self.rod_mm else "pinion_mm"
+            raise WrongKey("this key is missing", key, allowed)
+        if self.horn_mm and self.rod_mm and self.rod_mm < self.horn_mm:
+            problem = f"a rod of {self.rod_mm:g} mm on a horn of {self.horn_mm:g} mm gets stuck"
+            raise WrongKey(problem, "rod_mm", f">= {self.horn_mm:g}")
+        return self
+
+
+def _kind(table: Mapping[str, Any]) -> type[JointFile]:
+    """A slide where anything is said in millimetres, else a hinge."""
+    return SlideFile if any(key.endswith("_mm") for key in table) else HingeFile
+
+
+class ArmFile(Table):
+    """A whole arm file."""
+
+    # The schema number is named here because ``schema`` is taken in pydantic's base class.
+    version: Annotated[Literal[1], Field(alias="schema", description="1")]
+    name: _Word
+    robot: _Word
+    uncalibrated: bool = False
+    bus: BusFile = BusFile()
+    joints: Annotated[
+        list[Annotated[JointFile, chosen(_kind)]],
+        Field(min_length=1, max_length=252, description="at least one [[joints]] table"),
+    ]
 
 
 @dataclass(frozen=True)
@@ -66,7 +173,7 @@ class ArmConfig:
     uncalibrated: bool = False
 
     def __post_init__(self) -> None:
-        check_arm(self, self.file or self.name)
+        _check_arm(self)
 
     @classmethod
     def load(cls, path: Path | str) -> ArmConfig:
@@ -81,7 +188,7 @@ class ArmConfig:
     @classmethod
     def parse(cls, text: str, file: Path | str = "<text>") -> ArmConfig:
         """The same from the text of an arm file; ``file`` appears in errors."""
-        return _from_file(parse_arm_file(text, file), Path(file))
+        return _from_file(check_table(ArmFile, parse_toml(text, file), file), Path(file))
 
     @classmethod
     def generic(
@@ -120,12 +227,53 @@ class ArmConfig:
         return cls(title, robot_name, 1_000_000, 100.0, WATCHDOG_MS, "torque_off", tuple(maps))
 
     def save(self, path: Path | str) -> None:
-        """Writes the arm file whole or not at all (beside it first, then renamed over it)."""
+        """Writes the arm file whole or not at all."""
         write_atomically(Path(path), self.to_toml())
 
     def to_toml(self) -> str:
         """Text of the arm file; ``parse`` reads the same arm back (angles to 1e-12 degrees)."""
-        return arm_file_text(self)
+        lines = [
+            "schema = 1",
+            f"name = {json.dumps(self.name)}",
+            f"robot = {json.dumps(self.robot)}",
+            *(["uncalibrated = true"] if self.uncalibrated else []),
+            "",
+            "[bus]",
+            f"baud = {self.baud:_}",
+            f"rate_hz = {self.rate_hz:g}",
+            f"watchdog_ms = {self.watchdog_ms}",
+            f"on_exit = {json.dumps(self.on_exit)}",
+            f"stale_ms = {self.stale_ms}",
+            f"on_stale = {json.dumps(self.on_stale)}",
+        ]
+        for joint in self.whole.joints:
+            unit = joint.unit
+            values: dict[str, Any] = {
+                "name": joint.name,
+                "id": joint.id,
+                "model": joint.model,
+                "mode": joint.mode.name.lower(),
+                "direction": joint.direction,
+                "zero_ticks": joint.zero_ticks,
+                "ratio": joint.ratio,
+                **({"reverse": True} if joint.reverse else {}),
+                **({} if joint.group == ARM else {"group": joint.group}),
+                **_gear(joint),
+                f"lower_{unit}": _number(joint, max(joint.lower, joint.limits[0])),
+                f"upper_{unit}": _number(joint, min(joint.upper, joint.limits[1])),
+                f"velocity_{unit}": _number(joint, joint.velocity),
+                f"acceleration_{unit}": _number(joint, joint.acceleration),
+            }
+            for key in ("velocity", "acceleration"):
+                if (own := getattr(joint, f"profile_{key}")) is not None:
+                    values[f"profile_{key}_{unit}"] = _number(joint, own)
+            values |= {"current_ma": joint.current, "current_limit_ma": joint.current_limit}
+            lines += ["", "[[joints]]", *_rows(values)]
+            for name in ("twin", "gains", "stop_at"):
+                part = getattr(joint, name)
+                if part is not None and (rows := _rows(asdict(part))):
+                    lines += ["", f"[joints.{name}]", *rows]
+        return "\n".join(lines) + "\n"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -189,7 +337,7 @@ class ArmConfig:
         Raises:
             UnknownJointError: No such joint; close ones are named.
         """
-        for joint in (*self.joints, *self.auxiliary):
+        for joint in self.whole.joints:
             if joint.name == name:
                 return joint
         raise UnknownJointError(name, self.whole.names)
@@ -218,7 +366,11 @@ class ArmConfig:
 
     def group(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group; none where there is no such group."""
-        return tuple(joint for joint in (*self.joints, *self.auxiliary) if joint.group == name)
+        return tuple(joint for joint in self.whole.joints if joint.group == name)
+
+
+# ------------------------------------------------------------------------------------------
+# From the keys to an arm, and from an arm to the keys.
 
 
 def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
@@ -231,104 +383,93 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
             key=f"joints[{next((k for k, joint in enumerate(maps) if joint.group != ARM), 0)}].group",
             allowed=f"{ARM} (the default)",
         )
-    bus = arm.bus
+    bus = dict(arm.bus)
+    if bus["stale_ms"] is None:
+        bus["stale_ms"] = arm.bus.watchdog_ms // 2 or STALE_MS
     return ArmConfig(
         arm.name,
         arm.robot,
-        bus.baud,
-        float(bus.rate_hz),
-        bus.watchdog_ms,
-        bus.on_exit,
-        joints,
-        file,
-        _stale_ms(bus),
-        bus.on_stale,
-        tuple(maps[len(joints) :]),
-        arm.uncalibrated,
+        joints=joints,
+        file=file,
+        auxiliary=tuple(maps[len(joints) :]),
+        uncalibrated=arm.uncalibrated,
+        **bus,
     )
 
 
-def _stale_ms(bus: BusFile) -> int:
-    """What the file says, else half of ``watchdog_ms``."""
-    if bus.stale_ms is not None:
-        return bus.stale_ms
-    return bus.watchdog_ms // 2 or STALE_MS
+_MEASURES = ("lower", "upper", "velocity", "acceleration", "profile_velocity", "profile_acceleration")
 
 
-def _joint_map(j: JointFile) -> JointMap:
-    slide = isinstance(j, SlideFile)
-    unit, one = ("mm", 1e-3) if slide else ("deg", math.radians(1.0))
-    lower, upper, velocity, acceleration = (
-        one * getattr(j, f"{key}_{unit}") for key in ("lower", "upper", "velocity", "acceleration")
-    )
-    profile = [getattr(j, f"profile_{key}_{unit}") for key in ("velocity", "acceleration")]
+def _joint_map(table: JointFile) -> JointMap:
+    keys = dict(table)
+    unit, one = ("mm", 1e-3) if isinstance(table, SlideFile) else ("deg", math.radians(1.0))
+    measures = {key: keys.pop(f"{key}_{unit}") for key in _MEASURES}
+    pinion, horn, rod = (keys.pop(f"{part}_mm", None) for part in ("pinion", "horn", "rod"))
     return JointMap(
-        name=j.name,
-        id=j.id,
-        model=j.model,
-        mode=MODES[j.mode],
-        direction=j.direction,
-        zero_ticks=j.zero_ticks,
-        ratio=float(j.ratio),
-        lower=lower,
-        upper=upper,
-        velocity=velocity,
-        acceleration=acceleration,
-        current=j.current_ma,
-        twin=j.twin,
-        pinion=1e-3 * j.pinion_mm if isinstance(j, SlideFile) and j.pinion_mm else None,
-        group=j.group,
-        reverse=j.reverse,
-        swing=_swing(j) if isinstance(j, SlideFile) else None,
-        gains=j.gains,
-        current_limit=j.current_limit_ma,
-        profile_velocity=None if profile[0] is None else one * profile[0],
-        profile_acceleration=None if profile[1] is None else one * profile[1],
-        stop_at=j.stop_at,
+        mode=MODES[keys.pop("mode")],
+        current=keys.pop("current_ma"),
+        current_limit=keys.pop("current_limit_ma"),
+        pinion=1e-3 * pinion if pinion else None,
+        swing=SwingArm(1e-3 * horn, 1e-3 * rod) if horn and rod else None,
+        **{key: None if value is None else one * value for key, value in measures.items()},
+        **keys,
     )
 
 
-def _swing(j: SlideFile) -> SwingArm | None:
-    return SwingArm(1e-3 * j.horn_mm, 1e-3 * j.rod_mm) if j.horn_mm and j.rod_mm else None
+def _gear(joint: JointMap) -> dict[str, float]:
+    gear = {"pinion_mm": joint.pinion} if joint.pinion is not None else {}
+    if joint.swing is not None:
+        gear = {"horn_mm": joint.swing.horn, "rod_mm": joint.swing.rod}
+    return {key: round(1e3 * metres, 9) for key, metres in gear.items()}
+
+
+def _rows(values: Mapping[str, Any]) -> list[str]:
+    """Those that are given."""
+    return [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
+
+
+def _number(joint: JointMap, value: float) -> float:
+    """Degrees or millimetres without the tail of a binary conversion (160.00000000000003)."""
+    return round(1e3 * value if joint.slides else math.degrees(value), 12)
 
 
 # ------------------------------------------------------------------------------------------
 # What no single key of an arm file shows: models, modes, rates, currents, duplicates, empty ranges.
 
 
-def check_arm(config: ArmConfig, file: Path | str) -> None:
-    """Checks an arm as a whole.
+def _check_arm(config: ArmConfig) -> None:
+    """Checks an arm as a whole; raises ``ConfigError`` with file, key and what would be right."""
+    at = ""
+    try:
+        _check_watchdogs(config)
+        names: dict[str, str] = {}
+        ids: dict[int, str] = {}
+        for k, joint in enumerate(config.joints + config.auxiliary):
+            at = f"joints[{k}]"
+            table = _known_table(joint)
+            if joint.mode not in table.modes:
+                modes = ", ".join(mode.name.lower() for mode in table.modes)
+                raise WrongKey(f"{joint.model} has no mode {joint.mode.name.lower()}", "mode", modes)
+            if config.baud not in table.baud_rates:
+                at, rates = "", ", ".join(map(str, table.baud_rates))
+                problem = f"{joint.model} ({joint.name}) cannot talk at {config.baud} bits/s"
+                raise WrongKey(problem, "bus.baud", rates)
+            if joint.name in names:
+                raise WrongKey(f"joint {joint.name!r} is already {names[joint.name]}", "name")
+            names[joint.name] = at
+            for key, servo in zip(("id", "twin.id"), joint.servos, strict=False):
+                if servo.id in ids:
+                    raise WrongKey(f"id {servo.id} is already {ids[servo.id]}", key)
+                ids[servo.id] = f"{at}.{key}".removesuffix(".id")
+            _check_currents(joint, table)
+            _check_stops(joint, table)
+            _check_caps(joint)
+            _check_range(joint)
+    except WrongKey as wrong:
+        raise wrong.within((), at).in_file(config.file or config.name) from None
 
-    Args:
-        config: The arm.
-        file: For messages.
 
-    Raises:
-        ConfigError: With file, key and what would be right.
-    """
-    _check_watchdogs(config, file)
-    names: dict[str, int] = {}
-    ids: dict[int, str] = {}
-    for k, joint in enumerate((*config.joints, *config.auxiliary)):
-        at = f"joints[{k}]"
-        table = _table(joint, at, file)
-        _check_model(config, joint, table, at, file)
-        if joint.name in names:
-            raise ConfigError(
-                f"joint {joint.name!r} is already joints[{names[joint.name]}]", file=file, key=f"{at}.name"
-            )
-        names[joint.name] = k
-        for prefix, servo in zip((at, f"{at}.twin"), joint.servos, strict=False):
-            if servo.id in ids:
-                raise ConfigError(f"id {servo.id} is already {ids[servo.id]}", file=file, key=f"{prefix}.id")
-            ids[servo.id] = prefix
-        _check_currents(joint, table, at, file)
-        _check_stops(joint, table, at, file)
-        _check_caps(joint, at, file)
-        _check_range(joint, at, file)
-
-
-def _check_watchdogs(config: ArmConfig, file: Path | str) -> None:
+def _check_watchdogs(config: ArmConfig) -> None:
     """The heartbeat must act before the servos stop by themselves, or a held arm sinks a little each time."""
     if not config.watchdog_ms or not config.stale_ms:
         return
@@ -338,12 +479,11 @@ def _check_watchdogs(config: ArmConfig, file: Path | str) -> None:
         if config.stale_ms == config.watchdog_ms // 2:  # not named: it grows with the watchdog
             while least < least_watchdog_ms(least // 2, period):
                 least += WATCHDOG_UNIT_MS
-        raise ConfigError(
+        raise WrongKey(
             f"the servos would stop by themselves after {config.watchdog_ms} ms, before the program can hold "
             f"them (stale_ms = {config.stale_ms} at {config.rate_hz:g} Hz)",
-            file=file,
-            key="bus.watchdog_ms",
-            allowed=f"{least} or more, or a shorter stale_ms; 0: no bus watchdog",
+            "bus.watchdog_ms",
+            f"{least} or more, or a shorter stale_ms; 0: no bus watchdog",
         )
 
 
@@ -352,147 +492,91 @@ def current_unit(table: ControlTable) -> float:
     return float(table["goal_current"].unit.split()[0]) if "goal_current" in table else 0.0
 
 
-def _table(joint: JointMap, at: str, file: Path | str) -> ControlTable:
+def _known_table(joint: JointMap) -> ControlTable:
     try:
         return control_table(joint.model)
     except ConfigError as error:
-        raise ConfigError(
-            f"unknown servo model {joint.model!r}",
-            file=file,
-            key=f"{at}.model",
-            allowed=error.allowed,
-            hint=error.hint,
-        ) from None
+        raise WrongKey(f"unknown servo model {joint.model!r}", "model", error.allowed, error.hint) from None
 
 
-def _check_model(config: ArmConfig, joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
-    if joint.mode not in table.modes:
-        raise ConfigError(
-            f"{joint.model} has no mode {joint.mode.name.lower()}",
-            file=file,
-            key=f"{at}.mode",
-            allowed=", ".join(m.name.lower() for m in table.modes),
-        )
-    if config.baud not in table.baud_rates:
-        raise ConfigError(
-            f"{joint.model} ({joint.name}) cannot talk at {config.baud} bits/s",
-            file=file,
-            key="bus.baud",
-            allowed=", ".join(map(str, table.baud_rates)),
-        )
-
-
-def _check_currents(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
+def _check_currents(joint: JointMap, table: ControlTable) -> None:
     unit = current_unit(table)
-    limits: tuple[tuple[str, float | None], ...] = (
-        ("current_limit_ma", joint.current_limit),
-        ("stop_at.current_ma", joint.stop_at.current_ma),
-    )
-    if not unit and any(value is not None for _, value in limits):
-        raise ConfigError(
-            f"{joint.model} measures no current",
-            file=file,
-            key=f"{at}.{next(key for key, value in limits if value is not None)}",
-            allowed="a model that does; load_percent in [joints.stop_at] for this one",
-        )
+    limits = {"current_limit_ma": joint.current_limit, "stop_at.current_ma": joint.stop_at.current_ma}
+    named = [key for key, value in limits.items() if value is not None]
+    if not unit and named:
+        allowed = "a model that does; load_percent in [joints.stop_at] for this one"
+        raise WrongKey(f"{joint.model} measures no current", named[0], allowed)
     maximum = table["goal_current"].maximum * unit if unit else 0.0
     if joint.current is not None:
         if joint.mode != OperatingMode.CURRENT_BASED_POSITION:
-            raise ConfigError(
-                f"mode {joint.mode.name.lower()} of {joint.name!r} takes no current",
-                file=file,
-                key=f"{at}.current_ma",
-                allowed='mode = "current_based_position"',
-            )
-        limits = (*limits, ("current_ma", joint.current))
-    for key, value in limits:
+            problem = f"mode {joint.mode.name.lower()} of {joint.name!r} takes no current"
+            raise WrongKey(problem, "current_ma", 'mode = "current_based_position"')
+        limits["current_ma"] = joint.current
+    for key, value in limits.items():
         ceiling = maximum if key == "current_limit_ma" or joint.current_limit is None else joint.current_limit
         if value is not None and not unit <= value <= ceiling:
-            raise ConfigError(
-                f"{value:g} mA is no current of a {joint.model}"
-                + (f" limited to {ceiling:g} mA" if ceiling < maximum else ""),
-                file=file,
-                key=f"{at}.{key}",
-                allowed=f"{unit:g} to {ceiling:g}",
-            )
+            limited = f" limited to {ceiling:g} mA" if ceiling < maximum else ""
+            problem = f"{value:g} mA is no current of a {joint.model}{limited}"
+            raise WrongKey(problem, key, f"{unit:g} to {ceiling:g}")
 
 
-def _check_stops(joint: JointMap, table: ControlTable, at: str, file: Path | str) -> None:
+def _check_stops(joint: JointMap, table: ControlTable) -> None:
     """Thresholds that a servo can say something about, above what it may do and below what shuts it down."""
     stop = joint.stop_at
     if stop.current_ma is not None and joint.current is not None and stop.current_ma <= joint.current:
-        raise ConfigError(
+        raise WrongKey(
             f"{joint.name!r} may press with {joint.current:g} mA (current_ma) and would stop the arm by it",
-            file=file,
-            key=f"{at}.stop_at.current_ma",
-            allowed=f"> {joint.current:g}",
+            "stop_at.current_ma",
+            f"> {joint.current:g}",
         )
     if stop.load_percent is not None and "present_load" not in table:
-        raise ConfigError(
-            f"{joint.model} measures its current, and no load",
-            file=file,
-            key=f"{at}.stop_at.load_percent",
-            allowed="current_ma",
-        )
+        problem = f"{joint.model} measures its current, and no load"
+        raise WrongKey(problem, "stop_at.load_percent", "current_ma")
     hottest = table["temperature_limit"].initial or 0
     if stop.temperature_c is not None and not stop.temperature_c < hottest:
-        raise ConfigError(
-            f"a {joint.model} has shut down at {stop.temperature_c:g} C",
-            file=file,
-            key=f"{at}.stop_at.temperature_c",
-            allowed=f"< {hottest}, its Temperature Limit",
-        )
+        problem = f"a {joint.model} has shut down at {stop.temperature_c:g} C"
+        raise WrongKey(problem, "stop_at.temperature_c", f"< {hottest}, its Temperature Limit")
 
 
-def _check_caps(joint: JointMap, at: str, file: Path | str) -> None:
+def _check_caps(joint: JointMap) -> None:
     """Caps are finite, and the servo's own profile does not cut them."""
     for key in ("velocity", "acceleration"):
         cap, own = getattr(joint, key), getattr(joint, f"profile_{key}")
         if not 0.0 < cap < math.inf:
-            at_key = f"{at}.{key}_{joint.unit}"
-            raise ConfigError(f"{cap} is no cap", file=file, key=at_key, allowed="a number > 0")
+            raise WrongKey(f"{cap} is no cap", f"{key}_{joint.unit}", "a number > 0")
         if own is not None and not cap <= own < math.inf:
-            raise ConfigError(
+            raise WrongKey(
                 f"the servo of {joint.name!r} could not follow: its profile is slower than the joint's cap",
-                file=file,
-                key=f"{at}.profile_{key}_{joint.unit}",
-                allowed=f">= {key}_{joint.unit} = {cap / joint.per_unit:g}",
+                f"profile_{key}_{joint.unit}",
+                f">= {key}_{joint.unit} = {cap / joint.per_unit:g}",
             )
 
 
-def _check_range(joint: JointMap, at: str, file: Path | str) -> None:
+def _check_range(joint: JointMap) -> None:
+    unit, one = joint.unit, joint.per_unit
     if not joint.lower < joint.upper:
-        raise ConfigError(
-            f"the range of {joint.name!r} is empty: {joint.lower / joint.per_unit:g} to "
-            f"{joint.upper / joint.per_unit:g} {joint.unit}",
-            file=file,
-            key=f"{at}.lower_{joint.unit}",
-            allowed=f"lower_{joint.unit} < upper_{joint.unit}",
-        )
+        span = f"{joint.lower / one:g} to {joint.upper / one:g} {unit}"
+        problem = f"the range of {joint.name!r} is empty: {span}"
+        raise WrongKey(problem, f"lower_{unit}", f"lower_{unit} < upper_{unit}")
+    ends = [q / one for q in joint.reach]
     if joint.swing is not None and not joint.reach[0] <= joint.lower < joint.upper <= joint.reach[1]:
-        raise ConfigError(
+        raise WrongKey(
             f"a horn of {1e3 * joint.swing.horn:g} mm and a rod of {1e3 * joint.swing.rod:g} mm do not take "
             f"{joint.name!r} from {joint.text(joint.lower, 2)} to {joint.text(joint.upper, 2)}",
-            file=file,
-            key=f"{at}.lower_mm" if joint.lower < joint.reach[0] else f"{at}.upper_mm",
-            allowed="{:.2f} to {:.2f} mm".format(*(q / joint.per_unit for q in joint.reach)),
+            "lower_mm" if joint.lower < joint.reach[0] else "upper_mm",
+            f"{ends[0]:.2f} to {ends[1]:.2f} mm",
         )
     lower, upper = joint.limits
     if not lower < upper:
-        ends = [q / joint.per_unit for q in joint.reach]
-        raise ConfigError(
+        raise WrongKey(
             f"nothing of the range of {joint.name!r} can be reached in mode {joint.mode.name.lower()}",
-            file=file,
-            key=f"{at}.lower_{joint.unit}",
-            allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}",
-            hint='use mode = "extended_position", or another zero_ticks',
+            f"lower_{unit}",
+            f"{ends[0]:.1f} to {ends[1]:.1f} {unit}",
+            'use mode = "extended_position", or another zero_ticks',
         )
     for servo in joint.servos:
         first, last = servo.ticks_range
         if first > last or upper - lower < joint.resolution:
-            raise ConfigError(
-                f"the range of {joint.name!r} is narrower than one tick of its servo",
-                file=file,
-                key=f"{at}.lower_{joint.unit}",
-                allowed=f"at least {joint.text(joint.resolution, 4)} from lower to upper",
-            )
+            problem = f"the range of {joint.name!r} is narrower than one tick of its servo"
+            allowed = f"at least {joint.text(joint.resolution, 4)} from lower to upper"
+            raise WrongKey(problem, f"lower_{unit}", allowed)
