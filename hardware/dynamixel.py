@@ -130,217 +130,6 @@ def _widened(register: Register, by: int) -> Register:
     return replace(register, size=register.size + by)
 
 
-class GroupTraffic:
-    """Writes to and reads from many servos on one wire.
-
-    Args:
-        wire: The port.
-        retries: How often the request is repeated to those that did not answer.
-
-    Attributes:
-        fast_ids: Servos that may be asked by fast reads.
-    """
-
-    def __init__(self, wire: Wire, retries: int) -> None:
-        self.fast_ids: frozenset[int] = frozenset()
-        self._wire = wire
-        self._counters: Counters = wire.counters
-        self._retries = retries
-        self._plans: dict[tuple[object, ...], _ReadPlan] = {}
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets what was learned about the servos: the port was opened anew."""
-        self._silent: frozenset[int] = frozenset()
-        self._missed: dict[int, int] = {}  # servo id -> bytes it was last asked for in vain
-        self._fast_misses = 0
-        self._phase = 0
-        self._times = RoundTripEstimator()
-
-    @property
-    def fast(self) -> bool:
-        """Whether fast reads are in use, or would be if all asked could do them."""
-        return bool(self.fast_ids) and self._fast_misses < MAX_FAST_FAILURES
-
-    def write(self, values: Mapping[int, tuple[Register, int]]) -> None:
-        """Servo id -> register and value, in one packet, which has no reply.
-
-        Raises:
-            ValueError: A value does not fit its register; nothing is sent.
-            BusDisconnectedError, BusNotOpenError.
-        """
-        request = write_request(values) if values else b""
-        # It has no reply, so a reply still outstanding keeps belonging to the request before.
-        with self._wire.transaction(None) as port:
-            if request:
-                port.writePort(request)
-
-    def read(
-        self,
-        registers: Mapping[int, Register],
-        writes: Mapping[int, tuple[Register, int]] | None = None,
-        within: float | None = None,
-        *,
-        guarded: bool = False,
-    ) -> dict[int, BusStatus]:
-        """One register of each servo, after ``writes`` have left.
-
-        Args:
-            registers: Servo id -> what is read from it.
-            writes: As for ``write``; leave in the same write as the request.
-            within: s; after that no servo is asked again.  The first request always gets its full time.
-            guarded: Late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
-                must be readable as well.
-
-        Returns:
-            A row for every id; ``data`` is None where nothing usable came.
-
-        Raises:
-            ValueError: A value does not fit its register; nothing is sent.
-            BusDisconnectedError, BusNotOpenError.
-        """
-        before = write_request(writes) if writes else b""
-        found: dict[int, BusStatus] = {}
-        # A servo waits for the replies of those named before it: silent ones go last and hide no other.
-        missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
-        plan = self._plan(registers, plain=bool(self._silent))
-        with self._wire.transaction(plan.query) as port:
-            end = self._wire.now() + (CYCLE_TIME if within is None else within)
-            self._counters.cycles += 1
-            self._counters.asked += len(registers)
-            try:
-                for attempt in range(1 + self._retries):
-                    self._counters.retries += attempt > 0
-                    extra = self._phase if guarded else 0
-                    asked = registers
-                    if extra or attempt or self._silent:
-                        asked = {
-                            id: _widened(registers[id], extra) if extra else registers[id] for id in missing
-                        }
-                        plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
-                    self._once(port, plan, before, _Wanted(registers, asked, found))
-                    before = b""
-                    if len(found) == len(registers):
-                        missing = []
-                        break
-                    missing = [id for id in missing if id not in found]
-                    self._missed.update((id, asked[id].size) for id in missing)
-                    if guarded:
-                        self._phase = (self._phase + 1) % PHASES
-                    if self._silent.issuperset(missing):
-                        break
-                    if self._wire.now() + self._timeout(plan, port) > end:
-                        break
-            except BaseException:  # the port went, or a signal came: who has not answered never will
-                self._counters.timeouts += len(registers) - len(found)
-                raise
-            if missing:
-                self._wire.missed()
-        self._counters.timeouts += len(missing)
-        if missing or self._silent:
-            self._silent = self._silent.difference(registers).union(missing)
-            found.update((id, BusStatus(id, None)) for id in missing)
-        return {id: found[id] for id in registers}  # they may have answered in another order
-
-    def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _ReadPlan:
-        fast = not plain and len(registers) > 1 and self.fast and self.fast_ids.issuperset(registers)
-        rows = tuple(registers.values())
-        key = (fast, *registers, *map(identity, rows))
-        plan = self._plans.get(key)
-        if plan is None:
-            sizes = tuple((id, register.size) for id, register in registers.items())
-            each = FAST_FRAME if fast else SHORTEST_STATUS
-            back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
-            if len(self._plans) > 1000:  # requests to changing sets of servos
-                self._plans.clear()
-            request = read_request(registers, fast=fast)
-            names = ", ".join({register.name: None for register in registers.values()})
-            plan = _ReadPlan(f"read of {names}", request, back, fast, sizes, rows)
-            self._plans[key] = plan
-        return plan
-
-    def _timeout(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
-        """s from sending the request to giving up the replies."""
-        wait = self._times.timeout(self._wire.response_time)
-        return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
-
-    def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
-        """One request and the replies to it; puts the usable ones into ``wanted.found``."""
-        port.clear()
-        port.writePort(before + plan.request)
-        sent = self._wire.now()
-        # From here on the wire is busy: what is done now costs nothing.
-        parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
-        deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
-        bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
-        usual = self._times.expected
-        expected = None if usual is None else bytes_over + usual
-        waiting = set(wanted.asked)
-        # As many damaged packets as servos are missing: nothing more will come, ask again at once.
-        damaged = 0
-        while len(waiting) > damaged:
-            over = self._wire.now() > deadline  # a line may never fall silent: this is the last look
-            data = port.receive(deadline, expected)
-            if plan.fast and self._take_whole(data, plan, wanted):
-                waiting.clear()
-                break
-            damaged += self._take(parser.feed(data, last=over or not data), wanted, waiting) + parser.damaged
-            self._counters.corrupt += parser.damaged
-            if over or not data or (plan.fast and parser.damaged):
-                break
-            parser.damaged = 0
-        if waiting:
-            self._wire.missed()
-        else:
-            self._times.add(self._wire.now() - bytes_over)
-        if plan.fast:
-            self._judge_fast(failed=bool(waiting))
-
-    def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
-        """Takes the replies of a fast read where nothing is wrong with any of them; else takes nothing."""
-        registers, asked, found = wanted
-        if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
-            return False
-        for (id, register), value in zip(registers.items(), values, strict=True):
-            found[id] = BusStatus(id, int.from_bytes(value, "little", signed=register.signed))
-        self._wire.last_good.update(dict.fromkeys(registers, self._wire.now()))
-        self._counters.answered += len(values)
-        return True
-
-    def _take(self, packets: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
-        """Takes the replies that somebody waits for; how many of them cannot be what was asked."""
-        registers, asked, found = wanted
-        last_good, now = self._wire.last_good, self._wire.now()
-        strange = 0
-        for id, code, alert, data in packets:
-            if id not in waiting:
-                continue
-            register, value = registers[id], None
-            if not code:
-                least, size = register.size, asked[id].size
-                if len(data) != size:
-                    late = least <= len(data) < least + PHASES and size > least
-                    late = late or len(data) == self._missed.get(id)  # of a block of another length
-                    self._counters.late += late
-                    self._counters.corrupt += not late
-                    strange += not late
-                    continue
-                value = register.decode(data if size == least else data[:least])
-            self._counters.answered += value is not None
-            self._counters.refused += value is None
-            self._counters.alerts += alert
-            found[id] = BusStatus(id, value, code, alert)
-            last_good[id] = now
-            waiting.discard(id)
-        return strange
-
-    def _judge_fast(self, *, failed: bool) -> None:
-        self._fast_misses = self._fast_misses + 1 if failed else 0
-        if failed and self._fast_misses == MAX_FAST_FAILURES:
-            self._counters.fallbacks += 1
-            log.warning("fast reads on %s fail: from here on every servo answers by itself", self._wire.port)
-
-
 PING, _REBOOT = 0x01, 0x08
 PING_DATA = 3
 """Bytes of data: model number 2, firmware 1."""
@@ -385,7 +174,9 @@ class DynamixelBus:
         self._wire = Wire(port, baud, self.counters, response_time, make_handler, now)
         self._packet = self._wire.packet
         self._retries = retries
-        self._group = GroupTraffic(self._wire, retries)
+        self._fast_ids: frozenset[int] = frozenset()
+        self._plans: dict[tuple[object, ...], _ReadPlan] = {}
+        self._forget()
 
     @property
     def is_open(self) -> bool:
@@ -393,7 +184,15 @@ class DynamixelBus:
 
     def open(self) -> None:
         self._wire.open()
-        self._group.reset()
+        self._forget()
+
+    def _forget(self) -> None:
+        """What was learned about the servos: the port is opened anew."""
+        self._silent: frozenset[int] = frozenset()
+        self._missed: dict[int, int] = {}  # servo id -> bytes it was last asked for in vain
+        self._fast_misses = 0
+        self._phase = 0
+        self._times = RoundTripEstimator()
 
     def close(self) -> None:
         self._wire.close()
@@ -469,10 +268,14 @@ class DynamixelBus:
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        self._group.write({id: (register, value) for id, value in values.items()})
+        request = write_request({id: (register, value) for id, value in values.items()}) if values else b""
+        # It has no reply, so a reply still outstanding keeps belonging to the request before.
+        with self._wire.transaction(None) as port:
+            if request:
+                port.writePort(request)
 
     def sync_read(self, ids: Sequence[int], register: Register) -> dict[int, BusStatus]:
-        return self._group.read(dict.fromkeys(ids, register))
+        return self._read_many(dict.fromkeys(ids, register))
 
     def exchange(
         self,
@@ -480,12 +283,167 @@ class DynamixelBus:
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        return self._group.read(reads, writes, within, guarded=True)
+        return self._read_many(reads, writes, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
-        self._group.fast_ids = frozenset(ids)
+        self._fast_ids = frozenset(ids)
 
-    # ---------------------------------------------------------------------------------- packets
+    def _read_many(
+        self,
+        registers: Mapping[int, Register],
+        writes: Mapping[int, tuple[Register, int]] | None = None,
+        within: float | None = None,
+        *,
+        guarded: bool = False,
+    ) -> dict[int, BusStatus]:
+        """``exchange``; the first request always gets its full time.
+
+        ``guarded``: late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
+        must be readable as well.
+        """
+        before = write_request(writes) if writes else b""
+        found: dict[int, BusStatus] = {}
+        # A servo waits for the replies of those named before it: silent ones go last and hide no other.
+        missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
+        plan = self._plan(registers, plain=bool(self._silent))
+        with self._wire.transaction(plan.query) as port:
+            end = self._wire.now() + (CYCLE_TIME if within is None else within)
+            self.counters.cycles += 1
+            self.counters.asked += len(registers)
+            try:
+                for attempt in range(1 + self._retries):
+                    self.counters.retries += attempt > 0
+                    extra = self._phase if guarded else 0
+                    asked = registers
+                    if extra or attempt or self._silent:
+                        asked = {
+                            id: _widened(registers[id], extra) if extra else registers[id] for id in missing
+                        }
+                        plan = self._plan(asked, plain=attempt > 0 or bool(self._silent))
+                    self._once(port, plan, before, _Wanted(registers, asked, found))
+                    before = b""
+                    if len(found) == len(registers):
+                        missing = []
+                        break
+                    missing = [id for id in missing if id not in found]
+                    self._missed.update((id, asked[id].size) for id in missing)
+                    if guarded:
+                        self._phase = (self._phase + 1) % PHASES
+                    if self._silent.issuperset(missing):
+                        break
+                    if self._wire.now() + self._timeout(plan, port) > end:
+                        break
+            except BaseException:  # the port went, or a signal came: who has not answered never will
+                self.counters.timeouts += len(registers) - len(found)
+                raise
+            if missing:
+                self._wire.missed()
+        self.counters.timeouts += len(missing)
+        if missing or self._silent:
+            self._silent = self._silent.difference(registers).union(missing)
+            found.update((id, BusStatus(id, None)) for id in missing)
+        return {id: found[id] for id in registers}  # they may have answered in another order
+
+    def _plan(self, registers: Mapping[int, Register], *, plain: bool = False) -> _ReadPlan:
+        fast = not plain and self._fast_misses < MAX_FAST_FAILURES and len(registers) > 1
+        fast = fast and self._fast_ids.issuperset(registers)
+        rows = tuple(registers.values())
+        key = (fast, *registers, *map(identity, rows))
+        plan = self._plans.get(key)
+        if plan is None:
+            sizes = tuple((id, register.size) for id, register in registers.items())
+            each = FAST_FRAME if fast else SHORTEST_STATUS
+            back = FAST_HEAD * fast + sum(size + each for _, size in sizes)
+            if len(self._plans) > 1000:  # requests to changing sets of servos
+                self._plans.clear()
+            request = read_request(registers, fast=fast)
+            names = ", ".join({register.name: None for register in registers.values()})
+            plan = _ReadPlan(f"read of {names}", request, back, fast, sizes, rows)
+            self._plans[key] = plan
+        return plan
+
+    def _timeout(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
+        """s from sending the request to giving up the replies."""
+        wait = self._times.timeout(self._wire.response_time)
+        return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
+
+    def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
+        """One request and the replies to it; puts the usable ones into ``wanted.found``."""
+        port.clear()
+        port.writePort(before + plan.request)
+        sent = self._wire.now()
+        # From here on the wire is busy: what is done now costs nothing.
+        parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
+        deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
+        bytes_over = sent + (len(before) + len(plan.request) + plan.bytes_back) * port.seconds_per_byte
+        usual = self._times.expected
+        expected = None if usual is None else bytes_over + usual
+        waiting = set(wanted.asked)
+        # As many damaged packets as servos are missing: nothing more will come, ask again at once.
+        damaged = 0
+        while len(waiting) > damaged:
+            over = self._wire.now() > deadline  # a line may never fall silent: this is the last look
+            data = port.receive(deadline, expected)
+            if plan.fast and self._take_whole(data, plan, wanted):
+                waiting.clear()
+                break
+            damaged += self._take(parser.feed(data, last=over or not data), wanted, waiting) + parser.damaged
+            self.counters.corrupt += parser.damaged
+            if over or not data or (plan.fast and parser.damaged):
+                break
+            parser.damaged = 0
+        if waiting:
+            self._wire.missed()
+        else:
+            self._times.add(self._wire.now() - bytes_over)
+        if plan.fast:
+            self._judge_fast(failed=bool(waiting))
+
+    def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
+        """Takes the replies of a fast read where nothing is wrong with any of them; else takes nothing."""
+        registers, asked, found = wanted
+        if asked is not registers or (values := whole_fast_status(data, plan.sizes)) is None:
+            return False
+        for (id, register), value in zip(registers.items(), values, strict=True):
+            found[id] = BusStatus(id, int.from_bytes(value, "little", signed=register.signed))
+        self._wire.last_good.update(dict.fromkeys(registers, self._wire.now()))
+        self.counters.answered += len(values)
+        return True
+
+    def _take(self, packets: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
+        """Takes the replies that somebody waits for; how many of them cannot be what was asked."""
+        registers, asked, found = wanted
+        last_good, now = self._wire.last_good, self._wire.now()
+        strange = 0
+        for id, code, alert, data in packets:
+            if id not in waiting:
+                continue
+            register, value = registers[id], None
+            if not code:
+                least, size = register.size, asked[id].size
+                if len(data) != size:
+                    late = least <= len(data) < least + PHASES and size > least
+                    late = late or len(data) == self._missed.get(id)  # of a block of another length
+                    self.counters.late += late
+                    self.counters.corrupt += not late
+                    strange += not late
+                    continue
+                value = register.decode(data if size == least else data[:least])
+            self.counters.answered += value is not None
+            self.counters.refused += value is None
+            self.counters.alerts += alert
+            found[id] = BusStatus(id, value, code, alert)
+            last_good[id] = now
+            waiting.discard(id)
+        return strange
+
+    def _judge_fast(self, *, failed: bool) -> None:
+        self._fast_misses = self._fast_misses + 1 if failed else 0
+        if failed and self._fast_misses == MAX_FAST_FAILURES:
+            self.counters.fallbacks += 1
+            log.warning("fast reads on %s fail: from here on every servo answers by itself", self.port)
+
+    # --------------------------------------------------------------------------------- one packet
 
     def _bare(self, port: SleepingPortHandler, id: int, instruction: int) -> object:
         """An instruction without parameters."""
