@@ -1,16 +1,18 @@
 """From a hand that moves a limp arm to numbers: ranges first, zeros second, directions by a wiggle.
 
 Ranges come first because only a whole sweep shows whether a joint crosses the end of its servo's revolution
-(4095 -> 0); a zero taken before would be wrong by a revolution beyond it.
+(4095 -> 0); a zero taken before would be wrong by a revolution beyond it.  Two servos of one joint are swept
+together; that they turn together is checked on the way.  What asks servos raises the errors of the bus too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.files import timestamp
 from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
@@ -18,12 +20,6 @@ from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, JointMap, Sign
 from robot_ik.hardware.samples import TWIST
 from robot_ik.hardware.x_series import REVERSE
-
-# ------------------------------------------------------------------------------------------
-# What a hand shows at a limp arm: how far each joint goes, and which way its servos count.
-#
-# Two servos of one joint are swept together; that they turn together is checked on the way.
-
 
 LEAST_SWEEP = math.radians(10.0)
 """rad at the joint (at the pinion of a slide); a joint that turned by less was forgotten."""
@@ -116,16 +112,9 @@ def _require_together(joint: JointMap, other: JointMap, travel: float, other_tra
 def counting_directions(
     config: ArmConfig, joint: JointMap, before: Mapping[int, int], after: Mapping[int, int]
 ) -> dict[int, Sign]:
-    """Which way the servos of a joint count when it is turned in the positive direction.
+    """Which way the servos of a joint, by id, count when it was turned in the positive direction.
 
-    Args:
-        config: The arm.
-        joint: The one that was to be turned.
-        before: Servo id -> ticks.
-        after: The same now.
-
-    Returns:
-        Servo id -> +1 or -1, of each servo that turns this joint.
+    ``before`` and ``after``: servo id -> ticks of all servos.
 
     Raises:
         HardwareError: Nothing turned, another joint did, or its two servos did not turn together.
@@ -150,29 +139,22 @@ def counting_directions(
 
 
 def check_shadows(config: ArmConfig, directions: Mapping[int, int], zero: Mapping[int, int]) -> None:
-    """Raises ``HardwareError`` where a servo could not follow the goals of another that it listens to.
-
-    Args:
-        config: The arm.
-        directions: Servo id -> +1 or -1.
-        zero: Servo id -> ticks in the zero pose.
-    """
-    for joint in config.joints:
-        for other in joint.servos[1:]:
-            if other.shadow_of is None:
-                continue
-            if directions[other.id] != directions[joint.id]:
-                raise HardwareError(
-                    f"the shadow of joint {joint.name!r} (servo id {other.id}) counts the other way round",
-                    hint="set bit 0 of its Drive Mode (reverse), or give it goals of its own: shadow = false",
-                )
-            apart = abs(zero[other.id] - zero[joint.id]) * joint.resolution
-            if apart > TWIST * joint.lever:
-                raise HardwareError(
-                    f"the shadow of joint {joint.name!r} (servo id {other.id}) stands {joint.text(apart)} "
-                    "beside the servo whose goals it takes",
-                    hint="turn its horn, or give it goals of its own: shadow = false in the arm file",
-                )
+    """Raises ``HardwareError`` where a shadow could not follow its servo: by their directions and zeros."""
+    for servo in config.servos:
+        if servo.shadow_of is None:
+            continue
+        which = f"the shadow of joint {servo.name!r} (servo id {servo.id})"
+        if directions[servo.id] != directions[servo.shadow_of]:
+            raise HardwareError(
+                f"{which} counts the other way round",
+                hint="set bit 0 of its Drive Mode (reverse), or give it goals of its own: shadow = false",
+            )
+        apart = abs(zero[servo.id] - zero[servo.shadow_of]) * servo.resolution
+        if apart > TWIST * servo.lever:
+            raise HardwareError(
+                f"{which} stands {servo.text(apart)} beside the servo whose goals it takes",
+                hint="turn its horn, or give it goals of its own: shadow = false in the arm file",
+            )
 
 
 LEAST_OVERLAP = 0.5
@@ -197,22 +179,6 @@ class CalibrationMismatchError(HardwareError):
             "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in table
         ]
         super().__init__(f"{what}\n" + "\n".join(line.rstrip() for line in lines), hint=hint)
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What the hand has shown.
-
-    Attributes:
-        sweep: Ranges; ``zero``: servo id -> ticks at ``pose``; ``pose``: joint -> rad (m of a slide);
-            ``directions``: servo id -> +1 or -1; ``limits``: joint -> limits of the model, rad (m).
-    """
-
-    sweep: Sweep
-    zero: Mapping[int, int]
-    pose: Mapping[str, float]
-    directions: Mapping[int, Sign]
-    limits: Mapping[str, tuple[float, float]]
 
 
 def calibrated(config: ArmConfig, found: Calibration) -> ArmConfig:
@@ -252,59 +218,64 @@ def _range(joint: JointMap, low: float, high: float) -> str:
 
 
 def measured_calibration(
-    bus: ServoBus, config: ArmConfig, measured: Measured, present: Mapping[int, int], created: str
+    bus: ServoBus,
+    config: ArmConfig,
+    sweep: Sweep,
+    zero: Mapping[int, int],
+    pose: Mapping[str, float],
+    directions: Mapping[int, Sign],
+    limits: Mapping[str, tuple[float, float]],
 ) -> Calibration:
-    """Puts the numbers together with what the servos say of themselves.
+    """Puts what the hand has shown together with what the servos say of themselves.
 
-    Raises:
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+    Args:
+        bus: Open.
+        config: The arm.
+        sweep: Ranges, and where the servos stand now.
+        zero: Servo id -> ticks at ``pose``; ``pose``: joint -> rad (m of a slide).
+        pose: See there.
+        directions: Servo id -> +1 or -1.
+        limits: Joint -> limits of the model, rad (m).
     """
     names = ("firmware_version", "drive_mode", "homing_offset")
-    registers = {name: read_all(bus, config, name) for name in names}
-    check_shadows(config, measured.directions, measured.zero)
+    registers = [read_all(bus, config, name) for name in names]
+    check_shadows(config, directions, zero)
     rows = []
     for servo in config.servos:
         leader = servo.id if servo.shadow_of is None else servo.shadow_of  # whose goals it takes
-        direction = measured.directions[leader]
+        direction = directions[leader]
         turned = replace(servo, direction=direction)
-        zero = measured.zero[leader] - (turned.to_ticks(measured.pose[servo.name]) - turned.zero_ticks)
-        lower, upper = (q / servo.per_unit for q in measured.limits[servo.name])
+        zero_ticks = zero[leader] - (turned.to_ticks(pose[servo.name]) - turned.zero_ticks)
+        lower, upper = (q / servo.per_unit for q in limits[servo.name])
         rows.append(
             JointCalibration(
                 servo.name,
                 servo.id,
                 servo.model,
-                registers["firmware_version"][servo.id],
-                registers["drive_mode"][servo.id],
-                registers["homing_offset"][servo.id],
-                measured.sweep.low[servo.id],
-                measured.sweep.high[servo.id],
+                *(values[servo.id] for values in registers),
+                sweep.low[servo.id],
+                sweep.high[servo.id],
                 direction,
-                zero,
+                zero_ticks,
                 round(lower, 6),
                 round(upper, 6),
-                present[servo.id],
+                sweep.now[servo.id],
             )
         )
     n = len(config.joints)
-    return Calibration(config.name, config.robot, created, config.baud, tuple(rows[:n]), tuple(rows[n:]))
+    return Calibration(config.name, config.robot, timestamp(), config.baud, tuple(rows[:n]), tuple(rows[n:]))
 
 
 def check_calibration(
     bus: ServoBus, config: ArmConfig, found: Calibration, limits: Mapping[str, tuple[float, float]]
 ) -> None:
-    """Compares a calibration with arm file, model and servos.  Writes nothing.
+    """Compares a calibration with arm file, servos and model.  Writes nothing.
 
-    Args:
-        bus: Open, with the servos of the arm.
-        config: The arm file in use.
-        found: Its calibration.
-        limits: Joint -> limits of the model now, rad; empty where the model is not at hand.
+    ``limits``: joint -> limits of the model now, rad; empty where the model is not at hand.
 
     Raises:
         CalibrationMismatchError: With a table of all differences.
         ConfigError: The calibration is of another arm.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     if (others := _servos(found.rows)) != _servos(config.servos):
         raise ConfigError(
@@ -334,7 +305,6 @@ def check_beside(bus: ServoBus, config: ArmConfig) -> None:
     Raises:
         CalibrationMismatchError: With a table of what differs.
         ConfigError: The calibration cannot be read, or is of another arm.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     if (found := _beside(config)) is not None:
         check_calibration(bus, config, found, {})

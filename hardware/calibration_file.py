@@ -20,8 +20,7 @@ from robot_ik.hardware.x_series import REVERSE
 from robot_ik.reading import read_json, shown
 from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
 
-SCHEMA = 1
-"""Raised when a key changes its meaning."""
+SCHEMA = 1  # raised when a key changes its meaning
 
 SUFFIX = ".calibration.toml"
 """``my_arm.toml`` has its calibration beside it in ``my_arm.calibration.toml``."""
@@ -139,12 +138,9 @@ class _CalibrationFile(Table):
 
 
 # ------------------------------------------------------------------------------------------
-# LeRobot's calibration JSON: ``{joint: {id, drive_mode, homing_offset, range_min, range_max}}``.
-#
-# Positions in it are Present Position, as here, with the homing offset of the servo's register 20 in them.
-# LeRobot's zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
+# LeRobot's calibration JSON.  Positions in it are Present Position, as here, with register 20 (Homing Offset)
+# in them; its zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
 # ``MotorCalibration``, and ``_normalize`` for degrees.)
-
 
 KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
@@ -267,14 +263,7 @@ def completed(
     present: dict[int, int],
     limits: dict[str, tuple[float, float]],
 ) -> Calibration:
-    """What LeRobot's file does not say, from servos and model.
-
-    Args:
-        calibration: Of ``load_lerobot``.
-        firmware: Servo id -> version.
-        present: Servo id -> Present Position, ticks.
-        limits: Joint -> limits of the model, deg (mm of a slide).
-    """
+    """What LeRobot's file does not say: by servo id firmware and ticks now; by joint limits, deg (mm)."""
     joints = (
         replace(
             joint,
@@ -291,7 +280,6 @@ def completed(
 # ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
 
-
 _JOINT = re.compile(r"^\s*\[\[\s*joints\s*\]\]")
 _TWIN = re.compile(r"^\s*\[\s*joints\s*\.\s*twin\s*\]")
 _TABLE = re.compile(r"^\s*\[")
@@ -303,12 +291,7 @@ _MIDDLE = TICKS_PER_REVOLUTION // 2
 
 @dataclass(frozen=True)
 class ZeroChange:
-    """A zero of one servo.
-
-    Attributes:
-        joint: Its name; ``id`` of the servo.
-        before, after: Ticks at q = 0.
-    """
+    """A zero of one servo, ticks at q = 0."""
 
     joint: str
     id: int
@@ -319,9 +302,7 @@ class ZeroChange:
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
 
-    Args:
-        config: The arm as it was when the offsets were found.
-        offsets: Joint -> rad (m of a slide) by which it exceeds what its servos say.
+    ``offsets``: joint -> rad (m of a slide) by which it exceeds what its servos say.
 
     Raises:
         UnknownJointError: No such joint.
@@ -355,17 +336,13 @@ def changes(before: ArmConfig, after: ArmConfig) -> tuple[ZeroChange, ...]:
 
 
 def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:
-    """Writes the zeros into the arm file, and into the calibration beside it where there is one.
+    """Writes ``zeros_moved`` into an arm file, and into the calibration beside it where there is one.
 
-    The old files are kept beside the new ones.  Servos are not touched.
-
-    Args:
-        file: The arm file.
-        used: The arm as it was when the offsets were found; its joints may be some of the file's.
-        offsets: As for ``zeros_moved``.
+    ``used`` is the arm as it was when the offsets were found; its joints may be some of the file's.  Servos
+    are not touched.
 
     Returns:
-        Where the old files are kept.
+        Where the old files are kept, beside the new ones.
 
     Raises:
         ConfigError: The file has changed since, or it is written in a way that cannot be edited.
@@ -394,28 +371,26 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
 def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
     """The calibration with the arm's zeros: else arm and calibration would contradict each other."""
     zeros = {servo.id: servo.zero_ticks for servo in arm.servos if servo.shadow_of is None}
-    joints, twins = (
-        tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
-        for rows in (found.joints, found.twins)
-    )
-    return replace(found, joints=joints, twins=twins)
+    moved = tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in found.rows)
+    n = len(found.joints)
+    return replace(found, joints=moved[:n], twins=moved[n:])
 
 
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
     """The text with the zeros of ``new``; checked by reading it again."""
-    every = (*new.joints, *new.auxiliary)
+    following = iter((*new.joints, *new.auxiliary))
     lines: list[str] = []
-    number, wanted = -1, None  # of the table that we are in; None: it has no zero, or had it
+    joint: JointMap | None = None
+    wanted: int | None = None  # of the table that we are in; None: it has no zero, or had it
     for line in text.splitlines(keepends=True):
         if _TABLE.match(line):
             _complete(lines, wanted)
-            number += bool(_JOINT.match(line))
-            twin = every[number].twin if number >= 0 and number < len(every) else None
             wanted = None
-            if _JOINT.match(line) and number < len(every):
-                wanted = every[number].zero_ticks
-            elif _TWIN.match(line) and twin is not None:
-                wanted = twin.zero_ticks
+            if _JOINT.match(line):
+                joint = next(following, None)
+                wanted = joint and joint.zero_ticks
+            elif _TWIN.match(line) and joint is not None and joint.twin is not None:
+                wanted = joint.twin.zero_ticks
         elif wanted is not None and (found := _ZERO.match(line)):
             if int(found[2]) != wanted:
                 line = f"{found[1]}{wanted}{found[3]}"

@@ -28,8 +28,34 @@ from robot_ik.hardware.torque import arm_watchdog
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array, Clock
 
-# ------------------------------------------------------------------------------------------
-# What happened to the commands of an arm.
+log = logging.getLogger(__name__)
+
+PAUSE = 0.25
+"""s between two commands after which the arm is taken to stand: the next command starts from rest."""
+
+LONGEST_TICK = 2.0
+"""Control periods that one command may move the arm by, however long ago the last one was."""
+
+SHORTEST_TICK = 0.01
+"""Control periods below which a command moves nothing: over shorter times velocities are rounding."""
+
+JITTER = 0.1
+"""Control periods of unused time left to the next commands: the clock is read a little early or late."""
+
+SAG = 0.05
+"""rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.  Beyond, something
+pushes: it yields, once."""
+
+FOLLOWING_ALARM = 0.15
+"""rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
+
+ARRIVED_TICKS = 3
+"""Servo ticks between goal and shaft at which a joint counts as arrived."""
+
+GRACE = 2.0
+"""s allowed on the way to a pose beyond what the caps ask for."""
+
+_ALARM_PERIOD = 0.5  # s; asking costs a cycle
 
 
 @dataclass
@@ -56,11 +82,9 @@ class MotionReport:
 
     @classmethod
     def empty(cls, n: int) -> MotionReport:
-        """Before the first command of ``n`` joints."""
         return cls(np.zeros(n), np.zeros(n))
 
     def count(self, report: LimiterReport) -> None:
-        """Adds one command."""
         self.sent += 1
         self.last = report
         for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
@@ -68,7 +92,6 @@ class MotionReport:
                 counts[name] = counts.get(name, 0) + 1
 
     def track(self, error: Array) -> None:
-        """Adds (n,) rad, one cycle's tracking error."""
         self.tracking_error = error
         self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
 
@@ -131,13 +154,9 @@ def has_torque(bus: ServoBus, servo: JointMap) -> bool:
 
 
 def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> int | None:
-    """Present position of a servo that has not answered for ``age`` s, asked by itself.
+    """Present position of a servo that has not answered for ``age`` s (infinite: never), asked by itself.
 
-    Args:
-        bus: Open.
-        servo: Who.
-        age: s; infinite if it never answered.
-        everyone: All others are silent too.
+    ``everyone``: all others are silent too.
 
     Raises:
         MotorFaultError: ``no_status`` or ``corrupt``.
@@ -162,36 +181,6 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
         )
     hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
     raise MotorFaultError(servo.name, (status,), hint=hint)
-
-
-log = logging.getLogger(__name__)
-
-PAUSE = 0.25
-"""s between two commands after which the arm is taken to stand: the next command starts from rest."""
-
-LONGEST_TICK = 2.0
-"""Control periods that one command may move the arm by, however long ago the last one was."""
-
-SHORTEST_TICK = 0.01
-"""Control periods below which a command moves nothing: over shorter times velocities are rounding."""
-
-JITTER = 0.1
-"""Control periods of unused time left to the next commands: the clock is read a little early or late."""
-
-SAG = 0.05
-"""rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.  Beyond, something
-pushes: it yields, once."""
-
-FOLLOWING_ALARM = 0.15
-"""rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
-
-ARRIVED_TICKS = 3
-"""Servo ticks between goal and shaft at which a joint counts as arrived."""
-
-GRACE = 2.0
-"""s allowed on the way to a pose beyond what the caps ask for."""
-
-_ALARM_PERIOD = 0.5  # s; asking costs a cycle
 
 
 def _presses(servo: JointMap) -> bool:
@@ -319,7 +308,7 @@ class Cycle:
         """Drives to a constant ``q`` within the caps until the shafts are there, time is over or ``stop()``.
 
         Args:
-            q: (n,) rad, or joint name -> rad.
+            q: As of ``drive``.
             timeout: s; None: what the caps ask for and ``GRACE``.
             stop: Asked in every cycle.
 

@@ -39,27 +39,17 @@ _FORGOTTEN = 2.0  # s without a sample of a servo after which those before it sa
 
 
 class Measurement(NamedTuple):
-    """One servo in one cycle.
+    """One servo in one cycle."""
 
-    Attributes:
-        ticks: Present position; None if there is none to be believed.
-        torque: Whether it has torque; None where that was not asked or not answered.
-    """
-
-    ticks: int | None
-    torque: bool | None
+    ticks: int | None  # present position; None if there is none to be believed
+    torque: bool | None  # whether it has torque; None where that was not asked or not answered
 
 
 class _FeedbackBlock(NamedTuple):
-    """Contiguous registers of one servo, read at once.
-
-    Attributes:
-        register: The block.
-        offsets: Name -> offset of its first byte in the block.
-    """
+    """Contiguous registers of one servo, read at once."""
 
     register: Register
-    offsets: Mapping[str, int]
+    offsets: Mapping[str, int]  # name -> offset of its first byte in the block
 
     def values(self, table: ControlTable, value: int) -> dict[str, int]:
         """Name -> value of each register in what was read."""
@@ -71,9 +61,6 @@ class _FeedbackBlock(NamedTuple):
 
 class Feedback:
     """Which register is read from whom, and what its value says.
-
-    Args:
-        config: The arm.
 
     Attributes:
         registers: Servo id -> register.  One of ``size`` 5 holds both parts: torque in the lowest byte.
@@ -96,9 +83,7 @@ class Feedback:
     def prepare(self, bus: ServoBus, firmware: Mapping[int, int]) -> None:
         """Points the servos' indirect addresses, and says to the bus who may be read fast.
 
-        Args:
-            bus: Open.
-            firmware: Servo id -> firmware version.
+        ``firmware``: servo id -> version.
 
         Raises:
             BusDisconnectedError, BusNotOpenError: Anything else only means: read plainly.
@@ -131,19 +116,12 @@ class Feedback:
             return self.registers
         ids = tuple(self._thresholds)
         self._health_index = (self._health_index + 1) % len(ids)
-        self._asked = {
-            **self.registers,
-            ids[self._health_index]: self._health[ids[self._health_index]].register,
-        }
+        turn = ids[self._health_index]
+        self._asked = {**self.registers, turn: self._health[turn].register}
         return self._asked
 
     def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
-        """What a reply says.
-
-        Args:
-            status: The reply.
-            now: When it came, s; for thresholds.
-        """
+        """What a reply says; ``now``: when it came, s, for thresholds."""
         value, id = status.data, status.id
         register = self._asked[id]
         if value is None or register.name not in _KINDS:
@@ -173,11 +151,7 @@ _KINDS = frozenset((_BLOCK, _LONG_BLOCK, _CONTIGUOUS))
 
 
 class Thresholds:
-    """Watches one servo against ``[joints.stop_at]``: the arm stops before the servo shuts itself down.
-
-    Args:
-        servo: A servo of a joint with thresholds.
-    """
+    """Watches one servo against ``[joints.stop_at]``: the arm stops before the servo shuts itself down."""
 
     def __init__(self, servo: JointMap) -> None:
         stop, unit = servo.stop_at, current_unit(servo.table)
@@ -192,14 +166,9 @@ class Thresholds:
         self._last = -math.inf
 
     def take(self, values: Mapping[str, int], now: float) -> MotorFaultError | None:
-        """The next sample.
+        """The fault, once every sample has been beyond a threshold for ``SUSTAINED``.
 
-        Args:
-            values: Register name -> value.
-            now: s.
-
-        Returns:
-            The fault, once every sample has been beyond a threshold for ``SUSTAINED``.
+        ``values``: the next one, by register name, of time ``now``, s.
         """
         if now - self._last > _FORGOTTEN:
             self._beyond.clear()

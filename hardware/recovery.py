@@ -39,13 +39,7 @@ _POLL = 0.05  # s between two looks
 def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
 
-    Args:
-        bus: Open.
-        config: The arm.
-        real: Not made from the arm file: they are compared with the calibration beside it as well.
-
-    Raises:
-        ArmStateError, ServoMismatchError, MotorFaultError, ConfigError, HardwareError and those of the bus.
+    ``real``: not made from the arm file; they are compared with the calibration beside it as well.
     """
     check_servos(bus, config)
     if real:
@@ -154,14 +148,7 @@ def _wait(bus: ServoBus, id: int, clock: Clock) -> None:
 
 
 def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
-    """``reset_servos`` where all must answer afterwards.
-
-    Returns:
-        The joints of those that were rebooted.
-
-    Raises:
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.
-    """
+    """``reset_servos`` where all must answer afterwards; the joints of those that were rebooted."""
     rows = reset_servos(bus, config, clock)
     for row in rows:
         if row.silence is not None:
@@ -192,10 +179,7 @@ def find_again(
 def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
     """A servo that restarted counts its revolutions anew: then its angle is wrong by whole revolutions.
 
-    Args:
-        bus: Open.
-        config: The arm.
-        before: The samples until the fault.
+    ``before``: the samples until the fault.
 
     Raises:
         HardwareError: A shaft stands more than half a servo revolution from where it was last seen.

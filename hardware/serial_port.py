@@ -91,7 +91,6 @@ class SleepingPortHandler(PortHandler):
         self._late_bytes = MAX_LATE_BYTES
 
     def setupPort(self, cflag_baud: int) -> bool:
-        """Opens the port, exclusively."""
         self.closePort()
         self.ser = self._make_serial(
             port=self.port_name,
@@ -109,7 +108,6 @@ class SleepingPortHandler(PortHandler):
         return True
 
     def closePort(self) -> None:
-        """Closes the port; without one, does nothing."""
         port, self.ser, self.is_open = self.ser, None, False
         if port is not None:
             port.close()
@@ -123,11 +121,9 @@ class SleepingPortHandler(PortHandler):
         return time.monotonic() * 1000.0
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        """Until when a reply of so many bytes is waited for, from now."""
         self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.response_time)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
-        """So many milliseconds from now."""
         super().setPacketTimeoutMillis(msec)
         self._late_bytes = MAX_LATE_BYTES
 
@@ -170,10 +166,7 @@ class SleepingPortHandler(PortHandler):
 
     def clear(self) -> None:
         """Throws away what has come in."""
-        if not self._posix:
-            self.ser.reset_input_buffer()
-        else:
-            termios.tcflush(self._file, termios.TCIFLUSH)
+        self.ser.reset_input_buffer()
 
     def readPort(self, length: int) -> bytes:
         """At most ``length`` bytes; sleeps until there are some or the packet's time is over.
@@ -213,9 +206,9 @@ class SleepingPortHandler(PortHandler):
         except BlockingIOError:
             return 0
 
-    def drain(self, quiet: float, longest: float = LONGEST_DRAIN) -> None:
-        """Throws away what comes in until the line was silent for ``quiet`` s; at most ``longest`` s."""
-        end = time.monotonic() + longest
+    def drain(self, quiet: float) -> None:
+        """Throws away what comes in until the line was silent for ``quiet`` s; at most ``LONGEST_DRAIN``."""
+        end = time.monotonic() + LONGEST_DRAIN
         while time.monotonic() < end:
             self.setPacketTimeoutMillis(1000.0 * quiet)
             if not self.readPort(1024):
@@ -225,13 +218,9 @@ class SleepingPortHandler(PortHandler):
 def describe_failure(
     port: str, error: Exception, ports: Sequence[Any] | None = None, system: str = sys.platform
 ) -> BusNotOpenError:
-    """Why ``port`` could not be opened, which ports there are and what to do.
+    """Why opening ``port`` raised ``error``, which ports there are and what to do.
 
-    Args:
-        port: As given by the user.
-        error: What opening it raised.
-        ports: Serial ports of this machine (objects with ``device`` and ``description``); asked for if None.
-        system: As ``sys.platform``.
+    ``ports``: of this machine, as pyserial lists them, asked for if None; ``system``: as ``sys.platform``.
     """
     text, number = str(error), getattr(error, "errno", None)
     if system == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
@@ -242,7 +231,10 @@ def describe_failure(
         }
         number = next((value for phrase, value in codes.items() if phrase in text), number)
     if "exclusively lock" in text or number in (errno.EBUSY, errno.EWOULDBLOCK):
-        who = holders(port)
+        who = [
+            f"{'this program' if number == os.getpid() else name} (process {number})"
+            for number, name in users_of(port).items()
+        ]
         reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
         hint = "close the other program first"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
@@ -263,23 +255,6 @@ def describe_failure(
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))
 
 
-def holders(port: str) -> list[str]:
-    """Programs that have a port open, as "name (process 123)"; what this user may see, on Linux only."""
-    return [
-        f"{'this program' if number == os.getpid() else name} (process {number})"
-        for number, name in users_of(port).items()
-    ]
-
-
-# ------------------------------------------------------------------------------------------
-# One serial port as a line of Protocol 2.0 packets: locked, never left busy, nothing decoded unchecked.
-#
-# The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
-# (Ctrl-C, a
-# pulled cable) ends it; every later write, torque off among them, is then refused.  Here the mark is cleared
-# whatever happens, and a line on which replies may still be under way is emptied before the next request.
-
-
 log = logging.getLogger(__name__)
 
 OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
@@ -292,13 +267,10 @@ QUIET = 0.003
 class Wire:
     """A port, and the SDK's packet code for single requests.  One transaction at a time, from any thread.
 
-    Args:
-        port: Its name.
-        baud: bit/s.
-        counters: What happens is added here.
-        response_time: s a servo is given to answer, beyond the time of the bytes.
-        make_handler: Makes the port handler; takes the four above.
-        now: The clock of ages and deadlines, s.
+    The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
+    (Ctrl-C, a pulled cable) ends it; every later write, torque off among them, is then refused.  Here the
+    mark is cleared whatever happens, and a line on which replies may still be under way is emptied before the
+    next request.  Arguments as of ``DynamixelBus``.
 
     Attributes:
         last_good: Servo id -> when it last answered, on ``now``.
@@ -310,8 +282,8 @@ class Wire:
         baud: int,
         counters: Counters,
         response_time: float,
-        make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
-        now: Callable[[], float] = time.monotonic,
+        make_handler: Callable[..., SleepingPortHandler],
+        now: Callable[[], float],
     ) -> None:
         self.port = port
         self.baud = baud
@@ -328,15 +300,10 @@ class Wire:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open."""
         return self._handler is not None
 
     def open(self) -> None:
-        """Opens the port for this process alone.
-
-        Raises:
-            BusNotOpenError: Missing, not a serial port, not permitted, in use, or an impossible rate.
-        """
+        """Raises ``BusNotOpenError``: missing, no serial port, not permitted, in use, or an impossible rate."""
         with self._lock:
             if self._handler is not None:
                 return
@@ -353,7 +320,6 @@ class Wire:
             self._dirty, self._asked = True, ""
 
     def close(self) -> None:
-        """Closes the port; may be called any number of times and never raises."""
         with self._lock:
             handler, self._handler = self._handler, None
             if handler is not None:

@@ -36,14 +36,7 @@ class SimBus(DynamixelBus):
 
 
 class InProcessPort(SleepingPortHandler):
-    """What the driver takes for a serial port: bytes written are answered before the call returns.
-
-    Args:
-        virtual_bus: The servos.
-        name: For messages.
-        baud: bit/s, for messages.
-        counters: Of the bus.
-    """
+    """What the driver takes for a serial port: bytes written are answered before the call returns."""
 
     def __init__(self, virtual_bus: VirtualBus, name: str, baud: int, counters: Counters) -> None:
         super().__init__(name, baud, counters)
@@ -52,44 +45,34 @@ class InProcessPort(SleepingPortHandler):
         self._buffer = b""
 
     def openPort(self) -> bool:
-        """Nothing can be in the way, but for a port that is not there."""
         self._advance()
         self.is_open = True
         return True
 
     def closePort(self) -> None:
-        """May be called any number of times."""
         self.is_open = False
 
     def clear(self) -> None:
-        """Throws away what was not read."""
         self._buffer = b""
 
     clearPort = clear
 
-    def drain(self, quiet: float, longest: float = 0.1) -> None:
-        """The same: nothing is on its way."""
+    def drain(self, quiet: float) -> None:
         self._buffer = b""
 
     def writePort(self, packet: Sequence[int] | bytes) -> int:
-        """Number of bytes written."""
         self._advance()
         self._counters.bytes_sent += len(packet)
         self._buffer += self._bus.handle(bytes(packet))
         return len(packet)
 
     def readPort(self, length: int) -> bytes:
-        """At most ``length`` bytes."""
         data, self._buffer = self._buffer[:length], self._buffer[length:]
         self._counters.bytes_received += len(data)
         return data
 
     def receive(self, deadline: float, expected: float | None = None) -> bytes:
-        """All there is."""
         return self.readPort(len(self._buffer))
-
-    def setPacketTimeout(self, packet_length: int) -> None:
-        """Nothing is waited for here."""
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """Nothing is waited for here."""
@@ -104,19 +87,10 @@ class InProcessPort(SleepingPortHandler):
             raise OSError("it was unplugged")
 
 
-# ------------------------------------------------------------------------------------------
-# Virtual servos behind a real pty, and the driver of real ones on it: all but the wire is as with metal.
-
-
 class ServedBus(DynamixelBus):
-    """A ``DynamixelBus`` that brings its own port and takes it away when closed.
+    """Virtual servos behind a real pty, and the driver of real ones on it: all but the wire is as with metal.
 
-    Args:
-        servos: What is behind the port.
-        baud: bit/s.
-
-    Attributes:
-        port: Path of the pty while it is open.
+    The port is made when it is opened and taken away when it is closed; ``port`` is its path meanwhile.
     """
 
     def __init__(self, servos: VirtualBus, baud: int) -> None:
@@ -125,7 +99,6 @@ class ServedBus(DynamixelBus):
         self._pty: PtyPort | None = None
 
     def open(self) -> None:
-        """Makes the pty and opens it."""
         if self._pty is None:
             from robot_ik.hardware.virtual.pty import PtyPort  # not on Windows
 
@@ -134,7 +107,6 @@ class ServedBus(DynamixelBus):
         super().open()
 
     def close(self) -> None:
-        """Closes the port, then removes it; may be called any number of times."""
         super().close()
         served, self._pty = self._pty, None
         if served is not None:

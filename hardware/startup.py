@@ -1,6 +1,7 @@
 """Before an arm may move: are these the servos of the arm file, healthy, and set up as the program assumes?
 
 Nothing here switches torque on.  EEPROM is written only where it differs (it wears out), with torque off.
+What asks servos raises the errors of the bus too, by joint name.
 """
 
 from __future__ import annotations
@@ -27,18 +28,14 @@ from robot_ik.hardware.control_table import (
     hardware_error_names,
 )
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
-
-# ------------------------------------------------------------------------------------------
-# How hard servos in current-based position mode may press.
+from robot_ik.hardware.x_series import REVERSE
 
 
 def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) -> None:
     """Goal Current of joints; it is kept in RAM, so every start sets it.
 
-    Args:
-        bus: Open.
-        config: The arm; its ``current_ma`` is the maximum, and so is the servo's Current Limit.
-        wanted: Joint name -> mA.  Empty: all joints of that mode, what the arm file says.
+    ``wanted``: joint name -> mA, at most ``current_ma`` of the arm file and the servo's Current Limit.
+    Empty: all joints of that mode, what the arm file says.
 
     Raises:
         UnknownJointError, UnsafeCommandError: Not a joint of this mode, or no current; nothing was sent.
@@ -80,7 +77,6 @@ SPEED_HEADROOM = 1.5
 RAMP_SHARE = 0.25
 """Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
 
-_REVERSE = 0b0001  # Drive Mode bit 0
 _LARGEST_PROFILE = 32767  # of both profile registers
 
 
@@ -90,7 +86,6 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     Raises:
         ServoMismatchError: Missing or another model.
         MotorFaultError: A latched hardware error, or a supply outside the servo's limits.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     wanted = {servo.id: (servo.name, servo.table.number) for servo in config.servos}
     require_models(bus, wanted, "the arm file")
@@ -133,16 +128,15 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         ArmStateError: An EEPROM setting must change and torque is on (left so by another program).
         ConfigError: A servo in position mode has limits narrower than the arm file's, or ignores its offset.
         HardwareError: A servo is reversed by its own setting and not by the arm file, or the other way round.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     torque = read_all(bus, config, "torque_enable")
     drive = read_all(bus, config, "drive_mode", absent=0)
     for joint, value in _by_joint(config, drive):
-        _check_reverse(joint, bool(value & _REVERSE))
+        _check_reverse(joint, bool(value & REVERSE))
     _check_homing(bus, config)
     wanted = {
         "return_delay_time": dict.fromkeys(config.servo_ids, 0),
-        "drive_mode": {id: value & _REVERSE for id, value in drive.items()},
+        "drive_mode": {id: value & REVERSE for id, value in drive.items()},
         "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
     }
     for name, values in wanted.items():

@@ -56,11 +56,7 @@ def runtime_folder() -> Path:
 
 
 class StopFile:
-    """The arm's side.
-
-    Args:
-        name: Of the arm.
-    """
+    """The arm's side; ``name`` is the arm's."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -117,12 +113,7 @@ class StopFile:
 
 @dataclass(frozen=True)
 class RunningArm:
-    """An arm that a living program of this user drives.
-
-    Attributes:
-        name, port, pid: Of the arm file, of its bus, of the program.
-        stem: Its files without their endings.
-    """
+    """An arm that a living program of this user drives; ``stem``: its files without their endings."""
 
     name: str
     port: str
@@ -130,11 +121,7 @@ class RunningArm:
     stem: Path
 
     def stop(self, policy: str = "hold", timeout: float = 3.0) -> tuple[bool, str]:
-        """Asks it to stop and waits for the reply.
-
-        Args:
-            policy: One of ``POLICIES``.
-            timeout: s.
+        """Asks it to stop by one of ``POLICIES`` and waits ``timeout`` s for the reply.
 
         Returns:
             Whether every servo confirmed it; what happened, as text.

@@ -43,7 +43,6 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
         HardwareError: A goal was not taken, or a multi-turn servo has lost revolutions.  Torque may be on
             then: the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
     """
     goals = read_all(bus, config, "present_position")
     _check_revolutions(config, goals)
@@ -137,11 +136,7 @@ def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
 
 
 def checked_policy(name: str, config: ArmConfig) -> str:
-    """``name`` if it is one of ``ON_EXIT``.
-
-    Raises:
-        ConfigError: It is not.
-    """
+    """``name`` if it is one of ``ON_EXIT``; else raises ``ConfigError``."""
     if name not in ON_EXIT:
         raise ConfigError(
             f"{name!r} is no way to leave an arm",
@@ -221,13 +216,23 @@ def leave(
     begin = clock.now()
     left = {servo.id: servo.name for servo in config.servos}
     reported: set[str] = set()
-    holds = policy == "hold" and set(left) <= set(goals)
-    if holds:
+    limp: set[int] = set()
+    done = "hold" if policy == "hold" and set(left) <= set(goals) else "torque_off"
+    if done == "hold":
         limp = _hold(bus, config, goals, left, clock, reported)
     else:
-        limp = set()
         _torque_off(bus, config, left, clock, reported)
-    return _report("hold" if holds else "torque_off", config, left, limp, clock.now() - begin, parked)
+    seconds = clock.now() - begin
+    names = dict.fromkeys(servo.name for servo in config.servos)
+    unverified = tuple(dict.fromkeys(left.values()))
+    verified = tuple(name for name in names if name not in unverified)
+    limp_joints = tuple(dict.fromkeys(name for id, name in left.items() if id in limp))
+    report = ExitReport(done, verified, unverified, parked, seconds, limp_joints)
+    if left:
+        log.error("%s %s", done, report.doubt)
+    else:
+        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
+    return report
 
 
 def force_torque_off(
@@ -313,10 +318,7 @@ def _hold(
 ) -> set[int]:
     """Goals as they are, and no Bus Watchdog: another program may take over.
 
-    Takes who confirms its goal and its torque out of ``left``.
-
-    Returns:
-        Ids of servos that say they have no torque.
+    Takes who confirms its goal and its torque out of ``left``; returns who says that it has no torque.
     """
     torque, goal = (shared_register(config, name) for name in ("torque_enable", "goal_position"))
     watchdog = shared_register(config, "bus_watchdog")
@@ -337,26 +339,6 @@ def _hold(
         if left:
             clock.sleep_until(clock.now() + _PAUSE)
     return limp
-
-
-def _report(
-    done: str, config: ArmConfig, left: Mapping[int, str], limp: set[int], seconds: float, parked: bool
-) -> ExitReport:
-    names = dict.fromkeys(servo.name for servo in config.servos)
-    unverified = tuple(dict.fromkeys(left.values()))
-    report = ExitReport(
-        done,
-        tuple(name for name in names if name not in unverified),
-        unverified,
-        parked,
-        seconds,
-        tuple(dict.fromkeys(left[id] for id in left if id in limp)),
-    )
-    if left:
-        log.error("%s %s", done, report.doubt)
-    else:
-        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
-    return report
 
 
 @contextmanager

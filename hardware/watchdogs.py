@@ -60,14 +60,7 @@ def least_watchdog_ms(stale_ms: int, period: float) -> int:
     """The shortest Bus Watchdog that the heartbeat always beats.
 
     The arm is found stale by the first beat after ``stale_time``; holding it takes up to two control cycles.
-
-    Args:
-        stale_ms: Of the arm file, ms.
-        period: Of the control cycle, s.
-
-    Returns:
-        ms, a multiple of ``WATCHDOG_UNIT_MS``; a Bus Watchdog of this or more trips only where the heartbeat
-        cannot run.
+    A Bus Watchdog of so many ms or more trips only where the heartbeat cannot run.
     """
     needed_ms = 1000.0 * (stale_time(stale_ms, period) + BEAT + 2.0 * period)
     return WATCHDOG_UNIT_MS * (math.floor(needed_ms / WATCHDOG_UNIT_MS + 1e-9) + 1)
@@ -79,12 +72,8 @@ def least_watchdog_ms(stale_ms: int, period: float) -> int:
 class Heartbeat:
     """Calls ``beat`` every ``BEAT`` seconds until stopped, from a thread of its own.
 
-    Between a limiter that brings every pause to rest and the servos' Bus Watchdogs lies the program that is
-    alive and busy with something else: then a servo that overheats would go unseen, and the Bus Watchdogs
-    would trip although nothing is wrong.
-
-    Args:
-        beat: Must not raise.
+    A program that is alive and busy with something else would not see a servo that overheats, and the Bus
+    Watchdogs would trip although nothing is wrong.  ``beat`` must not raise.
     """
 
     def __init__(self, beat: Callable[[], None]) -> None:
@@ -129,11 +118,7 @@ class Heartbeat:
 
 
 def ending_signals(there: Any = signal) -> tuple[int, ...]:
-    """Signals that end a program here: no SIGHUP on Windows, but SIGBREAK (Ctrl-Break, a closed console).
-
-    Args:
-        there: What has them by name.
-    """
+    """Signals that end a program here: no SIGHUP on Windows, but SIGBREAK (Ctrl-Break, a closed console)."""
     names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
     return tuple(getattr(there, name) for name in names if hasattr(there, name))
 
@@ -230,7 +215,6 @@ class _Handlers:
         self._owed: dict[int, Any] = {}  # signal -> the handler from before, to be called
 
     def add(self, guard: ExitGuard) -> None:
-        """One arm more."""
         if guard not in self._guards:
             self._guards.append(guard)
         if not _in_main_thread():
@@ -246,7 +230,6 @@ class _Handlers:
                 signal.signal(number, _Handler(current))
 
     def discard(self, guard: ExitGuard) -> None:
-        """One arm less."""
         if guard in self._guards:
             self._guards.remove(guard)
         if not self._guards:
@@ -256,7 +239,6 @@ class _Handlers:
                 _call_in_main_thread(self._settle)
 
     def handle(self, number: int, frame: FrameType | None, previous: Any) -> None:
-        """A signal came."""
         if not self._guards:
             self._give_back()
             _pass_on(number, frame, previous)

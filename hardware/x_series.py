@@ -47,6 +47,10 @@ class Motor:
         """N m at the shaft for an ampere through the motor; gear friction is in it."""
         return self.stall_torque / self.stall_current
 
+    def stall_at(self, volts: float) -> float:
+        """Stall torque, N m, at another supply."""
+        return self.stall_torque * volts / self.volts
+
     @property
     def no_load_speed(self) -> float:
         """rad/s at ``volts``."""

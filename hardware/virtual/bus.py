@@ -216,8 +216,7 @@ class VirtualBus:
             return VirtualResponse(b"".join(replies), self._delay + (self.latency if replies else 0.0))
 
     def _listeners(self, baud: int | None) -> list[VirtualServo]:
-        now = self.clock.now()
-        awake = [s for s in self.servos if not s.silent and not s.off and now >= s.ready_at]
+        awake = [servo for servo in self.servos if not servo.deaf]
         return awake if baud is None else [s for s in awake if s.baud == baud]
 
     def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:

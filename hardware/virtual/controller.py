@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from robot_ik.hardware.config import current_unit
 from robot_ik.hardware.control_table import HARDWARE_ERRORS, RADIANS_PER_TICK, WATCHDOG_UNIT, OperatingMode
 from robot_ik.hardware.virtual import motor
 from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, TRIPPED, Memory
@@ -39,7 +40,7 @@ class Controller:
         self._shaft = shaft
         self._clock = clock
         self._has_watchdog = "bus_watchdog" in memory.table
-        self._current_unit = motor.current_unit(memory)
+        self._current_unit = current_unit(memory.table)
         self._reactions: dict[str, Callable[[bool], None]] = {
             "torque_enable": self._torque_written,
             "goal_position": self._position_written,
@@ -73,19 +74,19 @@ class Controller:
 
     def update(self) -> None:
         """Lets watchdog and motor act at the time when they do, however late anyone asks."""
-        now = self._clock.now()
-        if self._values.get("bus_watchdog", 0) > 0:
-            self.watch(now)
-        if now - self.electrics.at >= _ELECTRICS_PERIOD:
-            self._warm(now)
+        self._update(self._clock.now())
 
-    def hear(self, now: float) -> None:
-        """An instruction packet went over the bus at ``now``, s."""
+    def hear(self) -> None:
+        """An instruction packet went over the bus."""
+        now = self._clock.now()
+        self._update(now)
+        self.heard = now
+
+    def _update(self, now: float) -> None:
         if self._values.get("bus_watchdog", 0) > 0:
             self.watch(now)
         if now - self.electrics.at >= _ELECTRICS_PERIOD:
             self._warm(now)
-        self.heard = now
 
     def watch(self, now: float) -> None:
         """Lets the bus watchdog run out if it has by ``now``, s."""

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from robot_ik.hardware.config import current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     RADIANS_PER_TICK,
@@ -20,10 +21,8 @@ from robot_ik.hardware.x_series import TIME_BASED, Motor
 # What a shaft has to hold and what that costs the motor: torque, current, voltage, heat, overload.
 #
 # Torques are N m at the output shaft, positive in the direction in which the encoder counts up.
-# Stall torque, stall current and no load speed are the manual's (``x_series``).  The manual says
-# neither how fast a servo heats nor when it calls a load an overload: those constants are chosen here so
-# that a
-# shaft held against its stop shuts down within seconds and a lighter steady load within minutes or never.
+# The manual says neither how fast a servo heats nor when it calls a load an overload: by these constants a
+# shaft held against its stop shuts down within seconds, under a lighter steady load in minutes or never.
 
 
 ROOM_TEMPERATURE = 32.0
@@ -102,10 +101,6 @@ class Electrics:
         """What Present Current measures, mA."""
         current = 1000.0 * torque / self.motor.torque_per_ampere
         return current * abs(duty) if self.motor.sensed_at_supply else current
-
-    def stall_torque(self, volts: float) -> float:
-        """N m at this supply."""
-        return self.motor.stall_torque * volts / self.motor.volts
 
 
 # ------------------------------------------------------------------------------------------
@@ -234,57 +229,10 @@ def move(
     return MotorMotion((ramp, steady, slowing, (end, goal, 0.0, 0.0)), end, kind)
 
 
-def profiled_move(
-    t: float,
-    position: float,
-    velocity: float,
-    goal: float,
-    *,
-    profile_velocity: int,
-    profile_acceleration: int,
-    time_based: bool,
-    physical_top: float,
-) -> MotorMotion:
-    """The motion that the profile registers ask for, within what the motor can do.
-
-    Profile Velocity 0 is a step, Profile Acceleration 0 a rectangle: both are as steep as the motor allows.
-    Time-based profiles (Drive Mode bit 2) keep their times from a stand; a new goal on the fly uses the same
-    cruising speed and ramps.
-
-    Args:
-        t: Start, s.
-        position: There, ticks.
-        velocity: There, ticks/s.
-        goal: Ticks.
-        profile_velocity: The register; units of 0.229 rev/min, or the total time in ms.
-        profile_acceleration: The register; units of 214.577 rev/min^2, or the ramp time in ms.
-        time_based: Which of the two.
-        physical_top: Speed of the motor, ticks/s.
-    """
-    if profile_velocity == 0:
-        return move(t, position, velocity, goal, physical_top, PHYSICAL_ACCELERATION, ProfileKind.STEP)
-    kind = None if profile_acceleration else ProfileKind.RECTANGULAR
-    top, acceleration = profile_velocity * VELOCITY_TICKS, profile_acceleration * ACCELERATION_TICKS
-    if time_based:
-        total = profile_velocity / 1000.0
-        ramp = min(profile_acceleration / 1000.0, 0.5 * total)
-        top = abs(goal - position) / (total - ramp)
-        acceleration = top / ramp if ramp > 0.0 else 0.0
-    # 0 is "as the motor can"; so is a time for no distance.
-    top = min(top or math.inf, physical_top)
-    acceleration = min(acceleration or math.inf, PHYSICAL_ACCELERATION)
-    return move(t, position, velocity, goal, top, acceleration, kind)
-
-
-_CURRENT_UNITS = {"1 mA": 1.0, "2.69 mA": 2.69}
-
 TORQUE_MODES = (OperatingMode.CURRENT, OperatingMode.PWM)
 """Modes that give a torque or a voltage and no goal position."""
 
-
-def current_unit(memory: Memory) -> float:
-    """mA a count of the current registers; 0 where the model has none."""
-    return _CURRENT_UNITS[memory.table["goal_current"].unit] if "goal_current" in memory.table else 0.0
+_COASTING = 0.05 * PHYSICAL_ACCELERATION
 
 
 def torque_limit(memory: Memory, volts: float) -> float:
@@ -294,9 +242,9 @@ def torque_limit(memory: Memory, volts: float) -> float:
     pwm = memory.get("pwm_limit")
     if mode != OperatingMode.PWM:
         pwm = min(pwm, abs(memory.get("goal_pwm")))
-    limit = motor.stall_torque * volts / motor.volts * pwm / PWM_FULL
+    limit = motor.stall_at(volts) * pwm / PWM_FULL
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        amperes = abs(memory.get("goal_current")) * current_unit(memory) / 1000.0
+        amperes = abs(memory.get("goal_current")) * current_unit(memory.table) / 1000.0
         limit = min(limit, amperes * motor.torque_per_ampere)
     return limit
 
@@ -305,8 +253,8 @@ def effort(memory: Memory, volts: float) -> float:
     """Torque that the goal of a torque mode asks for from a standing shaft, N m, signed as its register."""
     motor = memory.table.motor
     if memory.get("operating_mode") == OperatingMode.CURRENT:
-        return memory.get("goal_current") * current_unit(memory) / 1000.0 * motor.torque_per_ampere
-    return memory.get("goal_pwm") / PWM_FULL * motor.stall_torque * volts / motor.volts
+        return memory.get("goal_current") * current_unit(memory.table) / 1000.0 * motor.torque_per_ampere
+    return memory.get("goal_pwm") / PWM_FULL * motor.stall_at(volts)
 
 
 def velocity_control(now: float, position: float, velocity: float, memory: Memory, sign: int) -> MotorMotion:
@@ -336,14 +284,12 @@ def torque_control(
         volts: Supply.
     """
     motor = memory.table.motor
-    stall = motor.stall_torque * volts / motor.volts
+    stall = motor.stall_at(volts)
     net = torque - load.holding(position)
     if abs(net) <= load.friction:
-        return (
-            rest(now, position)
-            if velocity == 0.0
-            else constant_velocity(now, position, velocity, 0.0, _coasting())
-        )
+        if velocity == 0.0:
+            return rest(now, position)
+        return constant_velocity(now, position, velocity, 0.0, _COASTING)
     net -= math.copysign(load.friction, net)
     share = net / stall
     if memory.get("operating_mode") == OperatingMode.CURRENT:
@@ -356,14 +302,14 @@ def torque_control(
     return constant_velocity(now, position, velocity, share * top, acceleration)
 
 
-def _coasting() -> float:
-    return 0.05 * PHYSICAL_ACCELERATION
-
-
 def position_control(
     now: float, position: float, velocity: float, goal: float, memory: Memory, physical_top: float
 ) -> MotorMotion:
-    """Position modes: the profile that the registers ask for.
+    """Position modes: the motion that the profile registers ask for, within what the motor can do.
+
+    Profile Velocity 0 is a step, Profile Acceleration 0 a rectangle: both are as steep as the motor allows.
+    Time-based profiles (Drive Mode bit 2) keep their times from a stand; a new goal on the fly uses the same
+    cruising speed and ramps.
 
     Args:
         now: s.
@@ -373,13 +319,17 @@ def position_control(
         memory: Registers.
         physical_top: Speed of the motor and of Velocity Limit, ticks/s.
     """
-    return profiled_move(
-        now,
-        position,
-        velocity,
-        goal,
-        profile_velocity=memory.get("profile_velocity"),
-        profile_acceleration=memory.get("profile_acceleration"),
-        time_based=bool(memory.values.get("drive_mode", 0) & TIME_BASED),
-        physical_top=physical_top,
-    )
+    fastest, steepness = memory.get("profile_velocity"), memory.get("profile_acceleration")
+    if fastest == 0:
+        return move(now, position, velocity, goal, physical_top, PHYSICAL_ACCELERATION, ProfileKind.STEP)
+    kind = None if steepness else ProfileKind.RECTANGULAR
+    top, acceleration = fastest * VELOCITY_TICKS, steepness * ACCELERATION_TICKS
+    if memory.values.get("drive_mode", 0) & TIME_BASED:
+        total = fastest / 1000.0
+        ramp = min(steepness / 1000.0, 0.5 * total)
+        top = abs(goal - position) / (total - ramp)
+        acceleration = top / ramp if ramp > 0.0 else 0.0
+    # 0 is "as the motor can"; so is a time for no distance.
+    top = min(top or math.inf, physical_top)
+    acceleration = min(acceleration or math.inf, PHYSICAL_ACCELERATION)
+    return move(now, position, velocity, goal, top, acceleration, kind)

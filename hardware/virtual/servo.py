@@ -126,8 +126,6 @@ class VirtualServo:
         """The bus watchdog has run out and was not cleared."""
         return self.memory.get("bus_watchdog") == TRIPPED if "bus_watchdog" in self.table else False
 
-    _tripped = tripped
-
     def status_byte(self, error: int) -> int:
         """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""
         return error | (ALERT if self.memory.get("hardware_error_status") else 0)
@@ -181,7 +179,7 @@ class VirtualServo:
 
     def hear(self) -> None:
         """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
-        self.controller.hear(self._clock.now())
+        self.controller.hear()
 
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of the control table as they are now."""

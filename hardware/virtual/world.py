@@ -8,10 +8,10 @@ joint share it: its shafts are rigidly coupled, and each gives half of what the 
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -38,27 +38,11 @@ DAMPING = 1.0
 """Critical: no overshoot that the profile has not."""
 
 
-class Seat(NamedTuple):
-    """Where motors sit: a joint of a model.
-
-    Attributes:
-        model, data: MuJoCo's.
-        at: Of the joint in qpos; ``dof``: in qvel.
-        changed: Called when the joint was put elsewhere.
-    """
-
-    model: mujoco.MjModel
-    data: mujoco.MjData
-    at: int
-    dof: int
-    changed: Callable[[], None]
-
-
 class JointMotor:
     """One servo on a joint of the world; the ``Body`` of its shaft.
 
     Args:
-        seat: The joint.
+        joint: The joint.
         row: The joint by this servo.
         servo: The servo.
         start: rad (m) of the joint at first: there this shaft stands where it stands.
@@ -69,8 +53,8 @@ class JointMotor:
         strength: N m (N) at the joint, where it stood at first.
     """
 
-    def __init__(self, seat: Seat, row: JointMap, servo: VirtualServo, start: float) -> None:
-        self._seat, self._servo, self._row = seat, servo, row
+    def __init__(self, joint: _Joint, row: JointMap, servo: VirtualServo, start: float) -> None:
+        self._joint, self._servo, self._row = joint, servo, row
         motor = servo.table.motor
         # A servo whose Drive Mode reverses it was mounted the other way round.
         self._sign = servo.shaft.sign
@@ -102,35 +86,28 @@ class JointMotor:
 
     def read_encoder(self) -> None:
         """What the encoder says now."""
-        data = self._seat.data
-        angle = float(data.qpos[self._seat.at])
+        angle = self._joint.angle
         self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK
         self.position = self._zero + self._sign * self._row.position(angle) - self._servo.zero_offset_ticks
-        self.velocity = float(data.qvel[self._seat.dof]) * self._ticks_per
+        self.velocity = self._joint.rate * self._ticks_per
 
     def rotate_by(self, ticks: float) -> None:
         """Somebody turns the joint by hand."""
-        seat = self._seat
-        seat.data.qpos[seat.at] = self._angle(self.position + ticks)
-        seat.data.qvel[seat.dof] = 0.0
-        mujoco.mj_forward(seat.model, seat.data)
-        seat.changed()
+        self._joint.put(self._angle(self.position + ticks))
 
     def wanted(self, t: float) -> float | None:
         """Acceleration that its controller wants, rad/s^2 (m/s^2) at the joint; None where it wants none."""
-        servo, data = self._servo, self._seat.data
+        servo, shaft = self._servo, self._servo.shaft
         servo.controller.watch(t)
-        shaft = servo.shaft
         if not shaft.powered or servo.memory.get("operating_mode") in drive.TORQUE_MODES:
             return None
         position, velocity = shaft.motion.at(t)
-        q, dq = float(data.qpos[self._seat.at]), float(data.qvel[self._seat.dof])
-        error = self._angle(position) - q
+        error = self._angle(position) - self._joint.angle
         if servo.memory.get("operating_mode") == OperatingMode.VELOCITY:
             limit = 0.1 * self._row.lever  # it minds its speed, not how far it has fallen behind
             error = max(-limit, min(limit, error))
-        rate = velocity / self._ticks_per - dq
+        rate = velocity / self._ticks_per - self._joint.rate
         return STIFFNESS**2 * error + 2.0 * DAMPING * STIFFNESS * rate
 
     def push(self, demand: float) -> float:
@@ -141,10 +118,9 @@ class JointMotor:
             self.torque = 0.0
             return 0.0
         volts = shaft.volts
-        stall = self._stall * volts / servo.table.motor.volts
+        stall = servo.table.motor.stall_at(volts)
         # The faster it turns, the less torque the voltage that is left can give.
-        speed = float(self._seat.data.qvel[self._seat.dof]) * self.gear
-        lost = stall * speed / (self._no_load * volts / servo.table.motor.volts)
+        lost = self._stall / self._no_load * self._joint.rate * self.gear
         limit = drive.torque_limit(servo.memory, volts)
         mode = servo.memory.get("operating_mode")
         torque = demand / self.gear
@@ -274,15 +250,14 @@ class _Joint:
             names = [model.joint(k).name for k in range(model.njnt)]
             raise UnknownJointError(joint.name, names)
         self.dof = int(model.jnt_dofadr[number])
-        self.at = int(model.jnt_qposadr[number])
+        self._at = int(model.jnt_qposadr[number])
         self._world = world
         first = bus.servo(joint.id)
         start = joint.to_radians(
             (-1 if joint.reverse else 1) * (first.shaft.encoder + first.zero_offset_ticks)
         )
-        world.data.qpos[self.at] = start
-        seat = Seat(model, world.data, self.at, self.dof, self.read_encoders)
-        self.motors = [JointMotor(seat, row, bus.servo(row.id), start) for row in joint.servos]
+        world.data.qpos[self._at] = start
+        self.motors = [JointMotor(self, row, bus.servo(row.id), start) for row in joint.servos]
         strength = sum(motor.strength for motor in self.motors)
         if not model.dof_frictionloss[self.dof]:
             model.dof_frictionloss[self.dof] = FRICTION_SHARE * strength
@@ -291,6 +266,23 @@ class _Joint:
             model.dof_armature[self.dof] = heft / ROTOR_ACCELERATION
         self._held: float | None = None
         self._demands: list[float | None] = []
+
+    @property
+    def angle(self) -> float:
+        """rad (m)."""
+        return float(self._world.data.qpos[self._at])
+
+    @property
+    def rate(self) -> float:
+        """rad/s (m/s)."""
+        return float(self._world.data.qvel[self.dof])
+
+    def put(self, angle: float) -> None:
+        """Puts it elsewhere, at rest."""
+        model, data = self._world.model, self._world.data
+        data.qpos[self._at], data.qvel[self.dof] = angle, 0.0
+        mujoco.mj_forward(model, data)
+        self.read_encoders()
 
     def attach(self) -> None:
         """From here on the joint moves the shafts."""
@@ -329,16 +321,15 @@ class _Joint:
 
     def hold(self) -> None:
         """A joint that something holds stays where it is; one that meets a stop goes no further."""
-        data = self._world.data
-        q = float(data.qpos[self.at])
+        data, q = self._world.data, self.angle
         if self._held is not None:
             q = self._held
         else:
             for motor in self.motors:
                 low, high = motor.stops
                 q = min(max(q, low), high)
-        if q != data.qpos[self.at]:
-            data.qpos[self.at] = q
+        if q != data.qpos[self._at]:
+            data.qpos[self._at] = q
             data.qvel[self.dof] = 0.0
 
     def _inertia(self) -> float:
@@ -351,7 +342,7 @@ class _Joint:
     def _hold_if_asked(self) -> None:
         held = any(motor.stuck for motor in self.motors)
         if held and self._held is None:
-            self._held = float(self._world.data.qpos[self.at])
+            self._held = self.angle
         elif not held:
             self._held = None
 

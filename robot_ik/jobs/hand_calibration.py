@@ -14,7 +14,6 @@ from robot_ik.hardware.bus import read_all, shared_register
 from robot_ik.hardware.calibration import (
     ASKED_WIGGLE,
     STILL_TICKS,
-    Measured,
     OperatorError,
     Sweep,
     check_sweep,
@@ -100,8 +99,7 @@ def calibrate_by_hand(
         about = joint.text(ASKED_WIGGLE * joint.lever, 0)
         text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
         directions |= _step(person, text, sample, functools.partial(directions_of, joint, dict(sweep.now)))
-    measured = Measured(sweep, zero, pose, directions, limits)
-    return measured_calibration(bus, config, measured, sweep.now, timestamp())
+    return measured_calibration(bus, config, sweep, zero, pose, directions, limits)
 
 
 def _step(person: Person, text: str, sample: Callable[[], None], judge: Callable[[], Found]) -> Found:

@@ -122,7 +122,7 @@ def test_a_pulled_cable_is_a_fault_and_leaving_does_not_raise(arm_config, stream
     assert arm.state is ArmState.DISCONNECTED and len(arm.exit_report.unverified) == 6
     # The bus watchdog is what is left: the shafts stand.
     time.sleep(0.3)
-    assert all(s._tripped or s.torque for s in arm.virtual_bus.servos)
+    assert all(s.tripped or s.torque for s in arm.virtual_bus.servos)
 
 
 def test_an_arm_can_be_connected_again_after_a_fault(arm, stream, start):
