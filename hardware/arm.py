@@ -110,6 +110,7 @@ class Arm:
         self.state = ArmState.DISCONNECTED
         self.fault: HardwareError | None = None
         self.exit_report: ExitReport | None = None
+        self._real = virtual_bus is None
         self._shares_bus = False  # it was open when we came
         self._cycle = Cycle(config, bus, clock)
         self._park_at = park_at
@@ -150,7 +151,7 @@ class Arm:
         self._shares_bus = self.bus.is_open
         try:
             self.bus.open()
-            feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
+            feedback = verify(self.bus, self.config, real=self._real)
         except BaseException:
             self._close_bus()
             raise
@@ -173,12 +174,10 @@ class Arm:
             KeyboardInterrupt, SystemExit: The signal.
         """
         after = self._after("enable")
-        if self.virtual_bus is None:
+        if self._real:
             require_calibrated(self.config)
         if not self.config.stale_ms:
-            log.warning(
-                "stale_ms = 0: in a pause of the commands nothing holds the arm, and a loaded joint sinks"
-            )
+            log.warning("stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks")
         self._guard.install()
         first, self._energised = not self._energised, True
         try:
@@ -281,7 +280,7 @@ class Arm:
         """Goes to ``q`` within the caps and holds there; returns when the shafts have arrived.
 
         Args:
-            q: (n,) rad, or joint name -> rad.
+            q: As of ``send``.
             timeout: s; by default what the caps ask for and 2 s.
 
         Raises:
@@ -293,10 +292,8 @@ class Arm:
         if off.any():
             worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
             way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
-            raise HardwareError(
-                f"{worst.name!r} is still {way} from where it was sent",
-                hint="is something in its way?",
-            )
+            problem = f"{worst.name!r} is still {way} from where it was sent"
+            raise HardwareError(problem, hint="is something in its way?")
 
     def grip(
         self, q: float | Mapping[str, float], *, current: float | None = None, timeout: float | None = None
@@ -401,7 +398,7 @@ class Arm:
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
             joints = restart_faulty(self.bus, self.config, self.clock)
-            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
+            self._begin_anew(verify(self.bus, self.config, real=self._real), after)
             return joints
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -417,8 +414,8 @@ class Arm:
         """
         with self._lock:
             after = self._after("reconnect")
-            real = self.virtual_bus is None
-            self._begin_anew(find_again(self.bus, self.config, self.clock, timeout, real=real), after)
+            feedback = find_again(self.bus, self.config, self.clock, timeout, real=self._real)
+            self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
@@ -454,9 +451,8 @@ class Arm:
         if self.state is ArmState.ENABLED and self._streaming:
             # At rest after the last command of a motion this is nothing to report.
             moving = any(abs(speed) > _AT_REST for speed in self._cycle.limits.velocity)
-            log.log(
-                logging.WARNING if moving else logging.INFO, "no command for %.2f s: the arm is held", idle
-            )
+            level = logging.WARNING if moving else logging.INFO
+            log.log(level, "no command for %.2f s: the arm is held", idle)
             self._cycle.reports.stale += 1
             self._latching(self._cycle.hold)
             self.state = ArmState.HOLD

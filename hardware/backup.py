@@ -69,8 +69,7 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
     """Reads every register of every servo of the arm.
 
     Raises:
-        ServoMismatchError: Missing servos, or other models than the arm file's.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint.
+        ServoMismatchError: Missing servos, or other models than the arm file's.  Errors of the bus, by joint.
     """
     require_models(bus, {s.id: (s.name, s.table.number) for s in config.servos}, "the arm file")
     found = []
@@ -84,11 +83,7 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
 
 
 def save_backup(path: Path, arm: str, servos: Sequence[SavedServo]) -> None:
-    """Writes the file whole or not at all.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
+    """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
     rows = [asdict(servo) for servo in servos]
     content = {"schema": SCHEMA, "arm": arm, "created": timestamp(), "servos": rows}
     write_atomically(path, json.dumps(content, indent=1) + "\n")
@@ -136,8 +131,7 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     """EEPROM registers whose present value is not the saved one.  Writes nothing.
 
     Raises:
-        ServoMismatchError: A servo is missing, or another model.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+        ServoMismatchError: A servo is missing, or another model.  Errors of the bus.
     """
     require_models(bus, {s.id: (s.joint, s.model_number) for s in servos}, "the backup")
     found = []
@@ -176,8 +170,7 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     Raises:
         ServoMismatchError: A servo is missing, or another model; nothing was written.
         ArmStateError: Torque is on somewhere; nothing was written.
-        HardwareError: A register reads back otherwise.
-        BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+        HardwareError: A register reads back otherwise.  Errors of the bus.
     """
     changes = differences(bus, servos)
     tables = {servo.id: servo.table for servo in servos}

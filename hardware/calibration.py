@@ -238,7 +238,7 @@ def measured_calibration(
         limits: Joint -> limits of the model, rad (m).
     """
     names = ("firmware_version", "drive_mode", "homing_offset")
-    registers = [read_all(bus, config, name) for name in names]
+    firmware, drive_mode, homing = (read_all(bus, config, name) for name in names)
     check_shadows(config, directions, zero)
     rows = []
     for servo in config.servos:
@@ -252,7 +252,9 @@ def measured_calibration(
                 servo.name,
                 servo.id,
                 servo.model,
-                *(values[servo.id] for values in registers),
+                firmware[servo.id],
+                drive_mode[servo.id],
+                homing[servo.id],
                 sweep.low[servo.id],
                 sweep.high[servo.id],
                 direction,

@@ -388,7 +388,7 @@ def _edited(text: str, new: ArmConfig, file: Path) -> str:
             wanted = None
             if _JOINT.match(line):
                 joint = next(following, None)
-                wanted = joint and joint.zero_ticks
+                wanted = None if joint is None else joint.zero_ticks
             elif _TWIN.match(line) and joint is not None and joint.twin is not None:
                 wanted = joint.twin.zero_ticks
         elif wanted is not None and (found := _ZERO.match(line)):

@@ -202,13 +202,8 @@ class ArmConfig:
     ) -> ArmConfig:
         """An arm for any robot of hinges: XM430-W350 servos, ids 1..n, direct drive, many revolutions.
 
-        Args:
-            robot_name: Name or path of the robot.
-            joints: Joint names in the order of q.
-            lower: (n,) rad; infinite where the joint has no limit.
-            upper: (n,) rad.
-            velocity: (n,) or one number, rad/s.
-            acceleration: (n,) or one number, rad/s^2.
+        ``lower`` and ``upper``: (n,) rad, infinite where the joint has no limit; ``velocity``, rad/s, and
+        ``acceleration``, rad/s^2: (n,) or one number.
 
         Raises:
             ConfigError: More than 252 joints, or limits that make no sense.
@@ -403,7 +398,10 @@ _MEASURES = ("lower", "upper", "velocity", "acceleration", "profile_velocity", "
 def _joint_map(table: JointFile) -> JointMap:
     keys = dict(table)
     unit, one = ("mm", 1e-3) if isinstance(table, SlideFile) else ("deg", math.radians(1.0))
-    measures = {key: keys.pop(f"{key}_{unit}") for key in _MEASURES}
+    measures: dict[str, Any] = {}
+    for key in _MEASURES:
+        value = keys.pop(f"{key}_{unit}")
+        measures[key] = None if value is None else one * value
     pinion, horn, rod = (keys.pop(f"{part}_mm", None) for part in ("pinion", "horn", "rod"))
     return JointMap(
         mode=MODES[keys.pop("mode")],
@@ -411,7 +409,7 @@ def _joint_map(table: JointFile) -> JointMap:
         current_limit=keys.pop("current_limit_ma"),
         pinion=1e-3 * pinion if pinion else None,
         swing=SwingArm(1e-3 * horn, 1e-3 * rod) if horn and rod else None,
-        **{key: None if value is None else one * value for key, value in measures.items()},
+        **measures,
         **keys,
     )
 

@@ -201,23 +201,11 @@ def _register(row: Row) -> Register:
 
 def _indirect(blocks: list[Indirect]) -> Iterator[Register]:
     """Indirect Address k initially points at Indirect Data k (itself); it may point at RAM only."""
-    number, last = 0, max(block.data + block.count for block in blocks) - 1
-    for block in blocks:
-        for k in range(block.count):
-            number += 1
-            data = block.data + k
-            pointer = (
-                f"indirect_address_{number}",
-                block.addresses + 2 * k,
-                2,
-                "",
-                "address",
-                data,
-                64,
-                last,
-            )
-            yield _register(pointer)
-            yield _register((f"indirect_data_{number}", data, 1, "", "", 0, 0, 255))
+    last = max(block.data + block.count for block in blocks) - 1
+    pairs = [(b.addresses + 2 * k, b.data + k) for b in blocks for k in range(b.count)]
+    for number, (address, data) in enumerate(pairs, 1):
+        yield _register((f"indirect_address_{number}", address, 2, "", "address", data, 64, last))
+        yield _register((f"indirect_data_{number}", data, 1, "", "", 0, 0, 255))
 
 
 _DRIVE_BITS = {"reverse": REVERSE, "slave": SLAVE, "time_based": TIME_BASED, "torque_by_goal": TORQUE_BY_GOAL}

@@ -87,8 +87,7 @@ def scan(
         Servos by rate, then by id.
 
     Raises:
-        BusNotOpenError, BusDisconnectedError.
-        ConfigError: No servo talks at such a rate.
+        BusNotOpenError, BusDisconnectedError: Or no servo talks at such a rate.
     """
     found: list[FoundServo] = []
     for k, baud in enumerate(bauds):
@@ -187,7 +186,6 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
 # ------------------------------------------------------------------------------------------
 # A servo as bought gets its id and baud rate: alone on the wire, without torque, and read back.
 
-
 _CODES = {rate: code for code, rate in BAUD_RATES.items()}
 
 
@@ -215,19 +213,12 @@ def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
 
 
 def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
-    """Writes id and baud rate into a servo's EEPROM and asks it for both under its new address.
-
-    Args:
-        port: With this servo alone on it.
-        servo: As a scan found it.
-        id: 0..252.
-        baud: bits/s.
+    """Writes id and baud rate into the EEPROM of the only servo on a port, and asks it for both there.
 
     Raises:
         ConfigError: The model cannot have this id or rate.
         ArmStateError: Its torque is on.
-        HardwareError: It does not answer under the new address as it should.
-        BusNotOpenError, BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError.
+        HardwareError: It does not answer under the new address as it should; errors of the bus.
     """
     table = servo.table
     assert table is not None  # the_only_one has checked

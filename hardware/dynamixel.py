@@ -1,9 +1,9 @@
 """Servo bus over a serial port or pty: single requests by the Dynamixel SDK, the rest by ``packets``.
 
 The SDK builds, stuffs, finds and checks the packets of ``ping``, ``read``, ``write`` and ``reboot``.  What it
-leaves open is closed here and in ``wire``: a lock, a length check before any byte is decoded, retries with a
-bound.  Requests to many servos and their replies, those of a ping to all among them, are built and taken
-apart in ``packets``: quickly, and so that the replies which did arrive are kept, with their alert bits.
+leaves open is closed here and in ``Wire``: a lock, a length check before any byte is decoded, retries with a
+bound.  ``packets`` builds and takes apart requests to many servos: quickly, and so that the replies which did
+arrive are kept, with their alert bits.
 """
 
 from __future__ import annotations
@@ -32,10 +32,6 @@ from robot_ik.hardware.packets import (
     write_request,
 )
 from robot_ik.hardware.serial_port import QUIET, RESPONSE_TIME, SleepingPortHandler, Wire
-
-# ------------------------------------------------------------------------------------------
-# How long servos take to answer, learned from their replies: how long to wait, when to watch the port.
-
 
 MIN_TIMEOUT = 0.005
 """s; a servo has at least so long to answer, however quick it used to be: computers pause."""

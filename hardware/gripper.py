@@ -27,7 +27,6 @@ class Grip:
     """How a joint of a gripper came to rest.
 
     Attributes:
-        joint: Its name.
         asked, q: Where it was sent and where it stands, m (rad of a hinge).
         held: Something keeps it from where it was sent.
         current: How hard the motor presses, mA; None where the servo does not say.
@@ -43,9 +42,7 @@ class Grip:
 class Fingers:
     """Joints on their way to a grip.
 
-    Args:
-        config: The arm.
-        q: m (rad of a hinge) for every joint of the group ``gripper``, or joint name -> m.
+    ``q``: m (rad of a hinge) for every joint of the group ``gripper``, or joint name -> m.
 
     Attributes:
         goals: Joint -> where it is sent, within its range.
@@ -80,10 +77,8 @@ class Fingers:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
         at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
         sent = dict(zip(self._names, cycle.limits.q, strict=True))
-        moving = any(j.ticks_between(at[j.name], self._last[j.name]) > STILL_TICKS for j in self._joints)
-        if moving or any(
-            j.ticks_between(sent[j.name], self.goals[j.name]) > STILL_TICKS for j in self._joints
-        ):
+        pairs = ((at, self._last), (sent, self.goals))
+        if any(j.ticks_between(a[j.name], b[j.name]) > STILL_TICKS for a, b in pairs for j in self._joints):
             self._last, self._since = at, now
         return now - self._since >= REST
 

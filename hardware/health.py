@@ -65,14 +65,7 @@ _HEALTH, _MOTION = (
 
 
 def read_states(bus: ServoBus, servos: Sequence[JointMap]) -> list[ServoState]:
-    """Asks all servos.
-
-    Args:
-        bus: Open.
-        servos: Rows of an arm file; a second servo of a joint is a row of its own.
-
-    Returns:
-        A row for each, in the same order; ``answered`` is False of one that did not answer.
+    """Asks servos, each a row of its own, as ``ArmConfig.servos``; a row for each, in the same order.
 
     Raises:
         BusDisconnectedError, BusNotOpenError.
@@ -115,7 +108,6 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
 # ------------------------------------------------------------------------------------------
 # The doctor at the servos of a port: who is there, how they are, what to do about it.  Writes nothing.
 
-
 WATCHDOG_FIRMWARE = 38
 """First firmware of X servos with a Bus Watchdog."""
 
@@ -149,16 +141,9 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     for servo in config.servos:
         rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))
     known = set(config.servo_ids)
-    rows += [
-        CheckRow(
-            f"servo {f.id}",
-            NOTE,
-            f"{f.model} at {f.baud}: not in the arm file",
-            "unplug it, or add its joint",
-        )
-        for f in found
-        if f.id not in known
-    ]
+    for f in (f for f in found if f.id not in known):
+        problem = f"{f.model} at {f.baud}: not in the arm file"
+        rows.append(CheckRow(f"servo {f.id}", NOTE, problem, "unplug it, or add its joint"))
     return rows
 
 
@@ -202,10 +187,7 @@ def _response_time(port: str, servo: FoundServo) -> float | None:
 def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) -> CheckRow:
     what = f"servo {servo.id} {servo.name}"
     if not found:
-        do = (
-            "check its cable and power; a servo as bought has id 1: robot-ik servo setup --joint "
-            + servo.name
-        )
+        do = f"check its cable and power; as bought it has id 1: robot-ik servo setup --joint {servo.name}"
         return CheckRow(what, PROBLEM, f"no {servo.model} answers with this id at any rate", do)
     if len(found) > 1 or found[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
@@ -239,9 +221,8 @@ def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[s
         rows.append((PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do))
     if f.firmware is not None and "bus_watchdog" not in (f.table or servo.table):
         text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
-        rows.append(
-            (PROBLEM, text, "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near")
-        )
+        do = "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near"
+        rows.append((PROBLEM, text, do))
     hottest = servo.table["temperature_limit"].initial or 0
     if f.temperature is not None and f.temperature > hottest - _WARM:
         rows.append((NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"))

@@ -23,19 +23,9 @@ from robot_ik.hardware.control_table import (
     control_table,
 )
 
-MODES = {
-    "position": OperatingMode.POSITION,
-    "extended_position": OperatingMode.EXTENDED_POSITION,
-    "current_based_position": OperatingMode.CURRENT_BASED_POSITION,
-}
+_POSITION_MODES = ("POSITION", "EXTENDED_POSITION", "CURRENT_BASED_POSITION")
+MODES = {name.lower(): OperatingMode[name] for name in _POSITION_MODES}
 """Word in the arm file -> operating mode."""
-MODE_TICKS = {
-    OperatingMode.POSITION: (0, TICKS_PER_REVOLUTION - 1),
-    OperatingMode.EXTENDED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
-    OperatingMode.CURRENT_BASED_POSITION: (-MULTI_TURN_TICKS, MULTI_TURN_TICKS),
-}
-"""Operating mode -> smallest and largest goal, ticks."""
-
 POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 """Ticks of Homing Offset (register 20) beyond which servos in position mode ignore it
 (ROBOTIS-GIT/emanual _includes/en/dxl/control_table_homingoffset.md)."""
@@ -139,18 +129,11 @@ class Gains:
     @property
     def registers(self) -> dict[str, int]:
         """Name of the register -> value, of those given."""
-        return {_GAINS[key]: value for key, value in asdict(self).items() if value is not None}
+        given = {key: value for key, value in asdict(self).items() if value is not None}
+        return {f"{_NUMBERED.get(key, key)}_gain": value for key, value in given.items()}
 
 
-_GAINS = {
-    "position_p": "position_p_gain",
-    "position_i": "position_i_gain",
-    "position_d": "position_d_gain",
-    "velocity_p": "velocity_p_gain",
-    "velocity_i": "velocity_i_gain",
-    "feedforward_1": "feedforward_1st_gain",
-    "feedforward_2": "feedforward_2nd_gain",
-}
+_NUMBERED = {"feedforward_1": "feedforward_1st", "feedforward_2": "feedforward_2nd"}
 
 
 @dataclass(frozen=True)
@@ -278,15 +261,11 @@ class JointMap:
         other = self.twin
         if other is None:
             return (self,)
+        second = replace(self, id=other.id, twin=None, reverse=other.reverse)
         if other.shadow:
-            return (self, replace(self, id=other.id, twin=None, shadow_of=self.id, reverse=other.reverse))
-        return (
-            self,
-            replace(
-                self, id=other.id, twin=None, direction=other.direction, zero_ticks=other.zero_ticks,
-                reverse=bool(other.reverse),
-            ),
-        )  # fmt: skip
+            return (self, replace(second, shadow_of=self.id))
+        own = replace(second, direction=other.direction, zero_ticks=other.zero_ticks)
+        return (self, replace(own, reverse=bool(other.reverse)))
 
     @property
     def table(self) -> ControlTable:
@@ -369,7 +348,9 @@ class JointMap:
     @cached_property
     def reach(self) -> tuple[float, float]:
         """Smallest and largest q, rad (m), that mode and gear allow."""
-        ends = sorted(self.to_radians(ticks) for ticks in MODE_TICKS[self.mode])
+        single = self.mode == OperatingMode.POSITION
+        goals = (0, TICKS_PER_REVOLUTION - 1) if single else (-MULTI_TURN_TICKS, MULTI_TURN_TICKS)
+        ends = sorted(self.to_radians(ticks) for ticks in goals)
         if self.swing is not None:
             ends = [max(ends[0], self.swing.ends[0]), min(ends[1], self.swing.ends[1])]
         return ends[0], ends[1]

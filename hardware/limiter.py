@@ -130,29 +130,26 @@ class SafetyLimiter:
         self.commanded = size if commanded is None else commanded
         self._caps = tuple(zip(low.tolist(), high.tolist(), fast.tolist(), brisk.tolist(), strict=True))
 
-    def command(self, q: ArrayLike | Mapping[str, float], fill: Sequence[float]) -> tuple[float, ...]:
+    def command(
+        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float], size: int | None = None
+    ) -> tuple[float, ...]:
         """Checks a command without looking at the limits.
 
         Args:
-            q: (``commanded``,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
+            q: (``size``,) rad, or joint name -> rad; joints not named keep their value of ``fill``.
             fill: n angles, rad.
+            size: How many; ``commanded`` by default.
 
         Raises:
             UnsafeCommandError: NaN, infinity, wrong length, not numbers, unknown joint.
         """
-        return self._checked(q, fill, self.commanded)
-
-    def _checked(
-        self, q: ArrayLike | Mapping[str, float], fill: Sequence[float], size: int
-    ) -> tuple[float, ...]:
-        named = isinstance(q, Mapping)
+        size = self.commanded if size is None else size
         if isinstance(q, Mapping):
-            q = self._from_names(q, fill)
+            q, size = self._from_names(q, fill), self.size
         try:
             array = np.asarray(q, dtype=float)
         except (TypeError, ValueError):
             raise UnsafeCommandError(f"a command of {q!r}", f"{size} angles in radians") from None
-        size = self.size if named else size
         if array.shape != (size,):
             raise UnsafeCommandError(
                 f"a command of shape {array.shape}",
@@ -183,7 +180,7 @@ class SafetyLimiter:
         Raises:
             UnsafeCommandError: see ``command``; dt not positive and finite.
         """
-        wanted = self._checked(command, state.command, self.size)
+        wanted = self.command(command, state.command, self.size)
         if not (math.isfinite(dt) and dt > 0.0):
             raise UnsafeCommandError(f"a tick of {dt} s", "a positive time")
         if len(state.q) != self.size:

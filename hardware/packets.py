@@ -175,34 +175,27 @@ def _status(packet: bytes) -> StatusPacket | None:
     return StatusPacket(packet[4], body[0] & ~ALERT_BIT, bool(body[0] & ALERT_BIT), body[1:])
 
 
-class _FastLayout(NamedTuple):
-    """Layout of a fast status in which all servos asked have their part."""
-
-    head: bytes
-    spans: tuple[tuple[int, int, int], ...]
-    """Of each servo: its id, the first byte of its data, the first behind them; error and id lie before."""
-    total: int
-
-
 @lru_cache(maxsize=256)
-def _fast_layout(expected: tuple[tuple[int, int], ...]) -> _FastLayout:
+def _fast_layout(
+    expected: tuple[tuple[int, int], ...],
+) -> tuple[bytes, tuple[tuple[int, int, int], ...], int]:
+    """Of a fast status in which all servos asked have their part: its head, the servos, bytes in all.
+
+    Of each servo: its id, the first byte of its data, the first behind them; error and id lie before.
+    """
     spans, at = [], FAST_HEAD
     for id, size in expected:
         spans.append((id, at + 2, at + 2 + size))
         at += size + FAST_FRAME
     head = HEADER + bytes((BROADCAST_ID,)) + (at - 7).to_bytes(2, "little") + _STATUS
-    return _FastLayout(head, tuple(spans), at)
+    return head, tuple(spans), at
 
 
 def whole_fast_status(data: bytes, expected: tuple[tuple[int, int], ...]) -> list[bytes] | None:
     """Data of each servo where ``data`` are just one fast status with nothing wrong; the usual case, quickly.
 
-    Args:
-        data: All that came in.
-        expected: (id, bytes of data), in the order asked.
-
-    Returns:
-        None where anything is wrong, an error or an alert among it: then ``FastParser`` says what.
+    ``expected``: (id, bytes of data), in the order asked.  None where anything is wrong, an error or an alert
+    among it: then ``FastParser`` says what.
     """
     head, spans, total = _fast_layout(expected)
     # The last checksum runs over all bytes before it.
@@ -222,16 +215,13 @@ class FastParser:
     Every servo's checksum runs over all bytes before it, so behind a damaged byte no servo can be trusted,
     and behind a servo that is missing none answers.  What comes before is good.
 
-    Args:
-        expected: (id, bytes of data), in the order asked.
-
     Attributes:
         damaged: 1 when there is no use in waiting for more.
     """
 
     def __init__(self, expected: Sequence[tuple[int, int]]) -> None:
         self._expected = expected
-        self._total = _fast_layout(tuple(expected)).total
+        self._total = _fast_layout(tuple(expected))[2]
         self._buffer = b""
         self._next = self._at = self._crc = 0
         self.damaged = 0

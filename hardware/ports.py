@@ -20,11 +20,7 @@ _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
 
 
 def serial_ports(listed: Iterable[Any] | None = None) -> list[Any]:
-    """Serial ports of this machine behind which servos may be.
-
-    Args:
-        listed: Ports as pyserial lists them; asked for if None.
-    """
+    """Serial ports of this machine behind which servos may be; ``listed``: by pyserial, asked if None."""
     from serial.tools import list_ports
 
     found = list_ports.comports() if listed is None else listed
@@ -101,23 +97,16 @@ def serial_row(
 ) -> CheckRow:
     """One serial port: may it be used, is it in use, how late does it answer.
 
-    Args:
-        path: Its name.
-        about: Its description.
-        sys_root: Where Linux lists devices.
-        system: As ``sys.platform``.
-        vendor: Of the USB adapter, where known.
+    ``about``: its description; ``system``: as ``sys.platform``; ``vendor``: of the USB adapter, where known.
     """
     what = f"serial {path}"
+    # Windows has no files for ports: only opening one shows who may use it.
+    if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
+        return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
     if advice := _LATENCY_ADVICE.get(system):
-        # Windows has no files for ports: only opening one shows who may use it.
-        if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
-            return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
         late = vendor == _FTDI
         text = "; its latency timer cannot be read, as it comes it is 16 ms"
         return CheckRow(what, NOTE if late else OK, about + (text if late else ""), advice if late else "")
-    if not os.access(path, os.R_OK | os.W_OK):
-        return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
     users = named_users_of(path)
     if users:
         return CheckRow(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")

@@ -95,10 +95,10 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
             if row.restarted:
                 log.info("rebooting servo %d (%s)", servo.id, servo.name)
                 bus.reboot(servo.id)
-            elif row.before and row.silence is None:
+            elif row.before:
                 bus.write(servo.id, servo.table["bus_watchdog"], 0)
     return [
-        _state_after(bus, config, servo, row, clock) if row.before and row.silence is None else row
+        _state_after(bus, config, servo, row, clock) if row.before else row
         for row, servo in zip(found, config.servos, strict=True)
     ]
 

@@ -303,7 +303,7 @@ class Wire:
         return self._handler is not None
 
     def open(self) -> None:
-        """Raises ``BusNotOpenError``: missing, no serial port, not permitted, in use, or an impossible rate."""
+        """Raises ``BusNotOpenError``: missing, no serial port, not permitted, in use, an impossible rate."""
         with self._lock:
             if self._handler is not None:
                 return

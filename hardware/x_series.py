@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 # ------------------------------------------------------------------------------------------
 # What the motors of the X series can do: the manual's specification tables, as data.
 #
-# Source: ROBOTIS e-manual, _data/dxl_x_info.yml (stall torque, stall current, no load speed, gear ratio and
-# standby current at the recommended voltage), read on 2026-11-22.
+# Source: ROBOTIS e-manual, _data/dxl_x_info.yml (stall torque, stall current and no load speed at the
+# recommended voltage), read on 2026-11-22.
 
 
 RPM = 2.0 * math.pi / 60.0
@@ -29,8 +30,6 @@ class Motor:
         stall_torque: N m, and ``stall_current``, A, at ``volts``.
         no_load_rpm: rev/min at ``volts``.
         volts: At which these were measured, V.
-        gear_ratio: Revolutions of the motor for one of the shaft.
-        standby: Current without torque, A.
         sensed_at_supply: Present Current is what the supply gives, not what flows through the motor.
     """
 
@@ -38,8 +37,6 @@ class Motor:
     stall_current: float
     no_load_rpm: float
     volts: float
-    gear_ratio: float
-    standby: float
     sensed_at_supply: bool = False
 
     @property
@@ -55,22 +52,6 @@ class Motor:
     def no_load_speed(self) -> float:
         """rad/s at ``volts``."""
         return self.no_load_rpm * RPM
-
-
-XL330_M077 = Motor(0.215, 1.47, 383.0, 5.0, 77.5, 0.017)
-XL330_M288 = Motor(0.52, 1.47, 103.0, 5.0, 288.4, 0.017)
-XC330_M181 = Motor(0.60, 1.80, 129.0, 5.0, 180.62, 0.017, sensed_at_supply=True)
-XC330_M288 = Motor(0.93, 1.80, 81.0, 5.0, 288.35, 0.017, sensed_at_supply=True)
-XC330_T181 = Motor(0.76, 0.80, 104.0, 11.1, 180.62, 0.017, sensed_at_supply=True)
-XC330_T288 = Motor(0.92, 0.80, 65.0, 11.1, 288.35, 0.017, sensed_at_supply=True)
-XL430_W250 = Motor(1.4, 1.3, 57.0, 11.1, 258.5, 0.052)
-XC430_W150 = Motor(1.6, 1.4, 106.0, 12.0, 159.59, 0.046)
-XC430_W240 = Motor(1.9, 1.4, 70.0, 12.0, 245.22, 0.046)
-XM430_W210 = Motor(3.0, 2.3, 77.0, 12.0, 212.6, 0.040)
-XM430_W350 = Motor(4.1, 2.3, 46.0, 12.0, 353.5, 0.040)
-XM540_W150 = Motor(7.3, 4.4, 53.0, 12.0, 152.3, 0.040)
-XM540_W270 = Motor(10.6, 4.4, 30.0, 12.0, 272.5, 0.040)
-XH540_W150 = Motor(7.1, 4.9, 70.0, 12.0, 152.3, 0.040)
 
 
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.
@@ -256,7 +237,7 @@ class Model:
     changed: Mapping[str, Mapping[str, object]]
     added: tuple[Row, ...] = ()
     removed: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 # ------------------------------------------------------------------------------------------
@@ -314,12 +295,7 @@ def _gains(velocity_i: int, velocity_p: int, position_d: int, position_i: int, p
 
 
 def _metal(
-    number: int,
-    family: ServoFamily,
-    motor: Motor,
-    current: int,
-    velocity: int,
-    added: tuple[Row, ...] = (),
+    number: int, family: ServoFamily, motor: Motor, current: int, velocity: int, added: tuple[Row, ...] = ()
 ) -> Model:
     """XM430, XM540 and XH540."""
     changed = {
@@ -341,16 +317,26 @@ def _without_current(
     return Model(number, FAMILY_430, (1, 3, 4, 16), 12.0, motor, changed, (load,), removed)
 
 
+class _Supply(NamedTuple):
+    """What the small servos of one voltage have in common: V, limits, PWM Slope."""
+
+    volts: float
+    limits: Changes
+    slope: Row
+
+
+_FIVE = _Supply(5.0, _voltage((70, 35), 31, 70), ("pwm_slope", 62, 1, "", "1.977 mV/ms", 140, 1, 255))
+_TWELVE = _Supply(12.0, _voltage((140, 55), 55, 140), ("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255))
+
+
 def _small(
     number: int,
     motor: Motor,
-    supply: float,
-    volts: Changes,
+    supply: _Supply,
     current: int,
     velocity: int,
-    slope: tuple[int, str],
-    shutdown: int,
     gains: Changes,
+    shutdown: int = 52,
     notes: tuple[str, ...] = (),
 ) -> Model:
     """XL330 and XC330."""
@@ -359,69 +345,54 @@ def _small(
         "protocol_type": {"minimum": 2, "maximum": 22},
         "temperature_limit": {"initial": 70},
         "shutdown": {"initial": shutdown},
-        **volts,
+        **supply.limits,
         **_velocity(velocity, 2047),
         **_current(current, "1 mA"),
         **gains,
     }
-    added: tuple[Row, ...] = (("pwm_slope", 62, 1, "", slope[1], slope[0], 1, 255),)
-    return Model(number, FAMILY_330, _CURRENT_MODES, supply, motor, changed, added, notes=notes)
+    return Model(
+        number, FAMILY_330, _CURRENT_MODES, supply.volts, motor, changed, (supply.slope,), notes=notes
+    )
 
-
-_FIVE_VOLTS = _voltage((70, 35), 31, 70)
-_TWELVE_VOLTS = _voltage((140, 55), 55, 140)
-_SLOPE_5, _SLOPE_12 = (140, "1.977 mV/ms"), (255, "3.955 mV/ms")
 
 MODELS: Mapping[str, Model] = {
     "XL430-W250": _without_current(
-        1060,
-        XL430_W250,
-        _voltage((140, 60), 60, 140),
-        265,
-        _gains(1000, 100, 4000, 0, 640),
+        1060, Motor(1.4, 1.3, 57.0, 11.1), _voltage((140, 60), 60, 140), 265, _gains(1000, 100, 4000, 0, 640),
         {"temperature_limit": {"initial": 72}},
     ),
     "XC430-W150": _without_current(
-        1070,
-        XC430_W150,
-        _voltage((160, 60), 60, 160),
-        460,
-        _gains(1920, 100, 0, 0, 460),
+        1070, Motor(1.6, 1.4, 106.0, 12.0), _voltage((160, 60), 60, 160), 460, _gains(1920, 100, 0, 0, 460),
         {"moving_threshold": {"initial": 20}},
     ),
     "XC430-W240": _without_current(
-        1080, XC430_W240, _voltage((160, 60), 60, 160), 306, _gains(1920, 100, 0, 0, 700)
+        1080, Motor(1.9, 1.4, 70.0, 12.0), _voltage((160, 60), 60, 160), 306, _gains(1920, 100, 0, 0, 700)
     ),
-    "XM430-W210": _metal(1030, FAMILY_430, XM430_W210, 1193, 330),
-    "XM430-W350": _metal(1020, FAMILY_430, XM430_W350, 1193, 200),
-    "XH540-W150": _metal(1110, FAMILY_540, XH540_W150, 2047, 300, EXTERNAL_PORTS),
-    "XM540-W150": _metal(1130, FAMILY_540, XM540_W150, 2047, 230, EXTERNAL_PORTS),
-    "XM540-W270": _metal(1120, FAMILY_540, XM540_W270, 2047, 128, EXTERNAL_PORTS),
+    "XM430-W210": _metal(1030, FAMILY_430, Motor(3.0, 2.3, 77.0, 12.0), 1193, 330),
+    "XM430-W350": _metal(1020, FAMILY_430, Motor(4.1, 2.3, 46.0, 12.0), 1193, 200),
+    "XH540-W150": _metal(1110, FAMILY_540, Motor(7.1, 4.9, 70.0, 12.0), 2047, 300, EXTERNAL_PORTS),
+    "XM540-W150": _metal(1130, FAMILY_540, Motor(7.3, 4.4, 53.0, 12.0), 2047, 230, EXTERNAL_PORTS),
+    "XM540-W270": _metal(1120, FAMILY_540, Motor(10.6, 4.4, 30.0, 12.0), 2047, 128, EXTERNAL_PORTS),
     "XL330-M077": _small(
-        1190,
-        XL330_M077,
-        5.0,
-        _FIVE_VOLTS,
-        1750,
-        1620,
-        _SLOPE_5,
-        53,
-        _gains(400, 40, 0, 400, 400),
-        notes=("Position I Gain 400 is what its page says, alone of all models; it may be a misprint.",),
+        1190, Motor(0.215, 1.47, 383.0, 5.0), _FIVE, 1750, 1620, _gains(400, 40, 0, 400, 400), 53,
+        ("Position I Gain 400 is what its page says, alone of all models; it may be a misprint.",),
     ),
     "XL330-M288": _small(
-        1200, XL330_M288, 5.0, _FIVE_VOLTS, 1750, 445, _SLOPE_5, 53, _gains(1600, 180, 0, 0, 400)
+        1200, Motor(0.52, 1.47, 103.0, 5.0), _FIVE, 1750, 445, _gains(1600, 180, 0, 0, 400), 53,
     ),
     "XC330-M181": _small(
-        1230, XC330_M181, 5.0, _FIVE_VOLTS, 2352, 545, _SLOPE_5, 52, _gains(1400, 100, 500, 0, 1200)
+        1230, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True),
+        _FIVE, 2352, 545, _gains(1400, 100, 500, 0, 1200),
     ),
     "XC330-M288": _small(
-        1240, XC330_M288, 5.0, _FIVE_VOLTS, 2352, 350, _SLOPE_5, 52, _gains(1600, 50, 500, 0, 1100)
+        1240, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True),
+        _FIVE, 2352, 350, _gains(1600, 50, 500, 0, 1100),
     ),
     "XC330-T181": _small(
-        1210, XC330_T181, 12.0, _TWELVE_VOLTS, 910, 510, _SLOPE_12, 52, _gains(1200, 40, 0, 0, 900)
+        1210, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True),
+        _TWELVE, 910, 510, _gains(1200, 40, 0, 0, 900),
     ),
     "XC330-T288": _small(
-        1220, XC330_T288, 12.0, _TWELVE_VOLTS, 910, 320, _SLOPE_12, 52, _gains(1200, 40, 0, 0, 900)
+        1220, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True),
+        _TWELVE, 910, 320, _gains(1200, 40, 0, 0, 900),
     ),
-}
+}  # fmt: skip

@@ -140,11 +140,7 @@ class VirtualBus:
         self._wake()
 
     def clear(self, kind: str | None = None) -> int:
-        """Takes faults back, the last first, all or those of one kind; servos that shut down restart.
-
-        Returns:
-            How many there were.
-        """
+        """Takes back faults, all or of one kind, the last first; servos that shut down restart.  How many."""
         with self.lock:
             chosen = [one for one in self._injected if not one.over and kind in (None, one.fault.kind)]
             for one in reversed(chosen):
@@ -197,11 +193,9 @@ class VirtualBus:
         return self.respond(data, baud).data
 
     def respond(self, data: bytes, baud: int | None = None) -> VirtualResponse:
-        """Takes bytes from the host, gives back what the servos send.
+        """Takes bytes from the host, any piece of any number of packets; gives back what the servos send.
 
-        Args:
-            data: Any piece of any number of packets.
-            baud: Bits/s of the host; servos set to another rate hear nothing.  ``None``: all hear.
+        ``baud``: bits/s of the host; servos set to another rate hear nothing.  None: all hear.
         """
         with self.lock:
             self.advance()

@@ -22,11 +22,6 @@ _NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *motor.TORQUE_MODES))
 class Controller:
     """The firmware's own affairs.
 
-    Args:
-        memory: Registers.
-        shaft: What they move.
-        clock: The only source of time.
-
     Attributes:
         electrics: Temperature and strain of the motor.
         booted: When power came, s; ``heard``: when the last instruction packet went over the bus, s.

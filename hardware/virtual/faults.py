@@ -1,20 +1,7 @@
 """What can go wrong on a virtual bus: a ``Fault`` is of a kind of ``FAULTS``, on a servo or bus, for a time.
 
 A row of ``FAULTS`` is all there is of a kind: files, scripts, the command line and the table in the docs
-take names, values and help from it.  A file of faults::
-
-    schema = 1
-    seed = 7
-
-    [[faults]]
-    kind = "silent"       # a name in FAULTS
-    joint = "joint3"      # or id = 3; neither: every servo
-    at_s = 2.0            # or at_packet = 100; neither: at once
-    for_s = 0.05          # or for_packets = 1; neither: for good
-
-    [[faults]]
-    kind = "corrupt"
-    value = 0.001
+take names, values and help from it.  A file of faults: ``docs/how-to/virtual_bus.md``.
 """
 
 from __future__ import annotations
@@ -83,11 +70,7 @@ class Kind:
         return "" if self.low is None or self.high is None else f"{whole}{self.low:.10g}..{self.high:.10g}"
 
     def require(self, value: float | None) -> None:
-        """Refuses a value that is missing, out of range, or none of its own.
-
-        Raises:
-            WrongKey: With what is allowed.
-        """
+        """Raises ``WrongKey`` for a value that is missing, out of range, or none of its own."""
         if not self.span:
             if value is not None:
                 raise WrongKey(f"{value:g} is given to a fault that takes no value", "value", "nothing")
@@ -141,11 +124,7 @@ class Fault:
         kind.require(self.value)
 
     def require_servo(self, config: ArmConfig) -> None:
-        """Checks that the arm has this servo.
-
-        Raises:
-            WrongKey: It has not.
-        """
+        """Raises ``WrongKey`` where the arm has no such servo."""
         names, ids = config.whole.names, config.servo_ids
         if self.joint is not None and self.joint not in names:
             raise WrongKey.unknown("joint", self.joint, names, "joint")
@@ -159,14 +138,9 @@ def joint_offset(joint: JointMap, degrees: float) -> Fault:
 
 
 class Injected:
-    """A fault on a bus: on its way, happening or over.  The bus holds its lock.
+    """A fault on a bus: on its way, happening or over.  Times and packets count from now.
 
-    Args:
-        fault: What; times and packets count from now.
-        bus: Where.
-
-    Raises:
-        KeyError: There is no such servo.
+    The bus holds its lock; raises its ``KeyError`` where there is no such servo.
     """
 
     def __init__(self, fault: Fault, bus: VirtualBus) -> None:
@@ -214,9 +188,7 @@ class Injected:
 class _Override:
     """A value laid over a target's own: of several the one that began last, while it lasts.
 
-    Args:
-        read, write: The value of a servo or bus.
-        convert: From the fault's value to what is written.
+    ``read`` and ``write`` the value of a servo or bus; ``convert`` makes it of the fault's value.
     """
 
     def __init__(
@@ -252,9 +224,7 @@ def _attribute(name: str, convert: Callable[[float], Any] = lambda _: True) -> _
 
 def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
     """A register, behind the host's back."""
-    return _Override(
-        lambda servo: servo.memory.get(name), lambda servo, value: servo.memory.set(name, value), convert
-    )
+    return _Override(lambda it: it.memory.get(name), lambda it, value: it.memory.set(name, value), convert)
 
 
 def _chance(name: str) -> _Override:
@@ -263,8 +233,7 @@ def _chance(name: str) -> _Override:
 
 
 def _baud_code(rate: float) -> int:
-    codes = {bits: code for code, bits in BAUD_RATES.items()}
-    return codes[min(codes, key=lambda bits: abs(bits - rate))]
+    return min(BAUD_RATES, key=lambda code: abs(BAUD_RATES[code] - rate))
 
 
 def _shutdown(name: str) -> Apply:
@@ -364,13 +333,7 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
 
 
 class FaultFile(Table):
-    """A file of faults.
-
-    Attributes:
-        version: ``schema`` in the file (the name is taken in pydantic's base class).
-        seed: Of the wire's random faults.
-        faults: In order.
-    """
+    """A file of faults; ``seed``: of the wire's random ones."""
 
     version: Annotated[Literal[1], Field(alias="schema")]
     seed: int = 0
@@ -391,32 +354,19 @@ def parse_faults(text: str, config: ArmConfig, file: Path | str = "<text>") -> F
     """The same from text; ``file`` appears in errors."""
     found = check_table(FaultFile, parse_toml(text, file), file)
     for k, fault in enumerate(found.faults):
-        _check(fault, config, file, f"faults[{k}]")
+        make_fault(config, file, f"faults[{k}]", **dataclasses.asdict(fault))
     return found
 
 
 def make_fault(config: ArmConfig, file: Path | str = "<text>", at: str = "fault", **keys: Any) -> Fault:
-    """The fault of these keys, checked as in a file of faults.
-
-    Args:
-        config: The arm.
-        file: For messages.
-        at: Where in the file the fault stands.
-        **keys: Of ``Fault``; those that are None are left out.
+    """The fault of these keys of ``Fault``, None left out, checked as in a file of faults.
 
     Raises:
-        ConfigError: No such kind, servo or value.
+        ConfigError: No such kind, servo or value; ``file`` and where the fault stands ``at`` in it are named.
     """
     try:
         fault = Fault(**{name: value for name, value in keys.items() if value is not None})
-    except WrongKey as wrong:
-        raise wrong.within((), at).in_file(file) from None
-    _check(fault, config, file, at)
-    return fault
-
-
-def _check(fault: Fault, config: ArmConfig, file: Path | str, at: str) -> None:
-    try:
         fault.require_servo(config)
     except WrongKey as wrong:
         raise wrong.within((), at).in_file(file) from None
+    return fault

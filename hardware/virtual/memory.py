@@ -9,6 +9,7 @@ from robot_ik.hardware.virtual.protocol import ErrorCode
 from robot_ik.hardware.x_series import TIME_BASED
 
 Checker = Callable[[Register, int], ErrorCode]
+"""A servo's own rule for a register and a value."""
 
 GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
 FEEDFORWARD = ("feedforward_2nd_gain", "feedforward_1st_gain")
@@ -23,9 +24,6 @@ def _pointer(register: Register) -> bool:
 
 class Memory:
     """Bytes of one servo.
-
-    Args:
-        table: Which registers there are.
 
     Attributes:
         first_indirect: Address of the first byte that may stand for another.
@@ -102,11 +100,7 @@ class Memory:
     ) -> tuple[list[tuple[Register, int]], ErrorCode]:
         """What a write would set, after every check; all of it is good or none is done.
 
-        Args:
-            address: First byte.
-            data: Bytes to write.
-            locked: EEPROM is locked (torque is on).
-            check: The servo's own rule for a register and a value.
+        ``locked``: EEPROM is (torque is on).
         """
         register = self._at.get(address)
         if register is not None and register.size == len(data) and address not in self._pointers:

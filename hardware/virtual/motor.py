@@ -67,10 +67,6 @@ class Load:
 class Electrics:
     """Temperature and strain of one motor over time, and its electrical readings.
 
-    Args:
-        motor: Constants.
-        now: Time, s.
-
     Attributes:
         temperature: C.
         strain: 0 fresh .. 1 overloaded.
@@ -141,10 +137,8 @@ def _at(piece: _Piece, t: float) -> tuple[float, float]:
 class MotorMotion:
     """A planned motion.  Plain, for one is made for every goal that comes over the bus.
 
-    Args:
-        pieces: In order of time; the last one goes on for ever.
-        end: When it is over, s; infinite for turning at a velocity.
-        kind: As Moving Status reports it.
+    ``pieces`` in order of time, the last one goes on for ever; ``end``: when it is over, s, infinite for
+    turning at a velocity; ``kind``: as Moving Status reports it.
     """
 
     __slots__ = ("end", "kind", "pieces")
@@ -199,14 +193,8 @@ def move(
     A start that is faster than ``top`` first slows down to it; one that can no longer stop in time overshoots
     and comes back.
 
-    Args:
-        t: Start, s.
-        position: There.
-        velocity: There.
-        goal: Where it ends.
-        top: Cruising speed, > 0.
-        acceleration: Of both ramps, > 0.
-        kind: What to report; ``None``: triangular or trapezoidal, as it comes out.
+    ``top``: cruising speed, > 0; ``acceleration``: of both ramps, > 0; ``kind``: what to report, None:
+    triangular or trapezoidal, as it comes out.
     """
     distance = goal - position
     spare = distance - 0.5 * velocity * abs(velocity) / acceleration
@@ -274,14 +262,8 @@ def torque_control(
 ) -> MotorMotion:
     """Current and PWM mode without a model of the arm: speeds up to where the motor has no torque to spare.
 
-    Args:
-        now: s.
-        position: Encoder ticks.
-        velocity: Ticks/s.
-        torque: What the motor gives at a stand, N m, in encoder direction.
-        load: What it works against; taken where the motion begins.
-        memory: Registers.
-        volts: Supply.
+    ``torque``: what the motor gives at a stand, N m, in encoder direction; ``load``: taken where the motion
+    begins.
     """
     motor = memory.table.motor
     stall = motor.stall_at(volts)
@@ -309,15 +291,7 @@ def position_control(
 
     Profile Velocity 0 is a step, Profile Acceleration 0 a rectangle: both are as steep as the motor allows.
     Time-based profiles (Drive Mode bit 2) keep their times from a stand; a new goal on the fly uses the same
-    cruising speed and ramps.
-
-    Args:
-        now: s.
-        position: Encoder ticks.
-        velocity: Ticks/s.
-        goal: Encoder ticks.
-        memory: Registers.
-        physical_top: Speed of the motor and of Velocity Limit, ticks/s.
+    cruising speed and ramps.  ``physical_top``: speed of the motor and of Velocity Limit, ticks/s.
     """
     fastest, steepness = memory.get("profile_velocity"), memory.get("profile_acceleration")
     if fastest == 0:

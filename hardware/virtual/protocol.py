@@ -69,8 +69,6 @@ def _crc_table() -> tuple[int, ...]:
 
 
 _CRC_TABLE = _crc_table()
-
-
 # Of two bytes at once: the remainder of any 16 bits is one entry.
 _CRC_PAIRS = tuple(
     ((_CRC_TABLE[high] << 8) & 0xFF00) ^ _CRC_TABLE[(_CRC_TABLE[high] >> 8) ^ low]
@@ -101,19 +99,12 @@ def unstuff(body: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Packet:
-    """A packet as it arrived.
-
-    Attributes:
-        id: Servo id, or ``BROADCAST``.
-        instruction: An ``Instruction``, or a number that none of them has.
-        params: Unstuffed parameters; those of a status begin with its error byte.
-        valid: The checksum was right; if not, nothing else can be trusted.
-    """
+    """A packet as it arrived."""
 
     id: int
-    instruction: int
-    params: bytes
-    valid: bool = True
+    instruction: int  # or a number that no ``Instruction`` has
+    params: bytes  # unstuffed; those of a status begin with its error byte
+    valid: bool = True  # the checksum was right; if not, nothing else can be trusted
 
     @property
     def is_status(self) -> bool:
@@ -122,17 +113,14 @@ class Packet:
 
     @property
     def error(self) -> int:
-        """Error number of a status packet."""
         return self.params[0] & 0x7F
 
     @property
     def alert(self) -> bool:
-        """The servo has a hardware error."""
         return bool(self.params[0] & ALERT)
 
     @property
     def data(self) -> bytes:
-        """Data of a status packet."""
         return self.params[1:]
 
 
@@ -151,10 +139,8 @@ def build_status(id: int, error: int, data: bytes = b"") -> bytes:
 def build_fast_status(parts: Sequence[tuple[int, int, bytes]], expected: int) -> bytes:
     """The one packet in which several servos answer a fast read, each adding its part behind the last.
 
-    Args:
-        parts: (error byte, id, data) of each servo in the order asked.
-        expected: How many bytes the whole packet will have if everyone answers.  The first servo writes the
-            header with that length; a servo that keeps silent silences all behind it and leaves a torso.
+    ``parts``: (error byte, id, data) of each in the order asked.  The first servo writes the header with the
+    length that is ``expected`` if all answer; a silent one silences those behind it: a torso is left.
     """
     packet = HEADER + bytes([BROADCAST]) + (expected - 7).to_bytes(2, "little") + bytes([Instruction.STATUS])
     for error, id, data in parts:

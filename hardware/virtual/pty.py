@@ -104,16 +104,13 @@ class PtyPort:
         self.close()
 
     def client_baud(self) -> int:
-        """Bits/s the client has set the port to; 0 if it is not known."""
         return _baud_of(self._master)
 
     def _wake(self) -> None:
-        """Lets the thread look at what has changed."""
         if not self._closed.is_set():
             os.write(self._wake_writer, b"x")
 
     def _plug_in(self) -> None:
-        """Makes the pty and the link to it."""
         self._master, self._slave = os.openpty()
         try:
             # Raw before anyone opens it: else the line discipline echoes and swallows bytes.
@@ -221,11 +218,7 @@ def _baud_of(handle: int) -> int:
 
 
 def _make_link(link: Path, path: str) -> None:
-    """Makes or replaces a symbolic link in one step, so that a client finds the old one or the new one.
-
-    Raises:
-        OutputError: Something else has this name, or the folder is not writable.
-    """
+    """Makes or replaces a symbolic link in one step, so that a client finds the old one or the new one."""
     if os.path.lexists(link) and not link.is_symlink():
         raise OutputError(
             f"{link} exists and is not a symbolic link; it stays as it is", hint="choose another --link"

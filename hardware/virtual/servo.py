@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 
 from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_REVOLUTION, OperatingMode, control_table
 from robot_ik.hardware.virtual.controller import Controller
@@ -97,12 +96,10 @@ class VirtualServo:
 
     @property
     def id(self) -> int:
-        """The ID register."""
         return self.memory.values["id"]
 
     @property
     def baud(self) -> int:
-        """Bits/s by the Baud Rate register."""
         return BAUD_RATES[self.memory.get("baud_rate")]
 
     @property
@@ -144,7 +141,6 @@ class VirtualServo:
 
     @property
     def stuck(self) -> bool:
-        """See the class."""
         return self.shaft.stuck_at is not None
 
     @stuck.setter
@@ -253,6 +249,10 @@ class VirtualServo:
         self.ready_at = self.controller.booted + self.reboot_time
         if startup & _TORQUE_AT_START and not self.off:
             self.controller.torque_on()
+
+    def guards_reset(self, params: bytes) -> bool:
+        """It ignores a broadcast factory reset of everything."""
+        return params == b"\xff" and "guarded_reset" in self.table.abilities
 
     def factory_reset(self, option: int) -> ErrorCode:
         """0xFF: everything; 1: all but the id; 2: all but id and baud rate.  Then a reboot."""
@@ -366,53 +366,38 @@ def bulk_writes(params: bytes) -> list[Order]:
     return found
 
 
-def _ping(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    data, _ = servo.read(0, 2)
-    firmware, _ = servo.read(6, 1)
-    return ErrorCode.NONE, data + firmware
-
-
-def _read(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    if len(params) != 4:
-        return ErrorCode.DATA_LENGTH, b""
-    data, error = servo.read(word(params, 0), word(params, 2))
-    return error, data
-
-
-def _factory_reset(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    return (servo.factory_reset(params[0]) if len(params) == 1 else ErrorCode.DATA_LENGTH), b""
-
-
-def _reboot(servo: VirtualServo, params: bytes) -> tuple[ErrorCode, bytes]:
-    servo.reboot()
-    return ErrorCode.NONE, b""
-
-
-SINGLE: Mapping[int, Callable[[VirtualServo, bytes], tuple[ErrorCode, bytes]]] = MappingProxyType(
-    {
-        Instruction.PING: _ping,
-        Instruction.READ: _read,
-        Instruction.WRITE: lambda servo, params: (servo.write(word(params, 0), params[2:]), b""),
-        Instruction.REG_WRITE: lambda servo, params: (servo.reg_write(word(params, 0), params[2:]), b""),
-        Instruction.ACTION: lambda servo, params: (servo.action(), b""),
-        Instruction.FACTORY_RESET: _factory_reset,
-        Instruction.REBOOT: _reboot,
-        Instruction.CLEAR: lambda servo, params: (servo.clear(params), b""),
-        Instruction.CONTROL_TABLE_BACKUP: lambda servo, params: (servo.control_table_backup(params), b""),
-    }
-)
-"""Instruction to one servo, or to all -> what a servo does; gives its error number and data."""
-
-
 def execute(
     servo: VirtualServo, instruction: int, params: bytes, *, broadcast: bool
 ) -> tuple[ErrorCode, bytes]:
-    """What ``servo`` does on an instruction that is meant for it, and replies if it may."""
-    guarded = broadcast and params == b"\xff" and "guarded_reset" in servo.table.abilities
-    if instruction == Instruction.FACTORY_RESET and guarded:
-        return ErrorCode.RESULT_FAIL, b""
-    action = SINGLE.get(instruction)
-    return action(servo, params) if action else (ErrorCode.INSTRUCTION, b"")
+    """What ``servo`` does on an instruction that is meant for it, to it alone or to all: error and data."""
+    error = ErrorCode.NONE
+    match instruction:
+        case Instruction.PING:
+            return error, servo.read(0, 2)[0] + servo.read(6, 1)[0]
+        case Instruction.READ if len(params) == 4:
+            data, error = servo.read(word(params, 0), word(params, 2))
+            return error, data
+        case Instruction.WRITE:
+            error = servo.write(word(params, 0), params[2:])
+        case Instruction.REG_WRITE:
+            error = servo.reg_write(word(params, 0), params[2:])
+        case Instruction.ACTION:
+            error = servo.action()
+        case Instruction.FACTORY_RESET if broadcast and servo.guards_reset(params):
+            error = ErrorCode.RESULT_FAIL
+        case Instruction.FACTORY_RESET if len(params) == 1:
+            error = servo.factory_reset(params[0])
+        case Instruction.READ | Instruction.FACTORY_RESET:
+            error = ErrorCode.DATA_LENGTH
+        case Instruction.REBOOT:
+            servo.reboot()
+        case Instruction.CLEAR:
+            error = servo.clear(params)
+        case Instruction.CONTROL_TABLE_BACKUP:
+            error = servo.control_table_backup(params)
+        case _:
+            error = ErrorCode.INSTRUCTION
+    return error, b""
 
 
 def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo]]:
@@ -425,14 +410,9 @@ def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo
 
 
 def fast_status_packets(requests: list[Request], able: Mapping[int, list[VirtualServo]]) -> list[bytes]:
-    """The packet in which those asked answer together, ended before the first that is missing.
+    """The packet in which those asked answer together, ended before the first that is not ``able`` (by id).
 
-    Args:
-        requests: Who is asked what.
-        able: Servos that can answer so, by id.
-
-    Returns:
-        Nothing, one packet, or as many as there are servos with one id: they talk over each other.
+    Nothing, one packet, or as many as there are servos with one id: they talk over each other.
     """
     expected = 8 + sum(length + 4 for _, _, length in requests)
     if expected > MAX_PACKET:

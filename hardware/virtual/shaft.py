@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
+from robot_ik.hardware.joint_map import POSITION_MODE_HOMING
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.memory import Memory
 from robot_ik.hardware.virtual.motor import (
@@ -22,8 +23,6 @@ from robot_ik.hardware.virtual.motor import (
 from robot_ik.hardware.x_series import REVERSE, SLAVE
 from robot_ik.ports import Clock
 
-# Homing Offset beyond a quarter revolution is ignored in position mode.
-_POSITION_MODE_HOMING = TICKS_PER_REVOLUTION // 4
 _IN_POSITION_TICKS = 2.0
 _FOLLOWING_ERROR_TICKS = 50.0
 # PWM counts of 885 that a tick of error gives, for each count of Position P Gain.
@@ -143,19 +142,15 @@ class Shaft:
         }
 
     def position_register(self) -> int:
-        """Present Position."""
         return round(self.reading)
 
     def velocity_register(self) -> int:
-        """Present Velocity, units of 0.229 rev/min."""
         return self.sign * round(self._actual()[1] / VELOCITY_TICKS)
 
     def position_trajectory(self) -> int:
-        """Where the profile wants it, ticks."""
         return round(self._to_reading(self._planned()[0]))
 
     def velocity_trajectory(self) -> int:
-        """How fast the profile wants it, units of 0.229 rev/min."""
         return self.sign * round(self._planned()[1] / VELOCITY_TICKS)
 
     def moving_status(self) -> int:
@@ -244,7 +239,7 @@ class Shaft:
         offset = self._values["homing_offset"]
         if not offset:
             return 0
-        ignored = self._mode == OperatingMode.POSITION and abs(offset) > _POSITION_MODE_HOMING
+        ignored = self._mode == OperatingMode.POSITION and abs(offset) > POSITION_MODE_HOMING
         return 0 if ignored else offset
 
     def _planned(self) -> tuple[float, float]:

@@ -17,9 +17,6 @@ Action = Callable[[], None]
 class WireSchedule:
     """Actions in the order of their time.  Not locked by itself: the bus does that.
 
-    Args:
-        clock: Whose time it is.
-
     Attributes:
         packets: Instruction packets so far.
         upcoming: Number of the packet that is handled next; within ``count`` that is the one counted.
@@ -49,12 +46,10 @@ class WireSchedule:
         heapq.heappush(self._counted, (number, self._number, action))
 
     def run(self) -> None:
-        """Does everything whose time has come."""
         while self._timed and self._timed[0][0] <= self._clock.now():
             heapq.heappop(self._timed)[2]()
 
     def count(self) -> None:
-        """One packet more has come."""
         self.packets += 1
         while self._counted and self._counted[0][0] <= self.packets:
             heapq.heappop(self._counted)[2]()
@@ -104,12 +99,7 @@ def _received(wire: list[int]) -> bytes:
 
 
 class Spoil(NamedTuple):
-    """One way in which a status packet can be spoilt.
-
-    Attributes:
-        help: One line for people.
-        apply: (wire, packet) -> the bytes that arrive instead of it now.
-    """
+    """One way in which a status packet can be spoilt; ``apply``: the bytes that arrive instead of it now."""
 
     help: str
     apply: Callable[[VirtualWire, bytes], bytes]
@@ -118,13 +108,9 @@ class Spoil(NamedTuple):
 class VirtualWire:
     """The transmission of status packets to the host.
 
-    Args:
-        taken: Ids on the wire; no foreign id is one of them, so that its replies differ from theirs.
-        seed: Of random faults; equal seeds and equal traffic give equal faults.
-
     Attributes:
-        rng: Random generator of all faults.
-        foreign: Ids that no servo has.
+        rng: Random generator of all faults; equal seeds and equal traffic give equal faults.
+        foreign: Ids that no servo has: none of those ``taken``.
         held: Packets that come before the replies to the next request.
         behind: A packet that comes after the next one.
     """

@@ -27,10 +27,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
 
 
-# ------------------------------------------------------------------------------------------
-# One servo on a joint of a MuJoCo world: what its controller wants, and what its motor can give.
-
-
 STIFFNESS = 60.0
 """rad/s; natural frequency with which a servo pulls its joint to the profile.  There is no integral part (the
 manual's initial Position I Gain is 0): a load of a rad/s^2 leaves it 1 / STIFFNESS^2 off its goal."""
@@ -133,7 +129,6 @@ class JointMotor:
         return self.torque * self.gear
 
     def outside(self) -> float:
-        """N m (N) at the joint by the fault ``push``."""
         return -self._servo.shaft.load.push * self.gear
 
     def _angle(self, ticks: float) -> float:
@@ -285,12 +280,10 @@ class _Joint:
         self.read_encoders()
 
     def attach(self) -> None:
-        """From here on the joint moves the shafts."""
         for motor in self.motors:
             motor.attach()
 
     def read_encoders(self) -> None:
-        """What the encoders say now."""
         for motor in self.motors:
             motor.read_encoder()
 
@@ -350,7 +343,6 @@ class _Joint:
 # ------------------------------------------------------------------------------------------
 # Objects to grip in a MuJoCo world: boxes that lie about and fall.
 
-
 FRICTION = (1.0, 0.02, 0.0005)
 """Of rubber pads on wood: sliding, and so many metres of turning and rolling."""
 SOLREF, SOLIMP = (0.004, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
@@ -359,29 +351,19 @@ SOLREF, SOLIMP = (0.004, 1.0), (0.95, 0.99, 0.0005, 0.5, 2.0)
 
 @dataclass(frozen=True)
 class WorldObject:
-    """A box that lies about.
-
-    Attributes:
-        name: Of its body.
-        position: Centre, m, world; wxyz: its orientation.
-        size: Edges, m.
-        mass: kg.
-    """
+    """A box that lies about; ``name``: of its body."""
 
     name: str
-    position: tuple[float, float, float]
-    size: tuple[float, float, float]
-    mass: float
+    position: tuple[float, float, float]  # centre, m, world
+    size: tuple[float, float, float]  # edges, m
+    mass: float  # kg
     wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
 
 
 def model_with(path: Path, objects: Sequence[WorldObject], floor: float | None = None) -> mujoco.MjModel:
     """The model of a robot with objects beside it, for a ``World`` with contacts.
 
-    Args:
-        path: The robot's model file.
-        objects: What lies about.
-        floor: Height of a plane to lie on, m; None: there is none.
+    ``floor``: height of a plane to lie on, m; None: there is none.
 
     Raises:
         ValueError: MuJoCo cannot compile it, e.g. a name is taken.
