@@ -183,7 +183,14 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     # The operating mode first: changing it resets gains and limits that depend on it.
     left = sorted(changes, key=lambda change: change.register != "operating_mode")
     for last in [False] * (_PASSES - 1) + [True]:
-        left = [change for change in left if not _write(bus, tables[change.id], change, last)]
+        changing, left = left, []
+        for change in changing:
+            try:
+                bus.write(change.id, tables[change.id][change.register], change.saved)
+            except ServoRefusedError:
+                if last:
+                    raise
+                left.append(change)
     wrong = [
         c
         for c in changes
@@ -193,13 +200,3 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
         names = ", ".join(f"{c.register} of {c.joint}" for c in wrong)
         raise HardwareError(f"written, and reads back otherwise: {names}")
     return changes
-
-
-def _write(bus: ServoBus, table: ControlTable, change: Change, last: bool) -> bool:
-    try:
-        bus.write(change.id, table[change.register], change.saved)
-    except ServoRefusedError:
-        if last:
-            raise
-        return False
-    return True

@@ -310,15 +310,14 @@ def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """
     for name in offsets:
         config.joint(name)
-    moved = [_moved(joint, offsets.get(joint.name, 0.0)) for joint in config.joints]
+    moved = []
+    for joint in config.joints:
+        offset = offsets.get(joint.name, 0.0)
+        made = replace(joint, zero_ticks=_ticks(joint, offset))
+        if joint.twin is not None and not joint.twin.shadow:
+            made = replace(made, twin=replace(joint.twin, zero_ticks=_ticks(joint.servos[1], offset)))
+        moved.append(made)
     return replace(config, joints=tuple(moved))
-
-
-def _moved(joint: JointMap, offset: float) -> JointMap:
-    made = replace(joint, zero_ticks=_ticks(joint, offset))
-    if joint.twin is not None and not joint.twin.shadow:
-        made = replace(made, twin=replace(joint.twin, zero_ticks=_ticks(joint.servos[1], offset)))
-    return made
 
 
 def _ticks(servo: JointMap, offset: float) -> int:

@@ -183,11 +183,6 @@ def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> 
     raise MotorFaultError(servo.name, (status,), hint=hint)
 
 
-def _presses(servo: JointMap) -> bool:
-    """Its goal current says how hard it presses: what it grips keeps it from its goal, which stays."""
-    return servo.mode == OperatingMode.CURRENT_BASED_POSITION
-
-
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
@@ -357,8 +352,9 @@ class Cycle:
         if self.held:
             return goals
         for joint in self._config.servos:
-            if _presses(joint) and joint.id not in self.samples.jumped:
-                continue  # it is meant to press: yielding would let go of what it grips
+            presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
+            if presses and joint.id not in self.samples.jumped:
+                continue  # what it grips keeps it from its goal: yielding would let go of it
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
                 goals[joint.id] = present

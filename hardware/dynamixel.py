@@ -393,7 +393,10 @@ class DynamixelBus:
         else:
             self._times.add(self._wire.now() - bytes_over)
         if plan.fast:
-            self._judge_fast(failed=bool(waiting))
+            self._fast_misses = self._fast_misses + 1 if waiting else 0
+            if self._fast_misses == MAX_FAST_FAILURES:
+                self.counters.fallbacks += 1
+                log.warning("fast reads on %s fail: from here on every servo answers by itself", self.port)
 
     def _take_whole(self, data: bytes, plan: _ReadPlan, wanted: _Wanted) -> bool:
         """Takes the replies of a fast read where nothing is wrong with any of them; else takes nothing."""
@@ -432,12 +435,6 @@ class DynamixelBus:
             last_good[id] = now
             waiting.discard(id)
         return strange
-
-    def _judge_fast(self, *, failed: bool) -> None:
-        self._fast_misses = self._fast_misses + 1 if failed else 0
-        if failed and self._fast_misses == MAX_FAST_FAILURES:
-            self.counters.fallbacks += 1
-            log.warning("fast reads on %s fail: from here on every servo answers by itself", self.port)
 
     # --------------------------------------------------------------------------------- one packet
 

@@ -12,6 +12,7 @@ which requests differ (``dynamixel``), so that a late reply is still known by it
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections.abc import Mapping
@@ -88,7 +89,9 @@ class Feedback:
         Raises:
             BusDisconnectedError, BusNotOpenError: Anything else only means: read plainly.
         """
-        self._tables = {id: _table(servo, firmware[id]) for id, servo in self._servos.items()}
+        for id, servo in self._servos.items():
+            with contextlib.suppress(ConfigError):  # no firmware has this number: the usual table
+                self._tables[id] = control_table(servo.model, firmware[id])
         for id, table in self._tables.items():
             try:
                 parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
@@ -190,13 +193,6 @@ class Thresholds:
                     "robot-ik servo reset-fault, or Arm.reset_fault()",
                 )
         return None
-
-
-def _table(servo: JointMap, firmware: int) -> ControlTable:
-    try:
-        return control_table(servo.model, firmware)
-    except ConfigError:
-        return servo.table
 
 
 def _health_of(table: ControlTable) -> tuple[str, ...]:

@@ -92,13 +92,13 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     with joint_named(config):
         for joint in config.servos:
             _return_all(bus, joint)
-    faulty = [row for row in _by_joint(config, read_all(bus, config, "hardware_error_status")) if row[1]]
+    errors = read_all(bus, config, "hardware_error_status")
+    faulty = [(joint.name, hardware_error_names(errors[joint.id])) for joint in config.servos]
+    faulty = [row for row in faulty if row[1]]
     if faulty:
-        joint, value = faulty[0]
-        others = [f"{other.name} ({', '.join(hardware_error_names(more))})" for other, more in faulty[1:]]
+        others = ", ".join(f"{name} ({', '.join(names)})" for name, names in faulty[1:])
         hint = "remove the cause, support the arm, then: robot-ik servo reset-fault"
-        also = f"likewise {', '.join(others)}; " if others else ""
-        raise MotorFaultError(joint.name, hardware_error_names(value), hint=also + hint)
+        raise MotorFaultError(*faulty[0], hint=(f"likewise {others}; " if others else "") + hint)
     _check_voltage(bus, config)
     with joint_named(config):
         for joint in config.servos:
@@ -131,8 +131,8 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
     """
     torque = read_all(bus, config, "torque_enable")
     drive = read_all(bus, config, "drive_mode", absent=0)
-    for joint, value in _by_joint(config, drive):
-        _check_reverse(joint, bool(value & REVERSE))
+    for joint in config.servos:
+        _check_reverse(joint, bool(drive[joint.id] & REVERSE))
     _check_homing(bus, config)
     wanted = {
         "return_delay_time": dict.fromkeys(config.servo_ids, 0),
@@ -189,10 +189,6 @@ def _check_homing(bus: ServoBus, config: ArmConfig) -> None:
             )
 
 
-def _by_joint(config: ArmConfig, values: Mapping[int, int]) -> list[tuple[JointMap, int]]:
-    return [(joint, values[joint.id]) for joint in config.servos]
-
-
 def _return_all(bus: ServoBus, joint: JointMap) -> None:
     """Status Return Level 2: a servo at 0 or 1 would look dead."""
     register = joint.table["status_return_level"]
@@ -211,8 +207,9 @@ def _return_all(bus: ServoBus, joint: JointMap) -> None:
 
 def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
     low, high = (read_all(bus, config, f"{end}_voltage_limit") for end in ("min", "max"))
-    for joint, value in _by_joint(config, read_all(bus, config, "present_input_voltage")):
-        if not low[joint.id] <= value <= high[joint.id]:
+    volts = read_all(bus, config, "present_input_voltage")
+    for joint in config.servos:
+        if not low[joint.id] <= (value := volts[joint.id]) <= high[joint.id]:
             raise MotorFaultError(
                 joint.name,
                 ("input_voltage",),
@@ -278,8 +275,8 @@ def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str
 def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
     """A shadow must take its servo's goals, and no other servo may: it would move along."""
     heard = read_all(bus, config, "secondary_id", absent=NO_SECONDARY_ID)
-    for joint, value in _by_joint(config, heard):
-        wanted = joint.shadow_of
+    for joint in config.servos:
+        value, wanted = heard[joint.id], joint.shadow_of
         if value != wanted and (wanted is not None or value in config.servo_ids):
             raise HardwareError(
                 f"servo id {joint.id} (joint {joint.name!r}) has secondary id {value}, "

@@ -34,17 +34,7 @@ class Controller:
         self._values = memory.values
         self._shaft = shaft
         self._clock = clock
-        self._has_watchdog = "bus_watchdog" in memory.table
         self._current_unit = current_unit(memory.table)
-        self._reactions: dict[str, Callable[[bool], None]] = {
-            "torque_enable": self._torque_written,
-            "goal_position": self._position_written,
-            "goal_velocity": self._velocity_written,
-            "goal_current": self._effort_written,
-            "goal_pwm": self._effort_written,
-            "operating_mode": self._mode_written,
-            "drive_mode": self._counting_written,
-        }
 
     # ------------------------------------------------------------------------ by itself
 
@@ -85,9 +75,7 @@ class Controller:
 
     def watch(self, now: float) -> None:
         """Lets the bus watchdog run out if it has by ``now``, s."""
-        if not self._has_watchdog or not self._memory.get("torque_enable"):
-            return
-        limit = self._memory.get("bus_watchdog")
+        limit = self._values.get("bus_watchdog", 0) if self._values["torque_enable"] else 0
         trip = self.heard + limit * WATCHDOG_UNIT
         if limit > 0 and now > trip:
             self._shaft.brake_at(trip)
@@ -142,9 +130,24 @@ class Controller:
 
     def written(self, name: str, had_torque: bool) -> None:
         """What a write sets off."""
-        reaction = self._reactions.get(name)
-        if reaction is not None:
-            reaction(had_torque)
+        mode = self._values["operating_mode"]
+        match name:
+            case "torque_enable":
+                self._torque_written(had_torque)
+            case "goal_position":
+                self._goal_written(mode not in _NO_POSITION)
+            case "goal_velocity":
+                self._goal_written(mode == OperatingMode.VELOCITY)
+            case "goal_current" | "goal_pwm":
+                # In the other modes it is a limit: what was too weak may be strong enough now.
+                self._goal_written(bool(self._values["torque_enable"]) or mode in motor.TORQUE_MODES)
+            case "operating_mode":
+                for register in (*GAINS, *FEEDFORWARD, *PROFILE):
+                    self._memory.set(register, self._memory.table[register].initial or 0)
+                self._count_anew()
+                self.stand()
+            case "drive_mode":
+                self._count_anew()
 
     def torque_on(self) -> None:
         """The motor takes over where the shaft stands."""
@@ -159,24 +162,12 @@ class Controller:
         if not memory.get("torque_enable"):
             shaft.powered = False
             shaft.stop()
-        elif not had_torque and not self._tripped:
-            if memory.get("operating_mode") == OperatingMode.POSITION:
-                shaft.fold()
+        elif not had_torque and self._values.get("bus_watchdog") != TRIPPED:
+            self._count_anew()
             self.heard = self._clock.now()
             if not self._slave:
                 self.torque_on()
                 shaft.go()
-
-    def _position_written(self, had_torque: bool) -> None:
-        self._goal_written(self._values["operating_mode"] not in _NO_POSITION)
-
-    def _velocity_written(self, had_torque: bool) -> None:
-        self._goal_written(self._memory.get("operating_mode") == OperatingMode.VELOCITY)
-
-    def _effort_written(self, had_torque: bool) -> None:
-        # In the other modes it is a limit: what was too weak may be strong enough now.
-        torque_on = bool(self._values["torque_enable"])
-        self._goal_written(torque_on or self._values["operating_mode"] in motor.TORQUE_MODES)
 
     def _goal_written(self, of_this_mode: bool) -> None:
         if not of_this_mode or self._slave:
@@ -187,13 +178,7 @@ class Controller:
         if values["torque_enable"]:
             self._shaft.go()
 
-    def _mode_written(self, had_torque: bool) -> None:
-        for register in (*GAINS, *FEEDFORWARD, *PROFILE):
-            self._memory.set(register, self._memory.table[register].initial or 0)
-        self._counting_written(had_torque)
-        self.stand()
-
-    def _counting_written(self, had_torque: bool) -> None:
+    def _count_anew(self) -> None:
         if self._memory.get("operating_mode") == OperatingMode.POSITION:
             self._shaft.fold()
 
@@ -204,10 +189,6 @@ class Controller:
     @property
     def _slave(self) -> bool:
         return bool(self._drive_mode & SLAVE)
-
-    @property
-    def _tripped(self) -> bool:
-        return self._has_watchdog and self._memory.get("bus_watchdog") == TRIPPED
 
     def _shut_down(self) -> bool:
         return bool(self._memory.get("hardware_error_status") & self._memory.get("shutdown"))

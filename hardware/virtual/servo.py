@@ -121,7 +121,7 @@ class VirtualServo:
     @property
     def tripped(self) -> bool:
         """The bus watchdog has run out and was not cleared."""
-        return self.memory.get("bus_watchdog") == TRIPPED if "bus_watchdog" in self.table else False
+        return self.memory.values.get("bus_watchdog") == TRIPPED
 
     def status_byte(self, error: int) -> int:
         """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""

@@ -178,7 +178,7 @@ class World:
         self._wanted = np.zeros(self.model.nv)
         self._force = np.zeros(self.model.nv)
         for leader, follower, share in self._followers:
-            at, to = (self._place(dof) for dof in (leader, follower))
+            at, to = (self.model.jnt_qposadr[self.model.dof_jntid[dof]] for dof in (leader, follower))
             self.data.qpos[to] = self.model.qpos0[to] + share * (self.data.qpos[at] - self.model.qpos0[at])
         mujoco.mj_forward(self.model, self.data)
         for joint in self._joints:
@@ -213,10 +213,6 @@ class World:
         for joint in self._joints:
             joint.hold()
         self._time += STEP
-
-    def _place(self, dof: int) -> int:
-        """Index in qpos of a hinge or slide."""
-        return int(self.model.jnt_qposadr[self.model.dof_jntid[dof]])
 
 
 def _followers(model: mujoco.MjModel, driven: set[int]) -> list[tuple[int, int, float]]:
@@ -298,7 +294,10 @@ class _Joint:
 
         Two that want different things pull against each other, as hard as they differ.
         """
-        self._hold_if_asked()
+        if not any(motor.stuck for motor in self.motors):
+            self._held = None
+        elif self._held is None:
+            self._held = self.angle
         demands = [demand for demand in self._demands if demand is not None]
         mean = sum(demands) / len(demands) if demands else 0.0
         inertia = self._inertia() if len(demands) > 1 else 0.0
@@ -331,13 +330,6 @@ class _Joint:
         unit[self.dof] = 1.0
         mujoco.mj_mulM(model, data, column, unit)
         return float(column[self.dof])
-
-    def _hold_if_asked(self) -> None:
-        held = any(motor.stuck for motor in self.motors)
-        if held and self._held is None:
-            self._held = self.angle
-        elif not held:
-            self._held = None
 
 
 # ------------------------------------------------------------------------------------------
