@@ -39,25 +39,25 @@ class Bus:
         name: As the user says it; ``PORT`` stands for any name of a serial port.
         title: One line for help texts.
         virtual: Its servos are simulated.
-        make: (name given, config, servos or None, clock) -> bus, not open yet.
+        make: (name given, config, servos or None) -> bus, not open yet.
         clock: Makes the clock on which an arm on this bus runs.
     """
 
     name: str
     title: str
     virtual: bool
-    make: Callable[[str, ArmConfig, VirtualBus | None, Clock], ServoBus]
+    make: Callable[[str, ArmConfig, VirtualBus | None], ServoBus]
     clock: Callable[[], Clock]
 
 
-def _sim(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import SimBus
 
     assert servos is not None
     return SimBus(servos)
 
 
-def _pty(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import ServedBus
 
     try:
@@ -76,7 +76,7 @@ def no_pty(reason: ImportError) -> BusNotOpenError:
     )
 
 
-def _port(name: str, config: ArmConfig, servos: VirtualBus | None, clock: Clock) -> ServoBus:
+def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.dynamixel import DynamixelBus
 
     return DynamixelBus(name, config.baud)
@@ -126,7 +126,7 @@ def open_arm(
     from robot_ik.hardware.arm import Arm
 
     clock, servos = _surroundings(config, bus, virtual_bus, start)
-    made = bus_row(bus).make(bus, config, servos, clock)
+    made = bus_row(bus).make(bus, config, servos)
     return Arm(config, made, clock, virtual_bus=servos, on_exit=on_exit, park_at=park_at)
 
 
@@ -142,8 +142,8 @@ def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = N
         BusNotOpenError: Missing, not a serial port, not permitted, already open.
         ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
     """
-    clock, servos = _surroundings(config, name, virtual_bus, None)
-    bus = bus_row(name).make(name, config, servos, clock)
+    _, servos = _surroundings(config, name, virtual_bus, None)
+    bus = bus_row(name).make(name, config, servos)
     bus.open()
     return bus
 

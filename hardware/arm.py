@@ -419,7 +419,8 @@ class Arm:
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
         """From a verified bus to ``CONNECTED``; torque stays as it is, and so do the goals."""
-        check_revolutions_kept(self.bus, self.config, self._cycle.samples)
+        seen = self._cycle.samples.ticks | self._cycle.samples.jumped
+        check_revolutions_kept(self.bus, self.config, seen)
         goals = self._cycle.goals
         self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
         self._cycle.goals, self._cycle.held = goals, True

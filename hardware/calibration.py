@@ -17,8 +17,7 @@ from robot_ik.hardware.bus import ServoBus, read_all
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, calibration_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, JointMap, Sign
-from robot_ik.hardware.samples import TWIST
+from robot_ik.hardware.joint_map import RANGE_TOLERANCE_TICKS, TWIST, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
 
 LEAST_SWEEP = math.radians(10.0)

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError
-from robot_ik.files import write_atomically
+from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, Sign
@@ -176,11 +176,24 @@ def _require_no_twins(names: Sequence[str], file: Path) -> None:
         )
 
 
-def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
+def load_lerobot(
+    path: Path,
+    config: ArmConfig,
+    firmware: Mapping[int, int],
+    present: Mapping[int, int],
+    limits: Mapping[str, tuple[float, float]],
+) -> Calibration:
     """A calibration out of LeRobot's file, for the joints of an arm file.
 
     Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
     middle of the range.  Directions are those of the arm file.
+
+    Args:
+        path: The file.
+        config: The arm.
+        firmware: Servo id -> version.
+        present: Servo id -> Present Position, ticks.
+        limits: Joint -> limits of the model, rad (m of a slide).
 
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
@@ -195,20 +208,21 @@ def load_lerobot(path: Path, config: ArmConfig, created: str) -> Calibration:
             allowed = ", ".join(f"{name} (id {row['id']})" for name, row in rows.items())
             raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
         _require_usable(joint, row, path)
+        lower, upper = (q / joint.per_unit for q in limits[joint.name])
         joints.append(
             JointCalibration(
                 name=joint.name,
                 model=joint.model,
-                firmware=0,
+                firmware=firmware[joint.id],
                 direction=joint.direction,
                 zero_ticks=(row["range_min"] + row["range_max"]) // 2,
-                urdf_lower=0.0,
-                urdf_upper=0.0,
-                present_at_save=(row["range_min"] + row["range_max"]) // 2,
+                urdf_lower=lower,
+                urdf_upper=upper,
+                present_at_save=present[joint.id],
                 **row,
             )
         )
-    return Calibration(config.name, config.robot, created, config.baud, tuple(joints), file=path)
+    return Calibration(config.name, config.robot, timestamp(), config.baud, tuple(joints), file=path)
 
 
 def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
@@ -255,26 +269,6 @@ def _row(name: str, row: Any, path: Path) -> dict[str, int]:
     if found["range_min"] >= found["range_max"]:
         raise ConfigError("the range is empty", file=path, key=name, allowed="range_min < range_max")
     return found
-
-
-def completed(
-    calibration: Calibration,
-    firmware: dict[int, int],
-    present: dict[int, int],
-    limits: dict[str, tuple[float, float]],
-) -> Calibration:
-    """What LeRobot's file does not say: by servo id firmware and ticks now; by joint limits, deg (mm)."""
-    joints = (
-        replace(
-            joint,
-            firmware=firmware[joint.id],
-            present_at_save=present[joint.id],
-            urdf_lower=limits[joint.name][0],
-            urdf_upper=limits[joint.name][1],
-        )
-        for joint in calibration.joints
-    )
-    return replace(calibration, joints=tuple(joints))
 
 
 # ------------------------------------------------------------------------------------------

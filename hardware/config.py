@@ -242,7 +242,6 @@ class ArmConfig:
             f"on_stale = {json.dumps(self.on_stale)}",
         ]
         for joint in self.whole.joints:
-            unit = joint.unit
             values: dict[str, Any] = {
                 "name": joint.name,
                 "id": joint.id,
@@ -251,17 +250,14 @@ class ArmConfig:
                 "direction": joint.direction,
                 "zero_ticks": joint.zero_ticks,
                 "ratio": joint.ratio,
-                **({"reverse": True} if joint.reverse else {}),
-                **({} if joint.group == ARM else {"group": joint.group}),
+                "reverse": joint.reverse or None,
+                "group": None if joint.group == ARM else joint.group,
                 **_gear(joint),
-                f"lower_{unit}": _number(joint, max(joint.lower, joint.limits[0])),
-                f"upper_{unit}": _number(joint, min(joint.upper, joint.limits[1])),
-                f"velocity_{unit}": _number(joint, joint.velocity),
-                f"acceleration_{unit}": _number(joint, joint.acceleration),
             }
-            for key in ("velocity", "acceleration"):
-                if (own := getattr(joint, f"profile_{key}")) is not None:
-                    values[f"profile_{key}_{unit}"] = _number(joint, own)
+            ends = {"lower": max(joint.lower, joint.limits[0]), "upper": min(joint.upper, joint.limits[1])}
+            for key in _MEASURES:
+                if (value := ends.get(key, getattr(joint, key))) is not None:
+                    values[f"{key}_{joint.unit}"] = _number(joint, value)
             values |= {"current_ma": joint.current, "current_limit_ma": joint.current_limit}
             lines += ["", "[[joints]]", *_rows(values)]
             for name in ("twin", "gains", "stop_at"):

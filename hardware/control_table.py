@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import lru_cache
 from types import MappingProxyType
@@ -43,6 +43,9 @@ BAUD_RATES: Mapping[int, int] = MappingProxyType(
     {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000, 7: 4_500_000}
 )
 """Value of the Baud Rate register -> bits per second."""
+
+BAUD_CODES: Mapping[int, int] = MappingProxyType({rate: code for code, rate in BAUD_RATES.items()})
+"""Bits per second -> value of the Baud Rate register."""
 
 HARDWARE_ERRORS: Mapping[int, str] = MappingProxyType(
     {0: "input_voltage", 2: "overheating", 3: "motor_encoder", 4: "electrical_shock", 5: "overload"}
@@ -152,12 +155,6 @@ class ControlTable:
     abilities: frozenset[str]
     drive_bits: int
     notes: tuple[str, ...]
-    _sorted: tuple[Register, ...] = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        ordered = tuple(sorted(self.registers.values(), key=lambda r: r.address))
-        object.__setattr__(self, "_sorted", ordered)
-        object.__setattr__(self, "registers", MappingProxyType({r.name: r for r in ordered}))
 
     def __getitem__(self, name: str) -> Register:
         try:
@@ -171,12 +168,12 @@ class ControlTable:
         return name in self.registers
 
     def __iter__(self) -> Iterator[Register]:
-        return iter(self._sorted)
+        return iter(self.registers.values())
 
     @property
     def size(self) -> int:
         """Address after the last register."""
-        return self._sorted[-1].end
+        return max(register.end for register in self)
 
     @property
     def baud_rates(self) -> tuple[int, ...]:
@@ -229,12 +226,12 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
         if name in registers:
             registers[name] = replace(registers[name], **change)  # type: ignore[arg-type]
     blocks = [b for b in family.indirect if b.since <= firmware < b.below]
-    registers.update((r.name, r) for r in _indirect(blocks))
+    every = sorted((*registers.values(), *_indirect(blocks)), key=lambda register: register.address)
     return ControlTable(
         model,
         row.number,
         firmware,
-        registers,
+        MappingProxyType({register.name: register for register in every}),
         tuple(OperatingMode(mode) for mode in row.modes),
         family.baud_codes,
         row.supply,

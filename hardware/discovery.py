@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.control_table import (
+    BAUD_CODES,
     BAUD_RATES,
     ControlTable,
     control_table,
@@ -186,8 +187,6 @@ def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
 # ------------------------------------------------------------------------------------------
 # A servo as bought gets its id and baud rate: alone on the wire, without torque, and read back.
 
-_CODES = {rate: code for code, rate in BAUD_RATES.items()}
-
 
 def the_only_one(found: Sequence[FoundServo]) -> FoundServo:
     """The servo that may be set up, of those (at least one) that answer.
@@ -236,7 +235,7 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
         bus.open()
         names = ("model_number", "id", "baud_rate", "return_delay_time")
         said = tuple(bus.read(id, table[name]).data for name in names)
-    if said != (servo.number, id, _CODES[baud], 0):
+    if said != (servo.number, id, BAUD_CODES[baud], 0):
         raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
 
 
@@ -255,4 +254,4 @@ def _write(bus: ServoBus, servo: FoundServo, table: ControlTable, id: int, baud:
         bus.write(at, table["id"], id)
         bus.ping(id)
     if servo.baud != baud:
-        bus.write(id, table["baud_rate"], _CODES[baud])
+        bus.write(id, table["baud_rate"], BAUD_CODES[baud])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
@@ -204,36 +204,34 @@ def _about(f: FoundServo) -> str:
     return f"{f.model}, firmware {f.firmware}{supply}{warm}"
 
 
-def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> list[tuple[str, str, str]]:
+def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> Iterator[tuple[str, str, str]]:
     """(status, problem, what to do), the worst first."""
-    rows: list[tuple[str, str, str]] = []
     setup = f"connect it alone: robot-ik servo setup --joint {servo.name}"
     if f.model != servo.model:
-        rows.append((PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"))
+        yield PROBLEM, f"the arm file says {servo.model}", "correct the arm file, or the servo's id"
     if f.baud != config.baud:
-        rows.append((PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup))
+        yield PROBLEM, f"it talks at {f.baud}, the arm file says {config.baud}", setup
     low, high = (servo.table[f"{end}_voltage_limit"].initial or 0 for end in ("min", "max"))
     if f.voltage is not None and not low <= 10.0 * f.voltage <= high:
         text = f"its supply must be {low / 10:.1f} to {high / 10:.1f} V"
-        rows.append((PROBLEM, text, "check the power supply and the voltage drop along the cables"))
+        yield PROBLEM, text, "check the power supply and the voltage drop along the cables"
     if f.errors:
         do = "remove the cause, support the arm, then: robot-ik servo reset-fault"
-        rows.append((PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do))
+        yield PROBLEM, f"it has shut down or warns: {', '.join(f.errors)}", do
     if f.firmware is not None and "bus_watchdog" not in (f.table or servo.table):
         text = f"no Bus Watchdog before firmware {WATCHDOG_FIRMWARE}: it runs on when the cable is pulled"
         do = "update it with DYNAMIXEL Wizard 2, or set watchdog_ms = 0 and stay near"
-        rows.append((PROBLEM, text, do))
+        yield PROBLEM, text, do
     hottest = servo.table["temperature_limit"].initial or 0
     if f.temperature is not None and f.temperature > hottest - _WARM:
-        rows.append((NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"))
+        yield NOTE, f"it shuts down at {hottest} C", "let it cool; lighten its load"
     if f.torque is None:
         text = "it answers pings only: its Status Return Level is 0"
-        rows.append((NOTE, text, "nothing: every start of the arm sets 2"))
+        yield NOTE, text, "nothing: every start of the arm sets 2"
     if f.torque:
-        rows.append((NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"))
+        yield NOTE, "its torque is on", "left so by a program? robot-ik servo torque off"
     if f.table is not None and "fast_read" not in f.table.abilities:
-        rows.append((NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"))
+        yield NOTE, "its firmware has no fast reads: cycles take longer", "update it when convenient"
     if f.return_delay:
         text = f"it waits {f.return_delay} us before each reply"
-        rows.append((NOTE, text, "nothing: every start of the arm sets 0"))
-    return rows
+        yield NOTE, text, "nothing: every start of the arm sets 0"

@@ -37,6 +37,9 @@ HOMING_FIXES = (
 RANGE_TOLERANCE_TICKS = 60
 """About 5 degrees beyond a range: backlash and a soft stop, not a lost revolution."""
 
+TWIST = 0.1
+"""rad (of a slide's pinion) between the two servos of one joint beyond which they fight, or one slips."""
+
 ARM = "arm"
 """Group of the joints that make up q."""
 

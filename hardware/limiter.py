@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,9 +80,6 @@ class LimiterReport:
 
     def __bool__(self) -> bool:
         return bool(self.clipped or self.capped)
-
-
-_UNTOUCHED = LimiterReport()
 
 
 class SafetyLimiter:
@@ -192,13 +190,7 @@ class SafetyLimiter:
             for goal, (q, v, command, lead, caps) in zip(wanted, past, strict=True)
         ]
         out, velocity, target, target_velocity, clipped, capped = zip(*rows, strict=True)
-        report = _UNTOUCHED
-        if any(clipped) or any(capped):
-            names = self.joints
-            report = LimiterReport(
-                clipped=tuple(n for n, hit in zip(names, clipped, strict=True) if hit),
-                capped=tuple(n for n, hit in zip(names, capped, strict=True) if hit),
-            )
+        report = LimiterReport(tuple(compress(self.joints, clipped)), tuple(compress(self.joints, capped)))
         return LimiterState(out, velocity, target, target_velocity, dt), np.array(out), report
 
     def _from_names(self, named: Mapping[str, float], fill: Sequence[float]) -> list[float]:

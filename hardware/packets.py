@@ -82,13 +82,6 @@ def _where(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
 
-@lru_cache(maxsize=64)
-def _packer(count: int, size: int, signed: bool) -> struct.Struct:
-    """So many times an id and a value.  Raises ``KeyError`` for sizes that no number has."""
-    letter = {1: "b", 2: "h", 4: "i"}[size]
-    return struct.Struct("<" + ("B" + (letter if signed else letter.upper())) * count)
-
-
 def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
     """Sync write if all registers have the same address, else bulk write.
 
@@ -96,13 +89,7 @@ def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
         ValueError: A value does not fit its register.
     """
     registers = [register for register, _ in values.values()]
-    if registers.count(registers[0]) == len(registers) or _same_address(registers):
-        numbers = [number for id, (_, value) in values.items() for number in (id, value)]
-        try:  # all at once; what does not fit is reported by the register
-            packed = _packer(len(registers), registers[0].size, registers[0].signed).pack(*numbers)
-            return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + packed)
-        except (KeyError, struct.error):
-            pass
+    if _same_address(registers):
         body = [bytes((id,)) + register.encode(value) for id, (register, value) in values.items()]
         return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + b"".join(body))
     body = [bytes((id,)) + _where(r) + r.encode(value) for id, (r, value) in values.items()]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 from robot_ik.errors import (
     BusCorruptError,
@@ -18,11 +20,12 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import JointMap
-from robot_ik.hardware.samples import Samples
 from robot_ik.hardware.startup import check_servos, set_up_servos
 from robot_ik.ports import Clock
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
 
 RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
@@ -34,6 +37,7 @@ WATCHDOG = "bus_watchdog"
 """What a servo whose watchdog has tripped is said to have, beside hardware errors."""
 
 _POLL = 0.05  # s between two looks
+_NO_REPLY = (BusTimeoutError, BusCorruptError)
 
 
 def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
@@ -106,10 +110,8 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
 def _state_before(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
     """Its troubles; ``turned`` is where it stands, in ticks."""
     try:
-        with joint_named(config):
-            here = bus.read(servo.id, servo.table["present_position"]).data or 0
-            before = _troubles(bus, servo)
-    except (BusTimeoutError, BusCorruptError) as error:
+        here, before = _look(bus, config, servo)
+    except _NO_REPLY as error:
         return ServoReset(servo.name, servo.id, (), None, silence=error)
     return ServoReset(servo.name, servo.id, before, before, here if before else 0)
 
@@ -118,33 +120,38 @@ def _state_after(
     bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset, clock: Clock
 ) -> ServoReset:
     try:
-        with joint_named(config):
-            if row.restarted:
-                _wait(bus, servo.id, clock)
-            there = bus.read(servo.id, servo.table["present_position"]).data or 0
-            return replace(row, after=_troubles(bus, servo), turned=there - row.turned)
-    except (BusTimeoutError, BusCorruptError) as error:
+        if row.restarted:
+            clock.sleep_until(clock.now() + _POLL)  # or it answers before it goes
+            with joint_named(config):
+                _until(clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
+        there, after = _look(bus, config, servo)
+    except _NO_REPLY as error:
         return replace(row, after=None, turned=0, silence=error)
+    return replace(row, after=after, turned=there - row.turned)
 
 
-def _troubles(bus: ServoBus, servo: JointMap) -> tuple[str, ...]:
-    found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
-    if "bus_watchdog" in servo.table and bus.read(servo.id, servo.table["bus_watchdog"]).data == TRIPPED:
-        found += (WATCHDOG,)
-    return found
+def _look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> tuple[int, tuple[str, ...]]:
+    """Where it stands, ticks, and its troubles."""
+    with joint_named(config):
+        here = bus.read(servo.id, servo.table["present_position"]).data or 0
+        found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
+        if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
+            found += (WATCHDOG,)
+    return here, found
 
 
-def _wait(bus: ServoBus, id: int, clock: Clock) -> None:
-    """Until it answers after its reboot; raises what the last ping raises."""
-    end = clock.now() + RESTART_TIME
+def _until(
+    clock: Clock, timeout: float, errors: tuple[type[HardwareError], ...], action: Callable[[], T]
+) -> T:
+    """What ``action`` gives as soon as it raises none of ``errors``; the last one after ``timeout`` s."""
+    end = clock.now() + timeout
     while True:
-        clock.sleep_until(clock.now() + _POLL)
         try:
-            bus.ping(id)
-            return
-        except (BusTimeoutError, BusCorruptError):
-            if clock.now() > end:
+            return action()
+        except errors:
+            if clock.now() >= end:
                 raise
+        clock.sleep_until(clock.now() + _POLL)
 
 
 def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
@@ -165,27 +172,24 @@ def find_again(
         BusNotOpenError, BusDisconnectedError: It was not there for ``timeout`` s.  As ``verify``.
     """
     bus.close()
-    end = clock.now() + timeout
-    while True:
-        try:
-            bus.open()
-            return verify(bus, config, real=real)
-        except (BusNotOpenError, BusDisconnectedError):
-            if clock.now() >= end:
-                raise
-        clock.sleep_until(clock.now() + _POLL)
+
+    def there() -> Feedback:
+        bus.open()
+        return verify(bus, config, real=real)
+
+    return _until(clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
 
 
-def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Samples) -> None:
+def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int, int]) -> None:
     """A servo that restarted counts its revolutions anew: then its angle is wrong by whole revolutions.
 
-    ``before``: the samples until the fault.
+    ``before``: servo id -> ticks where it was last seen.
 
     Raises:
         HardwareError: A shaft stands more than half a servo revolution from where it was last seen.
     """
     for id, ticks in read_all(bus, config, "present_position").items():
-        last = before.jumped.get(id, before.ticks.get(id))
+        last = before.get(id)
         if last is not None and abs(ticks - last) > TICKS_PER_REVOLUTION / 2:
             servo = next(s for s in config.servos if s.id == id)
             there, here = (servo.text(servo.to_radians(t)) for t in (last, ticks))

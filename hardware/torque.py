@@ -11,8 +11,7 @@ from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, Mo
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
-from robot_ik.hardware.joint_map import JointMap
-from robot_ik.hardware.samples import TWIST
+from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Clock, RealClock
 

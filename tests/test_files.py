@@ -10,6 +10,7 @@ import re
 import shutil
 import sys
 import tomllib
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -86,6 +87,10 @@ URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass va
 
 
 # ------------------------------------------------------------------------------- what is read
+
+
+# What LeRobot's file leaves to servos and model.
+NOTHING_SAID = (defaultdict(int), defaultdict(int), defaultdict(lambda: (0.0, 0.0)))
 
 
 def _calibration() -> Calibration:
@@ -182,7 +187,9 @@ ROWS = {
     "arm file": Row(ArmConfig.load, "arm.toml", lambda _: ARM.to_toml()),
     "calibration": Row(Calibration.load, "c.toml", _saved(_calibration().save)),
     "LeRobot's": Row(
-        lambda p: load_lerobot(p, ARM, "now"), "l.json", _saved(lambda p: save_lerobot(p, _calibration()))
+        lambda p: load_lerobot(p, ARM, *NOTHING_SAID),
+        "l.json",
+        _saved(lambda p: save_lerobot(p, _calibration())),
     ),
     "backup": Row(load_backup, "b.json", _saved(_backup)),
     "faults": Row(lambda p: load_faults(p, ARM), "f.toml", lambda _: FAULTS),

@@ -246,21 +246,6 @@ def _shutdown(name: str) -> Apply:
     return apply
 
 
-def _reboot(servo: VirtualServo, value: float) -> Undo:
-    servo.reboot()
-    return None
-
-
-def _jam(servo: VirtualServo, value: float) -> Undo:
-    servo.jam()
-    return lambda: servo.jam(False)
-
-
-def _unplug(servo: VirtualServo, value: float) -> Undo:
-    servo.switch_off()
-    return servo.switch_on
-
-
 def _set_push(servo: VirtualServo, push: float) -> None:
     servo.shaft.load = dataclasses.replace(servo.shaft.load, push=push)
 
@@ -289,6 +274,7 @@ def _add_servo(bus: VirtualBus, value: float) -> Undo:
     return lambda: bus.remove(more)
 
 
+_OFF = _Override(lambda servo: servo.off, lambda servo, off: servo.switch(not off), lambda _: True)
 _PUSH = _Override(lambda servo: servo.shaft.load.push, _set_push)
 _SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.feed)
 _ZERO_OFFSET = _attribute("zero_offset_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
@@ -299,14 +285,20 @@ _MODELS = tuple(sorted({table.number for table in CONTROL_TABLES.values()}))
 FAULTS: Mapping[str, Kind] = MappingProxyType(
     {
         "silent": Kind("neither hears nor answers", _attribute("silent")),
-        "unplugged": Kind("has no power; it starts anew when plugged in", _unplug),
+        "unplugged": Kind("has no power; it starts anew when plugged in", _OFF),
         "stuck": Kind("the gear is stripped: the shaft rests and feels no load", _attribute("stuck")),
-        "jammed": Kind("something holds the shaft: the motor presses against it", _jam),
+        "jammed": Kind("something holds the shaft: the motor presses against it", _attribute("jammed")),
         "push": Kind("a steady torque on the shaft, N m", _PUSH, -100, 100),
         "zero_offset": Kind("shaft ahead of its registers, degrees", _ZERO_OFFSET, -3600, 3600),
         "turn": Kind("a hand turns the shaft, degrees; not against torque", _turn, -3600, 3600),
-        "lost_turns": Kind("counts wrong by so many revolutions", _lose_revolutions, -255, 255, whole=True),
-        "reboot": Kind("restarts by itself", _reboot),
+        "lost_turns": Kind(
+            "counts wrong by so many revolutions",
+            _lose_revolutions,
+            -255,
+            255,
+            whole=True,
+        ),
+        "reboot": Kind("restarts by itself", lambda it, _: it.reboot()),
         "hot": Kind("is so warm, C", _heat, 0, 150),
         **{name: Kind(f"hardware error: {name}", _shutdown(name)) for name in HARDWARE_ERRORS.values()},
         "watchdog_tripped": Kind("its watchdog has run out", _register("bus_watchdog", lambda _: TRIPPED)),

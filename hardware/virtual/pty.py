@@ -145,14 +145,15 @@ class PtyPort:
             self._pull_out()
         elif not self.bus.unplugged and self._master < 0:
             self._plug_in()
-        due = self.bus.schedule.next_time
-        wait = None if due is None else max(0.0, due - self.bus.clock.now())
+        waits = []
+        if (due := self.bus.schedule.next_time) is not None:
+            waits.append(max(0.0, due - self.bus.clock.now()))
         if self.bus.unplugged:  # the program that runs the bus may plug it in at any time
-            wait = _REPLUG_PERIOD if wait is None else min(wait, _REPLUG_PERIOD)
+            waits.append(_REPLUG_PERIOD)
         if self.bus.world is not None:  # else it would have to catch up while a client waits
-            wait = _WORLD_PERIOD if wait is None else min(wait, _WORLD_PERIOD)
+            waits.append(_WORLD_PERIOD)
         handles = [self._wake_reader] if self._master < 0 else [self._master, self._wake_reader]
-        ready, _, _ = select.select(handles, [], [], wait)
+        ready, _, _ = select.select(handles, [], [], min(waits, default=None))
         if self._wake_reader in ready:
             os.read(self._wake_reader, _CHUNK)
         return self._master in ready

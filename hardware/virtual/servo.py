@@ -12,7 +12,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from robot_ik.hardware.control_table import BAUD_RATES, TICKS_PER_REVOLUTION, OperatingMode, control_table
+from robot_ik.hardware.control_table import (
+    BAUD_CODES,
+    BAUD_RATES,
+    TICKS_PER_REVOLUTION,
+    OperatingMode,
+    control_table,
+)
 from robot_ik.hardware.virtual.controller import Controller
 from robot_ik.hardware.virtual.memory import TRIPPED, Memory, check_write
 from robot_ik.hardware.virtual.motor import Load
@@ -86,7 +92,7 @@ class VirtualServo:
         self._backup: dict[str, int] = {}
         self.memory.set("id", id)
         self.memory.set("operating_mode", mode)
-        self.memory.set("baud_rate", {rate: code for code, rate in BAUD_RATES.items()}[baud])
+        self.memory.set("baud_rate", BAUD_CODES[baud])
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
         self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
         self._live = [(self.table[name], value) for name, value in self.controller.readings().items()]
@@ -153,16 +159,20 @@ class VirtualServo:
             self.shaft.stuck_at = None
             self._set_out()
 
-    def jam(self, jammed: bool = True) -> None:
+    @property
+    def jammed(self) -> bool:
         """Something holds the shaft where it is: the motor presses against it, unlike ``stuck``."""
+        return self.shaft.stops[0] == self.shaft.stops[1]
+
+    @jammed.setter
+    def jammed(self, value: bool) -> None:
         self.controller.update()
         here = self.shaft.encoder
-        if jammed:
-            self.shaft.stops = (here, here)
-            return
-        self.shaft.stop()
-        self.shaft.stops = (-math.inf, math.inf)
-        self._set_out()
+        if not value:
+            self.shaft.stop()
+        self.shaft.stops = (here, here) if value else (-math.inf, math.inf)
+        if not value:
+            self._set_out()
 
     def _set_out(self) -> None:
         if self.torque and not self.tripped:
@@ -301,17 +311,12 @@ class VirtualServo:
         self.set_supply(volts)
         starved = volts < BROWN_OUT * self.table.supply
         if starved != self.off:
-            (self.switch_off if starved else self.switch_on)()
+            self.switch(not starved)
 
-    def switch_off(self) -> None:
-        """Takes its power away: no torque, no replies, RAM lost."""
+    def switch(self, on: bool) -> None:
+        """Gives it power, so that it starts up, or takes it away: no torque, no replies, RAM lost."""
         self.controller.update()
-        self.off = True
-        self.reboot()
-
-    def switch_on(self) -> None:
-        """Gives it power again; it starts up."""
-        self.off = False
+        self.off = not on
         self.reboot()
 
 

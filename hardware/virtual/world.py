@@ -66,8 +66,7 @@ class JointMotor:
     @property
     def stuck(self) -> bool:
         """Broken, or held fast."""
-        shaft = self._servo.shaft
-        return shaft.stuck_at is not None or shaft.stops[0] == shaft.stops[1]
+        return self._servo.stuck or self._servo.jammed
 
     @property
     def stops(self) -> tuple[float, float]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from robot_ik.errors import ArmStateError
-from robot_ik.files import timestamp
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import read_all, shared_register
 from robot_ik.hardware.calibration import (
@@ -20,7 +19,7 @@ from robot_ik.hardware.calibration import (
     counting_directions,
     measured_calibration,
 )
-from robot_ik.hardware.calibration_file import Calibration, completed, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration, load_lerobot
 from robot_ik.hardware.joint_map import JointMap, Sign
 
 STILL_SAMPLES = 10
@@ -139,9 +138,7 @@ def calibration_from_lerobot(arm: Arm, path: Path, limits: Limits) -> Calibratio
         ConfigError: Unreadable, or not of this arm.
         HardwareError: A servo did not answer.
     """
-    found = load_lerobot(path, arm.config, timestamp())
-    firmware = read_all(arm.bus, arm.config, "firmware_version")
-    present = read_all(arm.bus, arm.config, "present_position")
-    units = {joint.name: joint.per_unit for joint in arm.config.joints}
-    shown = {name: (low / units[name], high / units[name]) for name, (low, high) in limits.items()}
-    return completed(found, firmware, present, shown)
+    firmware, present = (
+        read_all(arm.bus, arm.config, name) for name in ("firmware_version", "present_position")
+    )
+    return load_lerobot(path, arm.config, firmware, present, limits)

@@ -6,6 +6,7 @@ import json
 import os
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -181,6 +182,10 @@ def _lerobot(path: Path, **row: int) -> Path:
     return path
 
 
+# What LeRobot's file leaves to servos and model.
+NOTHING_SAID = (defaultdict(int), defaultdict(int), defaultdict(lambda: (0.0, 0.0)))
+
+
 @pytest.mark.parametrize("offset", [1025, -2047])
 def test_an_offset_of_lerobots_that_position_mode_ignores_is_refused_before_it_is_used(
     offset: int, desk: Any, tmp_path: Path
@@ -191,11 +196,11 @@ def test_an_offset_of_lerobots_that_position_mode_ignores_is_refused_before_it_i
     file = _lerobot(tmp_path / "koch.json", homing_offset=offset)
     config = replace(desk.config, joints=(first, *joints[1:]))
     with pytest.raises(ConfigError) as caught:
-        load_lerobot(file, config, "now")
+        load_lerobot(file, config, *NOTHING_SAID)
     assert (caught.value.file, caught.value.key) == (file, "joint1.homing_offset")
     assert str(offset) in str(caught.value) and "extended_position" in str(caught.value)
     many = replace(first, mode=OperatingMode.EXTENDED_POSITION)
-    found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), "now")
+    found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), *NOTHING_SAID)
     assert found.joints[0].homing_offset == offset
 
 
@@ -204,9 +209,9 @@ def test_lerobots_drive_mode_is_compared_with_reverse(reverse: bool, desk: Any, 
     first = replace(desk.config.joints[0], reverse=reverse)
     config = replace(desk.config, joints=(first, *desk.config.joints[1:]))
     right = _lerobot(tmp_path / "right.json", drive_mode=int(reverse))
-    assert load_lerobot(right, config, "now").joints[0].drive_mode == reverse
+    assert load_lerobot(right, config, *NOTHING_SAID).joints[0].drive_mode == reverse
     with pytest.raises(ConfigError, match=f"reverse = {str(not reverse).lower()}") as caught:
-        load_lerobot(_lerobot(tmp_path / "wrong.json", drive_mode=int(not reverse)), config, "now")
+        load_lerobot(_lerobot(tmp_path / "wrong.json", drive_mode=int(not reverse)), config, *NOTHING_SAID)
     assert caught.value.key == "joint1.drive_mode"
 
 

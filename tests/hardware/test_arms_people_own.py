@@ -266,7 +266,7 @@ def test_a_gripper_that_cannot_close_does_not_overload_where_the_servo_knows_cur
     assert finger.current == 300.0 and finger.mode == OperatingMode.CURRENT_BASED_POSITION
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
-        servos.servo(9).jam()
+        servos.servo(9).jammed = True
         (grip,) = arm.grip(finger.lower)
         assert grip.held and grip.current == pytest.approx(300.0, rel=0.05)
         arm.clock.sleep_until(arm.clock.now() + 5.0)
@@ -278,7 +278,7 @@ def test_an_xl430_gripper_that_cannot_close_stops_the_arm_before_it_shuts_down()
     config = arm_file("wx250s")
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
-        servos.servo(9).jam()
+        servos.servo(9).jammed = True
         with pytest.raises(MotorFaultError) as caught:
             arm.grip(config.auxiliary[0].lower)
             for _ in range(300):
@@ -399,7 +399,9 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     path = tmp_path / "koch.json"
     path.write_text(f"{{{rows}}}")
     config = dataclasses.replace(arm_file("koch_v11").whole, file=None)
-    found = load_lerobot(path, config, "2026-01-01T00:00:00+00:00")
+    said = dict.fromkeys(config.servo_ids, 0)
+    limits = dict.fromkeys(config.names, (0.0, 0.0))
+    found = load_lerobot(path, config, said, said, limits)
     assert isinstance(found, Calibration)
     assert [joint.zero_ticks for joint in found.joints] == [2047] * 6
     in_one_turn = dataclasses.replace(
@@ -410,7 +412,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
         ),
     )
     with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):  # there it would count for nothing
-        load_lerobot(path, in_one_turn, "2026-01-01T00:00:00+00:00")
+        load_lerobot(path, in_one_turn, said, said, limits)
 
 
 @pytest.mark.parametrize("name", ["omx_f", "wx250s"])  # the others: tests/models/test_owned_arms.py

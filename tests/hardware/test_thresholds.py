@@ -81,7 +81,7 @@ def test_a_threshold_stops_the_arm_before_the_servo_shuts_down(
     """A motor that presses against something shuts down and lets go; with a threshold the arm is held."""
     with open_arm(watching(arm_config, {1: stop}), "sim", start=start) as arm:
         arm.enable()
-        arm.virtual_bus.servo(1).jam()
+        arm.virtual_bus.servo(1).jammed = True
         away = start + np.array([0.5, 0, 0, 0, 0, 0])
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [away] * 2000)

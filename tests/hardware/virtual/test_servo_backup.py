@@ -64,9 +64,9 @@ def test_startup_configuration(make_bench: Make) -> None:
     assert [bench.read(n) for n in names] == [500, 33, 132, 0, 0]
     bench.set(startup_configuration=0b01)
     bench.servo.rotate_by_hand(300.0)
-    bench.servo.switch_off()
+    bench.servo.switch(on=False)
     assert not bench.servo.torque and bench.servo.deaf
-    bench.servo.switch_on()
+    bench.servo.switch(on=True)
     bench.wait(1.0)
     assert bench.servo.torque and bench.read("present_position") == bench.read("goal_position") == 2348
 
@@ -75,8 +75,8 @@ def test_power_loss_forgets_what_is_not_eeprom(make_bench: Make) -> None:
     bench = make_bench()
     bench.set(led=1, return_delay_time=9, profile_velocity=5)
     assert bench.servo.reg_write(65, b"\x00") == ErrorCode.NONE
-    bench.servo.switch_off()
-    bench.servo.switch_on()
+    bench.servo.switch(on=False)
+    bench.servo.switch(on=True)
     found = [
         bench.read(n) for n in ("led", "return_delay_time", "profile_velocity", "registered_instruction")
     ]

@@ -129,7 +129,7 @@ def test_limits_too_small_for_the_load_leave_it_where_it_is(make_bench: Make) ->
 def test_a_jammed_servo_in_position_mode_shuts_down(make_bench: Make) -> None:
     bench = make_bench(load=Load())
     bench.set(torque_enable=1)
-    bench.servo.jam()
+    bench.servo.jammed = True
     bench.set(goal_position=2048 + 50)  # a third of what it has: it holds
     for _ in range(100):
         bench.wait(0.05)
@@ -142,7 +142,7 @@ def test_a_jammed_servo_in_position_mode_shuts_down(make_bench: Make) -> None:
         bench.wait(0.05)
         bench.read("present_current")
     assert (bench.read("torque_enable"), bench.read("hardware_error_status")) == (0, 0b100000)
-    bench.servo.jam(False)
+    bench.servo.jammed = False
     bench.servo.reboot()
     bench.set(torque_enable=1, goal_position=3000)
     bench.wait(3.0)

@@ -174,7 +174,7 @@ def test_a_jam_holds_a_joint_and_costs_current(rig: Callable[..., Rig]) -> None:
     it = rig()
     it.write("torque_enable", 1)
     it.wait(0.5)
-    it.bus.servo(1).jam()
+    it.bus.servo(1).jammed = True
     it.write("goal_position", 2548, 1)
     it.wait(0.6)
     assert abs(it.q()[0]) < 0.02
