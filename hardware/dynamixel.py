@@ -1,24 +1,34 @@
 """Servo bus over a serial port or pty: single requests by the Dynamixel SDK, the rest by ``packets``.
 
 The SDK builds, stuffs, finds and checks the packets of ``ping``, ``read``, ``write`` and ``reboot``.  What it
-leaves open is closed here and in ``Wire``: a lock, a length check before any byte is decoded, retries with a
-bound.  ``packets`` builds and takes apart requests to many servos: quickly, and so that the replies which did
-arrive are kept, with their alert bits.
+leaves open is closed here: a lock, a length check before any byte is decoded, retries with a bound.
+``packets`` builds and takes apart requests to many servos: quickly, and so that the replies which did arrive
+are kept, with their alert bits.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from builtins import id as identity
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache
 from typing import NamedTuple
 
-from robot_ik.errors import BusCorruptError, BusTimeoutError, ServoRefusedError
-from robot_ik.hardware.bus import BROADCAST_ID, ERROR_REASONS, GARBLED, BusStatus, Counters
-from robot_ik.hardware.control_table import Register
+from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, Protocol2PacketHandler
+
+from robot_ik.errors import (
+    BusCorruptError,
+    BusDisconnectedError,
+    BusNotOpenError,
+    BusTimeoutError,
+    ServoRefusedError,
+)
+from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID, ERROR_REASONS, GARBLED, BusStatus, Counters
+from robot_ik.hardware.control_table import BAUD_RATES, Register
 from robot_ik.hardware.packets import (
     FAST_FRAME,
     FAST_HEAD,
@@ -31,53 +41,15 @@ from robot_ik.hardware.packets import (
     whole_fast_status,
     write_request,
 )
-from robot_ik.hardware.serial_port import QUIET, RESPONSE_TIME, SleepingPortHandler, Wire
-
-MIN_TIMEOUT = 0.005
-"""s; a servo has at least so long to answer, however quick it used to be: computers pause."""
-
-TIMEOUT_FACTOR = 3.0
-"""A servo has so many times the longest recent response time."""
-
-MAX_JITTER = 1e-4
-"""s; replies whose times scatter by less are worth watching for: who sleeps wakes up about so late."""
-
-_DECAY = 0.98  # share of the longest response time kept from one reply to the next
-_GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
-
-
-class RoundTripEstimator:
-    """Times from request to reply, s, without those of the bytes.
-
-    The usual time and its spread are the running mean and mean deviation of Jacobson, "Congestion avoidance
-    and control" (1988), appendix A.
-    """
-
-    def __init__(self) -> None:
-        self._longest: float | None = None
-        self._usual = 0.0
-        self._spread = 1.0  # at first nothing is known
-
-    def add(self, took: float) -> None:
-        """One more reply; ``took`` may be a little below 0, for adapters hand bytes over in pieces."""
-        if self._longest is None:
-            self._longest, self._usual = took, took
-        self._longest = max(took, _DECAY * self._longest)
-        miss = took - self._usual
-        self._usual += _GAIN * miss
-        self._spread += _SPREAD_GAIN * (min(abs(miss), 1.0) - self._spread)
-
-    def timeout(self, at_most: float) -> float:
-        """s to wait for a reply."""
-        if self._longest is None:
-            return at_most
-        return min(max(TIMEOUT_FACTOR * self._longest, MIN_TIMEOUT), at_most)
-
-    @property
-    def expected(self) -> float | None:
-        """s after which a reply usually comes; None where that is not known to within ``MAX_JITTER``."""
-        return self._usual if self._spread < MAX_JITTER else None
-
+from robot_ik.hardware.serial_port import (
+    OPEN_ERRORS,
+    PORT_ERRORS,
+    QUIET,
+    RESPONSE_TIME,
+    RoundTripEstimator,
+    SleepingPortHandler,
+    describe_failure,
+)
 
 # ------------------------------------------------------------------------------------------
 # Many servos in one go: goals out, measurements back, within the time a control cycle has.
@@ -145,6 +117,11 @@ def listening_time(baud: int) -> float:
 class DynamixelBus:
     """Protocol 2.0 servos on one port.  Thread-safe; implements ``ServoBus``.
 
+    The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
+    (Ctrl-C, a pulled cable) ends it; every later write, torque off among them, is then refused.  Here the
+    mark is cleared whatever happens, and a line on which replies may still be under way is emptied before the
+    next request.
+
     Args:
         port: Path or name of the serial port.
         baud: bit/s, one the servos know.
@@ -167,20 +144,40 @@ class DynamixelBus:
         self.port = port
         self.baud = baud
         self.counters = Counters()
-        self._wire = Wire(port, baud, self.counters, response_time, make_handler, now)
-        self._packet = self._wire.packet
+        self._packet = Protocol2PacketHandler()
         self._retries = retries
+        self._response_time = response_time
+        self._make_handler = make_handler
+        self._now = now
+        self._lock = threading.RLock()
+        self._handler: SleepingPortHandler | None = None
+        self._dirty = False  # replies to an earlier request may still be under way …
+        self._asked = ""  # … to this one
+        self._last_good: dict[int, float] = {}  # servo id -> when it last answered
         self._fast_ids: frozenset[int] = frozenset()
         self._plans: dict[tuple[object, ...], _ReadPlan] = {}
         self._forget()
 
     @property
     def is_open(self) -> bool:
-        return self._wire.is_open
+        return self._handler is not None
 
     def open(self) -> None:
-        self._wire.open()
-        self._forget()
+        with self._lock:
+            if self._handler is not None:
+                return
+            handler = self._make_handler(self.port, self.baud, self.counters, self._response_time)
+            if handler.getCFlagBaud(self.baud) <= 0:
+                rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
+                raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
+            try:
+                handler.openPort()
+            except OPEN_ERRORS as error:
+                handler.closePort()
+                raise describe_failure(self.port, error) from error
+            self._handler = handler
+            self._dirty, self._asked = True, ""
+            self._forget()
 
     def _forget(self) -> None:
         """What was learned about the servos: the port is opened anew."""
@@ -191,7 +188,52 @@ class DynamixelBus:
         self._times = RoundTripEstimator()
 
     def close(self) -> None:
-        self._wire.close()
+        self._close_port()
+
+    def _close_port(self) -> None:
+        with self._lock:
+            handler, self._handler = self._handler, None
+            if handler is not None:
+                try:
+                    handler.closePort()
+                except PORT_ERRORS as error:
+                    log.warning("closing %s: %s", self.port, error)
+
+    @contextmanager
+    def _transaction(self, query: str | None) -> Iterator[SleepingPortHandler]:
+        """The open port, for one request and its replies.
+
+        Args:
+            query: Name of the request; None where there is no reply.  A packet does not say which
+                request it answers.  So after a reply was missed, another request waits until that reply
+                cannot come any more; the same request need not: a late reply to it is as good as any.
+
+        Raises:
+            BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
+        """
+        with self._lock:
+            handler = self._handler
+            if handler is None:
+                raise BusNotOpenError(f"the bus on {self.port} is not open", hint="call open() first")
+            clean = False
+            try:
+                handler.is_using = False
+                if query is not None:
+                    if self._dirty:
+                        handler.drain(QUIET if query == self._asked else self._response_time)
+                        self._dirty = False
+                    self._asked = query
+                yield handler
+                clean = True
+            except PORT_ERRORS as error:
+                self._close_port()  # what else a bus has stays: the port may come back
+                raise BusDisconnectedError(
+                    f"the port {self.port} went away: {error}",
+                    hint="check cable and adapter, then connect again; torque stays as it was until then",
+                ) from error
+            finally:
+                handler.is_using = False
+                self._dirty = self._dirty or not clean
 
     # ---------------------------------------------------------------------------- single servos
 
@@ -217,13 +259,13 @@ class DynamixelBus:
             BusDisconnectedError, BusNotOpenError.
         """
         parser, found, useful, received = StatusParser(), {}, 0, 0
-        with self._wire.transaction("ping") as port:
+        with self._transaction("ping") as port:
             port.clear()
             port.writePort(build(id, PING, b""))
-            end = self._wire.now() + listen
+            end = self._now() + listen
             over, data = False, b"begin"
             while data and not over and id not in found:
-                over = self._wire.now() > end  # a line may never fall silent: this is the last look
+                over = self._now() > end  # a line may never fall silent: this is the last look
                 data = port.receive(end)
                 received += len(data)
                 for packet in parser.feed(data):
@@ -231,7 +273,7 @@ class DynamixelBus:
                     if len(packet.data) == PING_DATA:
                         found[packet.id] = (packet.data[0] | packet.data[1] << 8, packet.data[2])
             if id not in found:
-                self._wire.missed()
+                self._dirty = True
         self.counters.corrupt += parser.damaged
         return found, received - useful
 
@@ -251,7 +293,7 @@ class DynamixelBus:
             return self._packet.writeTxOnly(port, id, register.address, register.size, data)
 
         if id == BROADCAST_ID:
-            with self._wire.transaction(None) as port:
+            with self._transaction(None) as port:
                 send(port)
             return BusStatus(id, None)
         packet = self._ask(id, register.name, 0, send)
@@ -266,7 +308,7 @@ class DynamixelBus:
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
         request = write_request({id: (register, value) for id, value in values.items()}) if values else b""
         # It has no reply, so a reply still outstanding keeps belonging to the request before.
-        with self._wire.transaction(None) as port:
+        with self._transaction(None) as port:
             if request:
                 port.writePort(request)
 
@@ -302,8 +344,8 @@ class DynamixelBus:
         # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)
         plan = self._plan(registers, plain=bool(self._silent))
-        with self._wire.transaction(plan.query) as port:
-            end = self._wire.now() + (CYCLE_TIME if within is None else within)
+        with self._transaction(plan.query) as port:
+            end = self._now() + (CYCLE_TIME if within is None else within)
             self.counters.cycles += 1
             self.counters.asked += len(registers)
             try:
@@ -327,13 +369,13 @@ class DynamixelBus:
                         self._phase = (self._phase + 1) % PHASES
                     if self._silent.issuperset(missing):
                         break
-                    if self._wire.now() + self._timeout(plan, port) > end:
+                    if self._now() + self._timeout(plan, port) > end:
                         break
             except BaseException:  # the port went, or a signal came: who has not answered never will
                 self.counters.timeouts += len(registers) - len(found)
                 raise
             if missing:
-                self._wire.missed()
+                self._dirty = True
         self.counters.timeouts += len(missing)
         if missing or self._silent:
             self._silent = self._silent.difference(registers).union(missing)
@@ -360,14 +402,14 @@ class DynamixelBus:
 
     def _timeout(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
         """s from sending the request to giving up the replies."""
-        wait = self._times.timeout(self._wire.response_time)
+        wait = self._times.timeout(self._response_time)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:
         """One request and the replies to it; puts the usable ones into ``wanted.found``."""
         port.clear()
         port.writePort(before + plan.request)
-        sent = self._wire.now()
+        sent = self._now()
         # From here on the wire is busy: what is done now costs nothing.
         parser: StatusParser | FastParser = FastParser(plan.sizes) if plan.fast else StatusParser()
         deadline = sent + len(before) * port.seconds_per_byte + self._timeout(plan, port)
@@ -378,7 +420,7 @@ class DynamixelBus:
         # As many damaged packets as servos are missing: nothing more will come, ask again at once.
         damaged = 0
         while len(waiting) > damaged:
-            over = self._wire.now() > deadline  # a line may never fall silent: this is the last look
+            over = self._now() > deadline  # a line may never fall silent: this is the last look
             data = port.receive(deadline, expected)
             if plan.fast and self._take_whole(data, plan, wanted):
                 waiting.clear()
@@ -389,9 +431,9 @@ class DynamixelBus:
                 break
             parser.damaged = 0
         if waiting:
-            self._wire.missed()
+            self._dirty = True
         else:
-            self._times.add(self._wire.now() - bytes_over)
+            self._times.add(self._now() - bytes_over)
         if plan.fast:
             self._fast_misses = self._fast_misses + 1 if waiting else 0
             if self._fast_misses == MAX_FAST_FAILURES:
@@ -405,14 +447,14 @@ class DynamixelBus:
             return False
         for (id, register), value in zip(registers.items(), values, strict=True):
             found[id] = BusStatus(id, int.from_bytes(value, "little", signed=register.signed))
-        self._wire.last_good.update(dict.fromkeys(registers, self._wire.now()))
+        self._last_good.update(dict.fromkeys(registers, self._now()))
         self.counters.answered += len(values)
         return True
 
     def _take(self, packets: Iterable[StatusPacket], wanted: _Wanted, waiting: set[int]) -> int:
         """Takes the replies that somebody waits for; how many of them cannot be what was asked."""
         registers, asked, found = wanted
-        last_good, now = self._wire.last_good, self._wire.now()
+        last_good, now = self._last_good, self._now()
         strange = 0
         for id, code, alert, data in packets:
             if id not in waiting:
@@ -447,7 +489,7 @@ class DynamixelBus:
     ) -> StatusPacket:
         """Sends until servo ``id`` answers with ``size`` bytes of data or an error number."""
         corrupt = self.counters.corrupt
-        with self._wire.transaction(f"{what} of {id}") as port:
+        with self._transaction(f"{what} of {id}") as port:
             for attempt in range(1 + self._retries):
                 if attempt:
                     self.counters.retries += 1
@@ -457,9 +499,9 @@ class DynamixelBus:
                 packet = self._receive_status(port, id, size)
                 if packet is not None and packet.code != GARBLED:
                     break
-                self._wire.missed()
+                self._dirty = True
         if packet is not None:
-            self._wire.last_good[id] = self._wire.now()
+            self._last_good[id] = self._now()
             if packet.code:
                 reason = ERROR_REASONS.get(packet.code, "unknown error")
                 raise ServoRefusedError(id=id, register=what, code=packet.code, reason=reason)
@@ -471,14 +513,14 @@ class DynamixelBus:
             )
         self.counters.asked += 1
         self.counters.timeouts += 1
-        since = self._wire.last_good.get(id)
-        age = None if since is None else self._wire.now() - since
+        since = self._last_good.get(id)
+        age = None if since is None else self._now() - since
         raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
 
     def _receive_status(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
         """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""
         while True:
-            packet = self._wire.receive(port)
+            packet = self._receive(port)
             if packet is None:
                 return None
             if packet.id == id:
@@ -488,3 +530,17 @@ class DynamixelBus:
                 return None
             if port.isPacketTimeout():
                 return None
+
+    def _receive(self, port: SleepingPortHandler) -> StatusPacket | None:
+        """The next status packet within the packet's time; None if there was none or it was damaged."""
+        packet, result = self._packet.rxPacket(port, False)
+        if result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS:
+            end = 5 + (packet[5] | packet[6] << 8)  # of the data; the length field is that after unstuffing
+            if 9 <= end <= len(packet):
+                error = packet[8]
+                alert = bool(error & ALERT_BIT)
+                self.counters.alerts += alert
+                return StatusPacket(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
+        if result in (COMM_SUCCESS, COMM_RX_CORRUPT):
+            self.counters.corrupt += 1
+        return None

@@ -7,25 +7,21 @@ The SDK opens its port without a timeout and polls it: a whole core is burned wh
 from __future__ import annotations
 
 import errno
-import logging
 import os
 import select
 import sys
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import serial
-from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, PortHandler, Protocol2PacketHandler
+from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
 from robot_ik.environment import users_of
-from robot_ik.errors import BusDisconnectedError, BusNotOpenError
-from robot_ik.hardware.bus import ALERT_BIT, Counters
+from robot_ik.errors import BusNotOpenError
+from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.control_table import BAUD_RATES
-from robot_ik.hardware.packets import SHORTEST_STATUS, StatusPacket
 
 LONGEST_DRAIN = 0.1
 """s after which a line that does not fall silent is no longer waited for."""
@@ -255,129 +251,53 @@ def describe_failure(
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))
 
 
-log = logging.getLogger(__name__)
-
 OPEN_ERRORS: tuple[type[Exception], ...] = (*PORT_ERRORS, ValueError)
 """What opening a port raises; ValueError: a name or rate the operating system does not take."""
 
 QUIET = 0.003
 """s without a byte after which a line is taken to be empty, when nothing worse than a repeat can follow."""
 
+MIN_TIMEOUT = 0.005
+"""s; a servo has at least so long to answer, however quick it used to be: computers pause."""
 
-class Wire:
-    """A port, and the SDK's packet code for single requests.  One transaction at a time, from any thread.
+TIMEOUT_FACTOR = 3.0
+"""A servo has so many times the longest recent response time."""
 
-    The SDK marks a port busy while a transaction runs and forgets to clear the mark when an exception
-    (Ctrl-C, a pulled cable) ends it; every later write, torque off among them, is then refused.  Here the
-    mark is cleared whatever happens, and a line on which replies may still be under way is emptied before the
-    next request.  Arguments as of ``DynamixelBus``.
+MAX_JITTER = 1e-4
+"""s; replies whose times scatter by less are worth watching for: who sleeps wakes up about so late."""
 
-    Attributes:
-        last_good: Servo id -> when it last answered, on ``now``.
+_DECAY = 0.98  # share of the longest response time kept from one reply to the next
+_GAIN, _SPREAD_GAIN = 1 / 8, 1 / 4
+
+
+class RoundTripEstimator:
+    """Times from request to reply, s, without those of the bytes.
+
+    The usual time and its spread are the running mean and mean deviation of Jacobson, "Congestion avoidance
+    and control" (1988), appendix A.
     """
 
-    def __init__(
-        self,
-        port: str,
-        baud: int,
-        counters: Counters,
-        response_time: float,
-        make_handler: Callable[..., SleepingPortHandler],
-        now: Callable[[], float],
-    ) -> None:
-        self.port = port
-        self.baud = baud
-        self.counters = counters
-        self.packet = Protocol2PacketHandler()
-        self.response_time = response_time
-        self.last_good: dict[int, float] = {}
-        self.now = now
-        self._make_handler = make_handler
-        self._lock = threading.RLock()
-        self._handler: SleepingPortHandler | None = None
-        self._dirty = False  # replies to an earlier request may still be under way …
-        self._asked = ""  # … to this one
+    def __init__(self) -> None:
+        self._longest: float | None = None
+        self._usual = 0.0
+        self._spread = 1.0  # at first nothing is known
+
+    def add(self, took: float) -> None:
+        """One more reply; ``took`` may be a little below 0, for adapters hand bytes over in pieces."""
+        if self._longest is None:
+            self._longest, self._usual = took, took
+        self._longest = max(took, _DECAY * self._longest)
+        miss = took - self._usual
+        self._usual += _GAIN * miss
+        self._spread += _SPREAD_GAIN * (min(abs(miss), 1.0) - self._spread)
+
+    def timeout(self, at_most: float) -> float:
+        """s to wait for a reply."""
+        if self._longest is None:
+            return at_most
+        return min(max(TIMEOUT_FACTOR * self._longest, MIN_TIMEOUT), at_most)
 
     @property
-    def is_open(self) -> bool:
-        return self._handler is not None
-
-    def open(self) -> None:
-        """Raises ``BusNotOpenError``: missing, no serial port, not permitted, in use, an impossible rate."""
-        with self._lock:
-            if self._handler is not None:
-                return
-            handler = self._make_handler(self.port, self.baud, self.counters, self.response_time)
-            if handler.getCFlagBaud(self.baud) <= 0:
-                rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
-                raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
-            try:
-                handler.openPort()
-            except OPEN_ERRORS as error:
-                handler.closePort()
-                raise describe_failure(self.port, error) from error
-            self._handler = handler
-            self._dirty, self._asked = True, ""
-
-    def close(self) -> None:
-        with self._lock:
-            handler, self._handler = self._handler, None
-            if handler is not None:
-                try:
-                    handler.closePort()
-                except PORT_ERRORS as error:
-                    log.warning("closing %s: %s", self.port, error)
-
-    @contextmanager
-    def transaction(self, query: str | None) -> Iterator[SleepingPortHandler]:
-        """The open port, for one request and its replies.
-
-        Args:
-            query: Name of the request; None where there is no reply.  A packet does not say which
-                request it answers.  So after a reply was missed, another request waits until that reply
-                cannot come any more; the same request need not: a late reply to it is as good as any.
-
-        Raises:
-            BusNotOpenError, BusDisconnectedError: Not open; the port went away (it is closed then).
-        """
-        with self._lock:
-            handler = self._handler
-            if handler is None:
-                raise BusNotOpenError(f"the bus on {self.port} is not open", hint="call open() first")
-            clean = False
-            try:
-                handler.is_using = False
-                if query is not None:
-                    if self._dirty:
-                        handler.drain(QUIET if query == self._asked else self.response_time)
-                        self._dirty = False
-                    self._asked = query
-                yield handler
-                clean = True
-            except PORT_ERRORS as error:
-                self.close()
-                raise BusDisconnectedError(
-                    f"the port {self.port} went away: {error}",
-                    hint="check cable and adapter, then connect again; torque stays as it was until then",
-                ) from error
-            finally:
-                handler.is_using = False
-                self._dirty = self._dirty or not clean
-
-    def missed(self) -> None:
-        """A reply is outstanding: whatever is asked next must not take it for its own."""
-        self._dirty = True
-
-    def receive(self, port: SleepingPortHandler) -> StatusPacket | None:
-        """The next status packet within the packet's time; None if there was none or it was damaged."""
-        packet, result = self.packet.rxPacket(port, False)
-        if result == COMM_SUCCESS and len(packet) >= SHORTEST_STATUS:
-            end = 5 + (packet[5] | packet[6] << 8)  # of the data; the length field is that after unstuffing
-            if 9 <= end <= len(packet):
-                error = packet[8]
-                alert = bool(error & ALERT_BIT)
-                self.counters.alerts += alert
-                return StatusPacket(packet[4], error & ~ALERT_BIT, alert, bytes(packet[9:end]))
-        if result in (COMM_SUCCESS, COMM_RX_CORRUPT):
-            self.counters.corrupt += 1
-        return None
+    def expected(self) -> float | None:
+        """s after which a reply usually comes; None where that is not known to within ``MAX_JITTER``."""
+        return self._usual if self._spread < MAX_JITTER else None

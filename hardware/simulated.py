@@ -103,7 +103,7 @@ class ServedBus(DynamixelBus):
             from robot_ik.hardware.virtual.pty import PtyPort  # not on Windows
 
             self._pty = PtyPort(self._servos)
-        self.port = self._wire.port = self._pty.path  # another one after it was unplugged
+        self.port = self._pty.path  # another one after it was unplugged
         super().open()
 
     def close(self) -> None:

@@ -256,7 +256,7 @@ def _turn(servo: VirtualServo, value: float) -> Undo:
 
 
 def _heat(servo: VirtualServo, value: float) -> Undo:
-    servo.controller.electrics.temperature = value
+    servo.electrics.temperature = value
     servo.memory.set("present_temperature", round(value))
     return None
 

@@ -12,19 +12,22 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from robot_ik.hardware.config import current_unit
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
+    HARDWARE_ERRORS,
+    RADIANS_PER_TICK,
     TICKS_PER_REVOLUTION,
+    WATCHDOG_UNIT,
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.virtual.controller import Controller
-from robot_ik.hardware.virtual.memory import TRIPPED, Memory, check_write
-from robot_ik.hardware.virtual.motor import Load
+from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, TRIPPED, Memory, check_write
+from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, Electrics, Load
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
-from robot_ik.hardware.x_series import REVERSE
+from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
@@ -32,6 +35,12 @@ _STORE, _RESTORE = b"\x01CTRL", b"\x02CTRL"
 _TORQUE_AT_START, _RAM_FROM_BACKUP = 0b01, 0b10  # bits of Startup Configuration
 BROWN_OUT = 0.4
 """Share of the nominal supply below which a servo loses its memory and starts anew when power is back."""
+
+
+_ERROR_BITS = {name: 1 << bit for bit, name in HARDWARE_ERRORS.items()}
+# Heat and strain change slowly: they are updated no more often than this, s.
+_ELECTRICS_PERIOD = 0.02
+_NO_POSITION = frozenset(map(int, (OperatingMode.VELOCITY, *TORQUE_MODES)))
 
 
 class VirtualServo:
@@ -57,6 +66,8 @@ class VirtualServo:
         zero_offset_ticks: May be changed at any time.
         reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
         ready_at: When the last of these is over, s.
+        electrics: Temperature and strain of the motor.
+        booted: When power came, s; ``heard``: when the last instruction packet went over the bus, s.
     """
 
     def __init__(
@@ -86,8 +97,10 @@ class VirtualServo:
         encoder = -float(position_ticks) if reverse else float(position_ticks)
         self.shaft = Shaft(self.memory, clock, encoder, load or Load.light(self.table.motor))
         self._check = partial(check_write, self.memory)
-        self.controller = Controller(self.memory, self.shaft, clock)
+        self.electrics = Electrics(self.table.motor, clock.now())
         self._clock = clock
+        self._values = self.memory.values
+        self._current_unit = current_unit(self.table)
         self._registered: tuple[int, bytes] | None = None
         self._backup: dict[str, int] = {}
         self.memory.set("id", id)
@@ -95,10 +108,10 @@ class VirtualServo:
         self.memory.set("baud_rate", BAUD_CODES[baud])
         self.memory.set("present_input_voltage", round(10.0 * self.table.supply))
         self._plans: dict[tuple[int, int], list[tuple[str, Callable[[], int]]]] = {}
-        self._live = [(self.table[name], value) for name, value in self.controller.readings().items()]
+        self._live = [(self.table[name], value) for name, value in self._readings().items()]
         if mode == OperatingMode.POSITION:
             self.shaft.fold()
-        self.controller.start()
+        self._start()
 
     @property
     def id(self) -> int:
@@ -121,7 +134,7 @@ class VirtualServo:
     @property
     def torque(self) -> bool:
         """Torque Enable, after the bus watchdog and shutdown had their say."""
-        self.controller.update()
+        self.update()
         return bool(self.memory.get("torque_enable"))
 
     @property
@@ -136,13 +149,13 @@ class VirtualServo:
     @property
     def reading(self) -> float:
         """Present Position before rounding, ticks."""
-        self.controller.update()
+        self.update()
         return self.shaft.reading
 
     @property
     def true_ticks(self) -> float:
         """True shaft position: with the hidden offset, without homing offset, reverse, lost revolutions."""
-        self.controller.update()
+        self.update()
         return self.shaft.encoder + self.zero_offset_ticks
 
     @property
@@ -151,7 +164,7 @@ class VirtualServo:
 
     @stuck.setter
     def stuck(self, value: bool) -> None:
-        self.controller.update()
+        self.update()
         if value and not self.stuck:
             self.shaft.stuck_at = self.shaft.encoder
         elif not value and self.stuck:
@@ -166,7 +179,7 @@ class VirtualServo:
 
     @jammed.setter
     def jammed(self, value: bool) -> None:
-        self.controller.update()
+        self.update()
         here = self.shaft.encoder
         if not value:
             self.shaft.stop()
@@ -183,13 +196,9 @@ class VirtualServo:
         if not self.torque:
             self.shaft.rotate_by(ticks)
 
-    def hear(self) -> None:
-        """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
-        self.controller.hear()
-
     def read(self, address: int, length: int) -> tuple[bytes, ErrorCode]:
         """Bytes of the control table as they are now."""
-        self.controller.update()
+        self.update()
         memory = self.memory
         live = self._plans.get((address, length))
         if live is None:
@@ -203,17 +212,17 @@ class VirtualServo:
 
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
-        self.controller.update()
+        self.update()
         locked = bool(self.memory.get("torque_enable"))
         values, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         for register, value in values:
             self.memory.set(register.name, value)
-            self.controller.written(register.name, locked)
+            self._written(register.name, locked)
         return error
 
     def reg_write(self, address: int, data: bytes) -> ErrorCode:
         """Checks a write and keeps it for ``action``."""
-        self.controller.update()
+        self.update()
         locked = bool(self.memory.get("torque_enable"))
         _, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         if not error:
@@ -231,7 +240,7 @@ class VirtualServo:
 
     def clear(self, params: bytes) -> ErrorCode:
         """Clear multi-turn: the reading falls back into one revolution; only while the shaft stands."""
-        self.controller.update()
+        self.update()
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
         if not self.shaft.standing:
@@ -255,10 +264,10 @@ class VirtualServo:
                 if not self.table[name].eeprom:
                     memory.set(name, value)
         self.shaft.fold()
-        self.controller.start()
-        self.ready_at = self.controller.booted + self.reboot_time
+        self._start()
+        self.ready_at = self.booted + self.reboot_time
         if startup & _TORQUE_AT_START and not self.off:
-            self.controller.torque_on()
+            self._torque_on()
 
     def guards_reset(self, params: bytes) -> bool:
         """It ignores a broadcast factory reset of everything."""
@@ -295,16 +304,16 @@ class VirtualServo:
 
     def inject_error(self, name: str) -> None:
         """Makes a hardware error happen, e.g. ``"overload"``; Shutdown says whether torque goes off."""
-        self.controller.update()
-        self.controller.fail(name)
+        self.update()
+        self.fail(name)
 
     def set_supply(self, volts: float) -> None:
         """Another supply voltage; outside the limits of the servo it is an input voltage error."""
-        self.controller.update()
+        self.update()
         self.memory.set("present_input_voltage", max(0, round(10.0 * volts)))
         low, high = self.memory.get("min_voltage_limit"), self.memory.get("max_voltage_limit")
         if not low <= 10.0 * volts <= high:
-            self.controller.fail("input_voltage")
+            self.fail("input_voltage")
 
     def feed(self, volts: float) -> None:
         """Another supply voltage; so low that it cannot run, it starts anew once power is back."""
@@ -315,9 +324,164 @@ class VirtualServo:
 
     def switch(self, on: bool) -> None:
         """Gives it power, so that it starts up, or takes it away: no torque, no replies, RAM lost."""
-        self.controller.update()
+        self.update()
         self.off = not on
         self.reboot()
+
+    # ------------------------------------------------------------------------ by itself
+
+    def _start(self) -> None:
+        """Power came: heat of the motor stays, everything else begins anew."""
+        memory = self.memory
+        self.booted = self.heard = self._clock.now()
+        self.electrics.strain = 0.0
+        self.shaft.powered = False
+        self.shaft.stop()
+        memory.set("present_temperature", min(255, round(self.electrics.temperature)))
+        self._stand()
+
+    def _stand(self) -> None:
+        """Goals as after a start: Goal Position where it stands, the others at their limits or 0."""
+        memory = self.memory
+        memory.set("goal_position", self.shaft.position_register())
+        memory.set("goal_velocity", 0)
+        for goal, limit in (("goal_pwm", "pwm_limit"), ("goal_current", "current_limit")):
+            if goal in self.table:
+                memory.set(goal, memory.get(limit))
+
+    def update(self) -> None:
+        """Lets watchdog and motor act at the time when they do, however late anyone asks."""
+        now = self._clock.now()
+        if self._values.get("bus_watchdog", 0) > 0:
+            self.watch(now)
+        if now - self.electrics.at >= _ELECTRICS_PERIOD:
+            self._warm(now)
+
+    def hear(self) -> None:
+        """An instruction packet went over the bus: feeds the bus watchdog unless it has tripped before."""
+        self.update()
+        self.heard = self._clock.now()
+
+    def watch(self, now: float) -> None:
+        """Lets the bus watchdog run out if it has by ``now``, s."""
+        limit = self._values.get("bus_watchdog", 0) if self._values["torque_enable"] else 0
+        trip = self.heard + limit * WATCHDOG_UNIT
+        if limit > 0 and now > trip:
+            self.shaft.brake_at(trip)
+            self.memory.set("bus_watchdog", TRIPPED)
+
+    def _warm(self, now: float) -> None:
+        electrics, memory = self.electrics, self.memory
+        shown = memory.get("present_temperature")
+        if shown != min(255, round(electrics.temperature)):
+            electrics.temperature = float(shown)  # somebody set it from outside
+        electrics.advance(now, self.shaft.torque(), self.shaft.volts)
+        memory.set("present_temperature", min(255, round(electrics.temperature)))
+        if electrics.strain >= 1.0:
+            self.fail("overload")
+        if electrics.temperature > memory.get("temperature_limit"):
+            self.fail("overheating")
+
+    def fail(self, name: str) -> None:
+        """A hardware error: Shutdown says whether torque goes off; either way it is kept until a reboot."""
+        memory = self.memory
+        memory.set("hardware_error_status", memory.get("hardware_error_status") | _ERROR_BITS[name])
+        if self._shut_down():
+            self.shaft.stop()
+            self.shaft.powered = False
+            memory.set("torque_enable", 0)
+
+    def _readings(self) -> dict[str, Callable[[], int]]:
+        """Registers that are measured, and how."""
+        live = {
+            **self.shaft.registers(),
+            "realtime_tick": lambda: int((self._clock.now() - self.booted) * 1000.0) % 32768,
+            "present_pwm": lambda: self.shaft.sign * round(PWM_FULL * self._duty()),
+            "present_current": self._current,
+            "present_load": self._load,
+        }
+        return {name: read for name, read in live.items() if name in self.table}
+
+    def _load(self) -> int:
+        share = self.shaft.torque() / self.table.motor.stall_torque
+        return self.shaft.sign * round(1000.0 * max(-1.0, min(1.0, share)))
+
+    def _duty(self) -> float:
+        shaft = self.shaft
+        if not shaft.powered:
+            return 0.0
+        return self.electrics.duty(shaft.torque(), shaft.speed * RADIANS_PER_TICK, shaft.volts)
+
+    def _current(self) -> int:
+        amount = self.electrics.milliamperes(self.shaft.torque(), self._duty()) / self._current_unit
+        return self.shaft.sign * max(-32768, min(32767, round(amount)))
+
+    # ------------------------------------------------------------------- by its registers
+
+    def _written(self, name: str, had_torque: bool) -> None:
+        """What a write sets off."""
+        mode = self._values["operating_mode"]
+        match name:
+            case "torque_enable":
+                self._torque_written(had_torque)
+            case "goal_position":
+                self._goal_written(mode not in _NO_POSITION)
+            case "goal_velocity":
+                self._goal_written(mode == OperatingMode.VELOCITY)
+            case "goal_current" | "goal_pwm":
+                # In the other modes it is a limit: what was too weak may be strong enough now.
+                self._goal_written(bool(self._values["torque_enable"]) or mode in TORQUE_MODES)
+            case "operating_mode":
+                for register in (*GAINS, *FEEDFORWARD, *PROFILE):
+                    self.memory.set(register, self.table[register].initial or 0)
+                self._count_anew()
+                self._stand()
+            case "drive_mode":
+                self._count_anew()
+
+    def _torque_on(self) -> None:
+        """The motor takes over where the shaft stands."""
+        self.memory.set("torque_enable", 1)
+        self.shaft.powered = True
+        self.shaft.stop()
+
+    def _torque_written(self, had_torque: bool) -> None:
+        memory, shaft = self.memory, self.shaft
+        if self._shut_down():
+            memory.set("torque_enable", 0)
+        if not memory.get("torque_enable"):
+            shaft.powered = False
+            shaft.stop()
+        elif not had_torque and not self.tripped:
+            self._count_anew()
+            self.heard = self._clock.now()
+            if not self._slave:
+                self._torque_on()
+                shaft.go()
+
+    def _goal_written(self, of_this_mode: bool) -> None:
+        if not of_this_mode or self._slave:
+            return
+        values = self._values
+        if not values["torque_enable"] and self._drive_mode & TORQUE_BY_GOAL and not self._shut_down():
+            self._torque_on()
+        if values["torque_enable"]:
+            self.shaft.go()
+
+    def _count_anew(self) -> None:
+        if self.memory.get("operating_mode") == OperatingMode.POSITION:
+            self.shaft.fold()
+
+    @property
+    def _drive_mode(self) -> int:
+        return self._values.get("drive_mode", 0)
+
+    @property
+    def _slave(self) -> bool:
+        return bool(self._drive_mode & SLAVE)
+
+    def _shut_down(self) -> bool:
+        return bool(self.memory.get("hardware_error_status") & self.memory.get("shutdown"))
 
 
 # ------------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ class JointMotor:
     def wanted(self, t: float) -> float | None:
         """Acceleration that its controller wants, rad/s^2 (m/s^2) at the joint; None where it wants none."""
         servo, shaft = self._servo, self._servo.shaft
-        servo.controller.watch(t)
+        servo.watch(t)
         if not shaft.powered or servo.memory.get("operating_mode") in drive.TORQUE_MODES:
             return None
         position, velocity = shaft.motion.at(t)

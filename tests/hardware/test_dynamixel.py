@@ -268,7 +268,7 @@ class Interrupt(BaseException):
     "method", ["writePort", "readPort", "clearPort", "isPacketTimeout", "setPacketTimeout"]
 )
 def test_an_exception_anywhere_in_a_transaction_leaves_the_port_usable(bus, method, monkeypatch):
-    handler = bus._wire._handler
+    handler = bus._handler
     original = getattr(handler, method)
     hit = []
 
@@ -291,7 +291,7 @@ def test_an_exception_anywhere_in_a_transaction_leaves_the_port_usable(bus, meth
 
 def test_an_interrupted_read_does_not_answer_the_next_question(bus, served, monkeypatch):
     served.bus.servo(1).memory.set("profile_velocity", 7)
-    handler = bus._wire._handler
+    handler = bus._handler
     with monkeypatch.context() as cut, pytest.raises(Interrupt):
         cut.setattr(handler, "readPort", lambda n: (_ for _ in ()).throw(Interrupt()))
         bus.read(1, POSITION)

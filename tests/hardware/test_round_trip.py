@@ -13,8 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.hardware.bus import Counters
-from robot_ik.hardware.dynamixel import MAX_JITTER, MIN_TIMEOUT, TIMEOUT_FACTOR, RoundTripEstimator
-from robot_ik.hardware.serial_port import SleepingPortHandler
+from robot_ik.hardware.serial_port import (
+    MAX_JITTER,
+    MIN_TIMEOUT,
+    TIMEOUT_FACTOR,
+    RoundTripEstimator,
+    SleepingPortHandler,
+)
 
 AT_MOST = 0.034
 

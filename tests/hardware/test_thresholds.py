@@ -32,7 +32,7 @@ def fix(servo: VirtualServo, register: str, value: int) -> None:
     """From here on a register reads what the test says, whatever its motor does."""
     servo._live = [(r, (lambda: value) if r.name == register else read) for r, read in servo._live]
     if register == "present_temperature":
-        servo.controller.electrics.temperature = value
+        servo.electrics.temperature = value
     servo.memory.set(register, value)
     servo._plans.clear()
 
