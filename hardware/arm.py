@@ -23,8 +23,13 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle, MotionReport
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.gripper import Fingers, Grip
-from robot_ik.hardware.recovery import check_revolutions_kept, find_again, restart_faulty, verify
-from robot_ik.hardware.startup import set_currents
+from robot_ik.hardware.startup import (
+    check_revolutions_kept,
+    find_again,
+    restart_faulty,
+    set_currents,
+    verify,
+)
 from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.joint_map import JointMap
-    from robot_ik.hardware.recovery import ServoReset
+    from robot_ik.hardware.startup import ServoReset
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class ServoResetFaultOptions(BusOptions):
 
 def run_reset_fault(options: ServoResetFaultOptions) -> int:
     """1 when something is still wrong."""
-    from robot_ik.hardware.recovery import reset_servos
+    from robot_ik.hardware.startup import reset_servos
 
     config = load_arm(options.arm).only(options.joints)
     with opened(options, config) as link:
