@@ -27,8 +27,9 @@ if TYPE_CHECKING:
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.hardware.virtual.pty import PtyPort
 
-__all__ = ["BUSES", "Bus", "bus_row", "no_pty", "open_arm", "open_bus"]
+__all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
 
 
 @dataclass(frozen=True)
@@ -60,20 +61,19 @@ def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
 def _pty(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     from robot_ik.hardware.simulated import ServedBus
 
-    try:
-        import robot_ik.hardware.virtual.pty  # noqa: F401 - whether it can be
-    except ImportError as reason:
-        raise no_pty(reason) from reason
-
+    pty_port()  # now, not when it is opened
     assert servos is not None
     return ServedBus(servos, config.baud)
 
 
-def no_pty(reason: ImportError) -> BusNotOpenError:
-    """For systems where termios or fcntl cannot be imported: Windows."""
-    return BusNotOpenError(
-        f"this system has no pseudo terminals ({reason})", hint="use --bus sim: the same servos in process"
-    )
+def pty_port() -> type[PtyPort]:
+    """The class of ports; raises ``BusNotOpenError`` where termios or fcntl is missing: Windows."""
+    try:
+        from robot_ik.hardware.virtual.pty import PtyPort
+    except ImportError as reason:
+        problem = f"this system has no pseudo terminals ({reason})"
+        raise BusNotOpenError(problem, hint="use --bus sim: the same servos in process") from reason
+    return PtyPort
 
 
 def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:

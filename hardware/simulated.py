@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from robot_ik.hardware import pty_port
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import SleepingPortHandler
@@ -100,9 +101,7 @@ class ServedBus(DynamixelBus):
 
     def open(self) -> None:
         if self._pty is None:
-            from robot_ik.hardware.virtual.pty import PtyPort  # not on Windows
-
-            self._pty = PtyPort(self._servos)
+            self._pty = pty_port()(self._servos)
         self.port = self._pty.path  # another one after it was unplugged
         super().open()
 

@@ -233,13 +233,10 @@ class VirtualBus:
                 return []
             case _:
                 return self._execute(packet, listeners)
-        wanted: dict[int, list[tuple[int, bytes]]] = {}
-        for id, address, data in orders:
-            wanted.setdefault(id, []).append((address, data))
         for servo in listeners:
-            values = servo.memory.values
-            for id in {values["id"], values["secondary_id"]} & wanted.keys():
-                for address, data in wanted[id]:
+            heard = {servo.memory.values["id"], servo.memory.values["secondary_id"]}
+            for id, address, data in orders:
+                if id in heard:
                     servo.write(address, data)
         return []
 

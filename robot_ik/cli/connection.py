@@ -115,16 +115,11 @@ def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
     if name not in ("pty", "sim"):
         yield name
         return
-    from robot_ik.hardware import no_pty
+    from robot_ik.hardware import pty_port
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import RealClock
 
-    try:
-        from robot_ik.hardware.virtual.pty import PtyPort
-    except ImportError as reason:
-        raise no_pty(reason) from reason
-
-    with PtyPort(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
+    with pty_port()(VirtualBus.from_config(load_arm(arm), RealClock()), match_baud=True) as port:
         yield port.path
 
 

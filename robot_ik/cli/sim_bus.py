@@ -83,16 +83,12 @@ class SimBusOptions:
 
 def run(options: SimBusOptions) -> int:
     """Serves until SIGINT, SIGTERM or SIGHUP, which are the normal end."""
-    try:
-        from robot_ik.hardware.virtual.pty import PtyPort
-    except ImportError as reason:  # no termios: Windows
-        from robot_ik.hardware import no_pty
-
-        raise no_pty(reason) from reason
+    from robot_ik.hardware import pty_port
     from robot_ik.hardware.virtual.bus import VirtualBus, home_of
     from robot_ik.hardware.virtual.faults import load_faults
     from robot_ik.ports import RealClock
 
+    make_port = pty_port()
     _check_numbers(options)
     _require_free(options.link)
     config = load_arm(options.arm)
@@ -108,7 +104,7 @@ def run(options: SimBusOptions) -> int:
     bus.inject(*(file.faults if file else ()))
     with (
         _ended_by_signal() as ended,
-        PtyPort(
+        make_port(
             bus,
             options.link,
             match_baud=options.match_baud,
