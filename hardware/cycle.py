@@ -244,36 +244,6 @@ def has_torque(bus: ServoBus, servo: JointMap) -> bool:
     return True
 
 
-def last_word(bus: ServoBus, servo: JointMap, age: float, *, everyone: bool) -> int | None:
-    """Present position of a servo that has not answered for ``age`` s (infinite: never), asked by itself.
-
-    ``everyone``: all others are silent too.
-
-    Raises:
-        MotorFaultError: ``no_status`` or ``corrupt``.
-        BusTimeoutError: No servo answers.
-        BusDisconnectedError: The port went away.
-    """
-    try:
-        return bus.read(servo.id, servo.table["present_position"]).data
-    except BusTimeoutError:
-        status, cause = "no_status", "its cable and power"
-    except BusCorruptError:
-        status, cause = "corrupt", "whether another servo has this id"
-    if everyone:
-        raise BusTimeoutError(
-            id=servo.id,
-            register="present_position",
-            port=bus.port,
-            joint=servo.name,
-            last_good=age if math.isfinite(age) else None,
-            everyone=True,
-            hint="check their power, the cable and the adapter; torque stays as it was",
-        )
-    hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
-    raise MotorFaultError(servo.name, (status,), hint=hint)
-
-
 class Cycle:
     """The inner loop of an arm whose servos have torque.  Raises what it finds; the arm decides what follows.
 
@@ -528,9 +498,31 @@ class Cycle:
         self.feedback.read_plainly(servo.id)
 
     def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
-        """Who is about to be given up is asked once more, by itself and with all patience."""
+        """Who is about to be given up is asked once more, by itself and with all patience.
+
+        ``everyone``: all are silent.
+        """
         for servo in silent:
             age = self.samples.age(servo, self._clock.now())
-            ticks = last_word(self._bus, servo, age, everyone=everyone)
-            nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
-            self.samples.take(nobody | {servo.id: ticks}, self._clock.now())
+            try:
+                ticks = self._bus.read(servo.id, servo.table["present_position"]).data
+            except BusTimeoutError:
+                status, cause = "no_status", "its cable and power"
+            except BusCorruptError:
+                status, cause = "corrupt", "whether another servo has this id"
+            else:
+                nobody: dict[int, int | None] = dict.fromkeys(self._config.servo_ids)
+                self.samples.take(nobody | {servo.id: ticks}, self._clock.now())
+                continue
+            if everyone:
+                raise BusTimeoutError(
+                    id=servo.id,
+                    register="present_position",
+                    port=self._bus.port,
+                    joint=servo.name,
+                    last_good=age if math.isfinite(age) else None,
+                    everyone=True,
+                    hint="check their power, the cable and the adapter; torque stays as it was",
+                )
+            hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
+            raise MotorFaultError(servo.name, (status,), hint=hint)

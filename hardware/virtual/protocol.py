@@ -167,10 +167,6 @@ class Parser:
             packets.append(packet)
         return packets
 
-    def clear(self) -> None:
-        """Forgets a partial packet."""
-        self._buffer.clear()
-
     def _next(self) -> Packet | None:
         buffer = self._buffer
         while True:

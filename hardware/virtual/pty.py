@@ -104,7 +104,16 @@ class PtyPort:
         self.close()
 
     def client_baud(self) -> int:
-        return _baud_of(self._master)
+        """Bits/s the client has set the port to; 0 if it is not known."""
+        if sys.platform == "linux":
+            with contextlib.suppress(OSError):
+                raw = fcntl.ioctl(self._master, _TCGETS2, bytes(_TERMIOS2.size))
+                return int(_TERMIOS2.unpack(raw)[-1])
+        try:
+            speed: int = termios.tcgetattr(self._master)[5]
+        except termios.error:
+            return 0
+        return int(_RATES.get(speed, speed))
 
     def _wake(self) -> None:
         if not self._closed.is_set():
@@ -203,19 +212,6 @@ class PtyPort:
             log.debug("virtual bus on %s: nobody reads, %d bytes lost", self.path, len(reply))
         except OSError as error:
             log.debug("virtual bus on %s: %s", self.path, error)
-
-
-def _baud_of(handle: int) -> int:
-    """Rate a terminal is set to, bits/s; 0 if it is not known."""
-    if sys.platform == "linux":
-        with contextlib.suppress(OSError):
-            raw = fcntl.ioctl(handle, _TCGETS2, bytes(_TERMIOS2.size))
-            return int(_TERMIOS2.unpack(raw)[-1])
-    try:
-        speed: int = termios.tcgetattr(handle)[5]
-    except termios.error:
-        return 0
-    return int(_RATES.get(speed, speed))
 
 
 def _make_link(link: Path, path: str) -> None:

@@ -269,10 +269,6 @@ class VirtualServo:
         if startup & _TORQUE_AT_START and not self.off:
             self._torque_on()
 
-    def guards_reset(self, params: bytes) -> bool:
-        """It ignores a broadcast factory reset of everything."""
-        return params == b"\xff" and "guarded_reset" in self.table.abilities
-
     def factory_reset(self, option: int) -> ErrorCode:
         """0xFF: everything; 1: all but the id; 2: all but id and baud rate.  Then a reboot."""
         keep = {0xFF: (), 1: ("id",), 2: ("id", "baud_rate")}.get(option)
@@ -552,10 +548,9 @@ def execute(
             error = servo.reg_write(word(params, 0), params[2:])
         case Instruction.ACTION:
             error = servo.action()
-        case Instruction.FACTORY_RESET if broadcast and servo.guards_reset(params):
-            error = ErrorCode.RESULT_FAIL
         case Instruction.FACTORY_RESET if len(params) == 1:
-            error = servo.factory_reset(params[0])
+            guarded = broadcast and params == b"\xff" and "guarded_reset" in servo.table.abilities
+            error = ErrorCode.RESULT_FAIL if guarded else servo.factory_reset(params[0])
         case Instruction.READ | Instruction.FACTORY_RESET:
             error = ErrorCode.DATA_LENGTH
         case Instruction.REBOOT:
