@@ -80,14 +80,8 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
     """How far the tool may be off although every servo is right to a tick.
 
     Half a tick of each joint for rounding the command, half for rounding what is read back, all in the
-    worst direction at once: Σ ‖J_j‖ · tick_j, plus the tolerance of the solve.
-
-    Args:
-        robot: At ``q`` (nq,).
-        q: See ``robot``.
-        resolution: (nv,) rad per tick of each joint; zeros without servos.
-        frame: The tool.
-        tolerance: Of the solve.
+    worst direction at once: Σ ‖J_j‖ · tick_j at ``q`` (nq,), plus the tolerance of the solve.
+    ``resolution`` (nv,) are rad per tick of each joint, zeros without servos.
     """
     jacobian = robot.jacobian(q, frame)
     return Bound(
@@ -96,27 +90,16 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
     )
 
 
-def distance(pose: Pose, goal: Goal, target: Pose) -> tuple[float, float]:
-    """Metres and radians from ``pose`` to the goal's target; 0 for the part it leaves free."""
-    return goal.off(pose, target)
-
-
 def judge_read_back(
-    robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound, goal_sigma: Bound = EXACT
+    robot: Robot, q: Array, goal: Goal, frame: str, bound: Bound, goal_sigma: Bound = EXACT
 ) -> Judgement:
-    """The miss at the joint angles read back (nq,), by MuJoCo's own forward pass.
+    """The miss of ``frame`` at the joint angles read back (nq,), by MuJoCo's own forward pass.
 
-    Args:
-        robot: At ``q`` (nq,).
-        q: See ``robot``.
-        goal: What was wanted, at ``target`` in the world.
-        target: See ``goal``.
-        frame: The tool.
-        bound: From ``quantisation``.
-        goal_sigma: How well ``target`` is known, beside where the arm was sent; zeros where both are one.
+    ``bound`` comes from ``quantisation``; ``goal_sigma`` says how well the goal is known beside where the arm
+    was sent, zeros where both are one.
     """
     pose = robot.measure(q, frame)
-    metres, radians = distance(pose, goal, target)
+    metres, radians = goal.off(pose, goal.target)
     return Judgement(metres, radians, bound.widened(goal_sigma), goal_sigma, pose)
 
 
@@ -125,26 +108,16 @@ def judge_by_camera(
     pose_world_camera: Pose,
     pose_body_tool: Pose,
     goal: Goal,
-    target: Pose,
     bound: Bound,
     goal_sigma: Bound = EXACT,
 ) -> Judgement:
-    """The miss as a camera sees it: the tool carries markers.
+    """The miss as a camera sees it: the tool carries the marker body that was ``seen``.
 
-    Allowed is three standard deviations of the measurement plus the quantisation of the servos, and never
-    more than 5 mm and 1 degree.
-
-    Args:
-        seen: The marker body in the picture.
-        pose_world_camera: Where the camera is.
-        pose_body_tool: The tool seen from the marker body.
-        goal: What was wanted, at ``target`` in the world.
-        target: See ``goal``.
-        bound: From ``quantisation``.
-        goal_sigma: As in ``judge_read_back``.
+    Allowed is three standard deviations of the measurement plus the quantisation of the servos (``bound``),
+    and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.
     """
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
-    metres, radians = distance(pose, goal, target)
+    metres, radians = goal.off(pose, goal.target)
     lever = seen.pose_camera_body.rotation @ pose_body_tool.position
     sigma = sigma_at(seen.covariance, lever).combined(goal_sigma)
     allowed = Bound(

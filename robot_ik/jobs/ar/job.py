@@ -22,7 +22,6 @@ from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import JobReport
 from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
 from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
@@ -101,7 +100,7 @@ class ArRequest:
 
 
 @dataclass(eq=False)
-class ArReport(JobReport):
+class ArReport:
     """What came of it.
 
     Attributes:
@@ -160,14 +159,19 @@ def run_ar(
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
         compiling = stack.enter_context(Precompilation.overlay())
-        phases = _ArPhases(request, robot, mover, sink, compiling, progress, stack)
-        placed = phases.place()
-        opened = phases.open(placed)
-        placed = phases.fit(placed, opened)
+        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
+        motion = _motion(request, robot, figure, mover, stack)
+        opened = _open(request, motion, stack)
+        if opened.scene is not None and not request.scale:  # all of it stays in the synthetic pictures
+            scale = _scale_in_view(request, robot, motion, opened.scene, opened.total)
+            figure = _figure(request, robot, scale)
+            if request.motion == "follow":  # it reaches with the arm as it is drawn
+                motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
         stack.callback(getattr(artist, "close", lambda: None))
-        report = ArReport(artist.name, placed.figure.scale, _joined(notice, placed.notice))
-        report.keep(phases.draw(placed, opened, artist))
+        report = ArReport(artist.name, figure.scale, _joined(notice, getattr(motion, "notice", "")))
+        registrar = _registrar(request, opened.intrinsics, artist, figure)
+        _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
         report.file = sink.close()
     if report.pictures and not report.drawn:
         raise MarkerNotFoundError(
@@ -184,21 +188,14 @@ def _joined(*notices: str) -> str:
     return "; ".join(filter(None, notices))
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """The robot as it stands on the board, and what moves it."""
-
-    figure: DrawnRobot
-    motion: DrawnMotion
-
-    @property
-    def notice(self) -> str:
-        """What the user should know of the motion."""
-        return getattr(self.motion, "notice", "")
+def _motion(
+    request: ArRequest, robot: Robot, figure: DrawnRobot, mover: Mover | None, stack: contextlib.ExitStack
+) -> DrawnMotion:
+    return mover(robot, figure) if mover else make_motion(request.motion, robot, figure, stack)
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
+class _Opened:
     """The pictures: ``total`` of them (0: unknown), their optics; ``scene`` None: real ones."""
 
     frames: Iterator[Frame]
@@ -207,77 +204,38 @@ class Opened:
     scene: BoardScene | None
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """What was drawn, as in ``ArReport``."""
-
-    pictures: int
-    drawn: int
-    in_view: int
-    reprojection_px: float
-    seconds: float
-    interrupted: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _ArPhases:
-    """What drawing a robot does, one thing after the other, and what all of it needs."""
-
-    request: ArRequest
-    robot: Robot
-    mover: Mover | None
-    sink: PictureSink
-    compiling: Precompilation
-    progress: PictureProgress
-    stack: contextlib.ExitStack
-
-    def place(self, scale: float = 0.0) -> Placed:
-        """The robot, as large as asked, or at ``scale`` or as is usual."""
-        request, robot = self.request, self.robot
-        figure = _figure(request, robot, request.scale or scale or _usual_scale(request, robot))
-        if self.mover is not None:
-            return Placed(figure, self.mover(robot, figure))
-        return Placed(figure, make_motion(request.motion, robot, figure, self.stack))
-
-    def open(self, placed: Placed) -> Opened:
-        """The camera; synthetic pictures are as many as the motion takes."""
-        return _open(self.request, placed.motion, self.stack)
-
-    def fit(self, placed: Placed, opened: Opened) -> Placed:
-        """The robot so large that all of it stays in the synthetic pictures."""
-        request, scene = self.request, opened.scene
-        if scene is None or request.scale:
-            return placed
-        scale = _scale_in_view(request, self.robot, placed.motion, scene, opened.total)
-        if request.motion == "follow":  # it reaches with the arm as it is drawn
-            return self.place(scale)
-        return replace(placed, figure=_figure(request, self.robot, scale))
-
-    def draw(self, placed: Placed, opened: Opened, artist: Artist) -> Drawn:
-        """All pictures, until they end or Ctrl-C."""
-        registrar = _registrar(self.request, opened.intrinsics, artist, placed.figure)
-        count = drawn = in_view = 0
-        spent, errors, begin, interrupted = 0.0, [], None, False
-        try:
-            for tracked, shown in _pairs(opened.frames, self.request):
-                begin = tracked.time if begin is None else begin
-                start = time.perf_counter()
-                seen = registrar.track(tracked)
-                self.compiling.wait()
-                qpos = self.robot.qpos(placed.motion.q(shown.time - begin, seen))
-                made = registrar.compose(seen, shown, qpos)
-                spent += time.perf_counter() - start
-                self.sink.write(made.image, shown.time)
-                count += 1
-                if made.drawing is not None:
-                    drawn, in_view = drawn + 1, in_view + bool(made.drawing.robot.coverage.any())
-                    errors += [] if seen is None else [seen.error]
-                self.progress(count, opened.total)
-        except KeyboardInterrupt:
-            interrupted = True
-        return Drawn(
-            count, drawn, in_view, float(np.mean(errors)) if errors else float("nan"), spent, interrupted
-        )
+def _draw(
+    report: ArReport,
+    request: ArRequest,
+    robot: Robot,
+    motion: DrawnMotion,
+    opened: _Opened,
+    registrar: Registrar,
+    sink: PictureSink,
+    compiling: Precompilation,
+    progress: PictureProgress,
+) -> None:
+    """Tracks, draws and writes all pictures, until they end or Ctrl-C; fills in the report."""
+    errors: list[float] = []
+    begin: float | None = None
+    try:
+        for tracked, shown in _pairs(opened.frames, request):
+            begin = tracked.time if begin is None else begin
+            start = time.perf_counter()
+            seen = registrar.track(tracked)
+            compiling.wait()
+            made = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time - begin, seen)))
+            report.seconds += time.perf_counter() - start
+            sink.write(made.image, shown.time)
+            report.pictures += 1
+            if made.drawing is not None:
+                report.drawn += 1
+                report.in_view += bool(made.drawing.robot.coverage.any())
+                errors += [] if seen is None else [seen.error]
+            progress(report.pictures, opened.total)
+    except KeyboardInterrupt:
+        report.interrupted = True
+    report.reprojection_px = float(np.mean(errors)) if errors else float("nan")
 
 
 def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
@@ -385,7 +343,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     return np.array([name in names for name in known]) if names else None
 
 
-def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> Opened:
+def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> _Opened:
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
         occluders = None if request.occluders is None else load_occluders(request.occluders)
@@ -403,9 +361,9 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
                 yield source.read().without_truth()
                 clock.ticks += 1
 
-        return Opened(made(), source.scene.intrinsics, count, scene)
+        return _Opened(made(), source.scene.intrinsics, count, scene)
     real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return Opened(_limited(real, request.seconds), lens, 0, None)
+    return _Opened(_limited(real, request.seconds), lens, 0, None)
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

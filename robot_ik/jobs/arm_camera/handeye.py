@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, Syn
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import JobReport, Progress
+from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stations
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
@@ -198,7 +198,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(eq=False)
-class HandEyeReport(JobReport):
+class HandEyeReport:
     """What came out.
 
     Attributes:
@@ -265,14 +265,14 @@ def run_handeye(
         report = HandEyeReport(samples, scene.truth)
         phases = ViewPhases(request, setup, scene, progress)
         stack.enter_context(setup.connected())
-        planned = report.keep(phases.plan(task))
+        report.stations = phases.plan(task)
         if dry_run:
             return report
         setup.enable_torque()
-        report.keep(phases.measure(planned, samples, lambda: keep(samples)))
-    samples.require(len(planned.stations), "say better where camera and board are")
+        report.unseen = phases.measure(report.stations, samples, lambda: keep(samples))
+    samples.require(len(report.stations), "say better where camera and board are")
     progress("solving", 0.0)
-    report.keep(solve(samples, setup.robot))
+    report.result = solve(samples, setup.robot)
     return report
 
 
@@ -289,9 +289,7 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
         samples.intrinsics = intrinsics
-    report = HandEyeReport(samples, None, tuple(samples.q))
-    report.keep(solve(samples, samples.load_robot()))
-    return report
+    return HandEyeReport(samples, None, tuple(samples.q), result=solve(samples, samples.load_robot()))
 
 
 def samples_path(out: Path) -> Path:
@@ -299,34 +297,13 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedViews:
-    """Stations to visit, (nq,) each, in order."""
-
-    stations: tuple[Array, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredViews:
-    """Numbers, from 0, of the stations where the board was not found or the arm did not come to rest."""
-
-    unseen: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedMount:
-    """Where the camera is."""
-
-    result: HandEye
-
-
-def solve(samples: SampleSet, robot: Robot) -> SolvedMount:
-    """From samples of ``robot``; nothing moves.
+def solve(samples: SampleSet, robot: Robot) -> HandEye:
+    """Where the camera is, from samples of ``robot``; nothing moves.
 
     Raises:
         CalibrationError: The views cannot tell where the camera is.
     """
-    return SolvedMount(solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting))
+    return solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,38 +315,40 @@ class ViewPhases:
     scene: HandEyeScene
     progress: Progress
 
-    def plan(self, task: ViewTask) -> PlannedViews:
-        """Views for a task.  Nothing moves."""
+    def plan(self, task: ViewTask) -> tuple[Array, ...]:
+        """Stations (nq,) for a task, in order.  Nothing moves."""
         self.progress("planning", 0.0)
         request, setup = self.request, self.setup
-        return PlannedViews(
-            tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
-        )
+        return tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
 
-    def measure(self, planned: PlannedViews, samples: SampleSet, keep: Callable[[], None]) -> MeasuredViews:
+    def measure(
+        self, stations: Sequence[Array], samples: SampleSet, keep: Callable[[], None]
+    ) -> tuple[int, ...]:
         """Goes to all stations and looks at the board; the servos have torque.
 
         Args:
-            planned: Where to.
+            stations: Where to.
             samples: Joint angles read and corners seen are added to it.
             keep: Called after each station.
+
+        Returns:
+            Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.
 
         Raises:
             HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
         """
-        unseen, count, scene = [], len(planned.stations), self.scene
+        unseen, count, scene = [], len(stations), self.scene
 
         def show(number: int, share: float) -> None:
             self.progress(f"view {number + 1} of {count}", (number + share) / count)
 
-        visits = visit_stations(
-            self.setup, planned.stations, scene.take, speed=self.request.speed, progress=show
-        )
-        for station in visits:
+        for station in visit_stations(
+            self.setup, stations, scene.take, speed=self.request.speed, progress=show
+        ):
             view = scene.board.see(station.frame, scene.task.intrinsics) if station.still else None
             if view is None:
                 unseen.append(station.number)
                 continue
             samples.add(station.q, view)
             keep()
-        return MeasuredViews(tuple(unseen))
+        return tuple(unseen)

@@ -32,7 +32,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import JobReport, Progress
+from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, ViewPhases, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.reach import Rehearsal
@@ -133,7 +133,7 @@ _LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
 
 
 @dataclass(eq=False)
-class VerifyReport(JobReport):
+class VerifyReport:
     """What came out.
 
     Attributes:
@@ -153,6 +153,24 @@ class VerifyReport(JobReport):
     unseen: tuple[int, ...] = ()
     errors: tuple[PoseError, ...] = ()
     fit: ZeroOffsets | None = None
+
+    def compare(self, stations: int, *, fit: bool) -> None:
+        """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
+
+        Raises:
+            MarkerNotFoundError: The board was seen at too few of the ``stations``.
+        """
+        known, samples, robot = self.known, self.known.samples, self.robot
+        samples.require(stations, "where camera and board are said to be")
+        views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+        asked = (views, robot, samples.frame, samples.intrinsics)
+        fitted = partial(fit_zero_offsets, *asked, camera=known.camera, board=known.board)
+        if known.by_arm:
+            # The pose as the arm's views have it: what is left are the errors that change from view to view.
+            self.errors = fitted(hold=robot.joints).errors
+        else:
+            self.errors = measure_errors(*asked, camera=known.camera, board=known.board)
+        self.fit = fitted() if fit else None
 
     @property
     def unsure(self) -> tuple[int, ...]:
@@ -221,13 +239,13 @@ def run_verify(
         known = phases.locate(extrinsics)
         report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
-        planned = report.keep(phases.plan(replace(scene.task, mount=mount)))
+        report.stations = phases.plan(replace(scene.task, mount=mount))
         if dry_run:
             return report
         setup.enable_torque()
-        report.keep(phases.measure(planned, known.samples, lambda: keep(known)))
+        report.unseen = phases.measure(report.stations, known.samples, lambda: keep(known))
     progress("comparing", 0.0)
-    report.keep(compare(known, setup.robot, len(planned.stations), fit=request.fit))
+    report.compare(len(report.stations), fit=request.fit)
     return report
 
 
@@ -267,35 +285,8 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
     config = None if request.arm_file is None else known.arm(request.arm_file)
     known, robot = replace(known, board=board), samples.load_robot()
     report = VerifyReport(robot, config, known, tuple(samples.q))
-    report.keep(compare(known, robot, len(samples), fit=request.fit))
+    report.compare(len(samples), fit=request.fit)
     return report
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """How far the board is from where the joints say; both as in ``VerifyReport``."""
-
-    errors: tuple[PoseError, ...]
-    fit: ZeroOffsets | None
-
-
-def compare(known: VerifySamples, robot: Robot, stations: int, *, fit: bool) -> Compared:
-    """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
-
-    Raises:
-        MarkerNotFoundError: The board was seen at too few of the ``stations``.
-    """
-    samples = known.samples
-    samples.require(stations, "where camera and board are said to be")
-    views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
-    lens, frame = samples.intrinsics, samples.frame
-    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=known.camera, board=known.board)
-    if known.by_arm:
-        # The pose as the arm's views have it: what is left are the errors that change from view to view.
-        errors = fitted(hold=robot.joints).errors
-    else:
-        errors = measure_errors(views, robot, frame, lens, camera=known.camera, board=known.board)
-    return Compared(errors, fitted() if fit else None)
 
 
 def _scene_request(request: VerifyRequest) -> HandEyeRequest:
