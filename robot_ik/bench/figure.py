@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -25,8 +25,7 @@ from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_
 from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.session import FigureSession, SetBall
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 NORM_DEG: Mapping[str, tuple[float, ...]] = {
     "hip": (35.8, 32.8, 22.5, 11.4, 1.6, -5.3, -0.9, 17.9, 32.0, 36.7, 35.5),
@@ -281,30 +280,9 @@ def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
     return low
 
 
-def describe(measure: MotionMeasure) -> Sequence[str]:
-    """Lines of text."""
-    m = measure
-    fastest = ", ".join(f"{part} {speed:.1f}" for part, speed in m.speed.items())
-    return (
-        f"slip {m.slip:.3f} mm a frame, drift {m.drift:.4f} mm, penetration {m.penetration:.3f} mm",
-        f"zero-moment point inside {100 * m.inside:.1f} %, within 10 mm {100 * m.close:.1f} %, "
-        f"worst {m.worst:.0f} mm",
-        f"force {m.force[0]:.2f} to {m.force[1]:.2f} body weights; beyond limits {m.outside_limits} frames, "
-        f"too fast {m.too_fast}; self-contact in {m.self_contact} of {m.frames}",
-        f"rad/s: {fastest}; a joint's speed changes by {m.jump:.2f} rad/s a frame at most",
-    )
-
-
 @dataclass(frozen=True)
 class FigureRow:
-    """One figure beside its target.
-
-    Attributes:
-        motion, what: Of what, and what of it.
-        value, unit: As measured.
-        least, most: The target; infinite on an open side.
-        missing: Why it was not measured; empty where it was.
-    """
+    """One figure beside its target, infinite on an open side; ``missing``: why it was not measured."""
 
     motion: str
     what: str

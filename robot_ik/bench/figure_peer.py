@@ -1,8 +1,8 @@
 """Frames of a walk with equal goals by the figure's solver and by mink: misses first, then time.
 
-Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (its rotation
-and height), the rotation of the chest, gaze and a posture, all read off a solved walk, and begin where their
-frame before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``MISS``.
+Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (rotation and
+height), the rotation of the chest, gaze and a posture, read off a solved walk, and begin where their frame
+before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``MISS``.
 """
 
 from __future__ import annotations
@@ -14,13 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.figure.figure import Figure
 from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import Walk
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 MISS = 1e-4
 """Of feet and centre of mass, m and rad."""
@@ -41,13 +39,7 @@ _AHEAD = 3.0  # m: the point that the eyes follow
 
 @dataclass(frozen=True)
 class Peer:
-    """What one solver did.
-
-    Attributes:
-        seconds: Of processor time a frame, mean.
-        miss: Largest of feet and centre of mass, m or rad.
-        steps: A frame, mean.
-    """
+    """What one solver did: seconds of processor time and steps a frame, mean; largest miss, m or rad."""
 
     seconds: float
     miss: float

@@ -134,9 +134,9 @@ def run(options: ReachOptions) -> int:
     from robot_ik.jobs.results import results_folder
 
     if options.film:
-        from robot_ik.jobs.reach_files import require_films
+        from robot_ik.jobs.ar.output import require_films
 
-        require_films()
+        require_films("a film of the reach")
     # Before anything moves: a run whose results cannot be kept is not started.
     with (
         results_folder(options.out, "reach", FILES, overwrite=options.overwrite) as folder,

@@ -1,7 +1,6 @@
 """Compiles in a process of its own while this one looks through the camera.
 
-Compiling takes longer than all the rest of a first run together, and Python compiles one thing at a time.
-What the other process has compiled is taken from the cache; should it fail, nothing is lost but time.
+What that has compiled is taken from the cache; should it fail, nothing is lost but time.
 """
 
 from __future__ import annotations
@@ -47,13 +46,7 @@ def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
 
 
 class Precompilation:
-    """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
-
-    Args:
-        kernels: Where one of them has been compiled, nothing is to be done.
-        what: They are, in the line that reports it.
-        arguments: Of Python.
-    """
+    """A program that compiles ``what``, unless one of ``kernels`` has been; ``wait`` before its use."""
 
     def __init__(self, kernels: Sequence[Callable[..., None]], what: str, *arguments: str) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -101,8 +94,7 @@ class Precompilation:
 def compile_overlay() -> None:
     """Fits a marker to computed corners and to an empty picture, and draws a robot beside it.
 
-    That is all of the compiled code in the order in which it is needed, but for the refinement of corners:
-    whoever started this compiles that meanwhile.
+    That is all of the compiled code in the order in which it is needed, but for the refinement of corners.
     """
     lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
     camera = look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.marker_goals import LostPolicy
@@ -45,6 +44,7 @@ from robot_ik.jobs.verdict import (
 from robot_ik.jobs.vision import SeenTarget, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
+from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot_file import find_robot
 from robot_ik.solvers import make_solver
@@ -94,15 +94,10 @@ class ReachRequest:
         bus: ``pty``, ``sim``, ``none`` or a serial port.
         arm_file: None: the one beside the model, else a generic one.
         speed: Share of the joints' speed limits.
-        line: Move the tool on a straight line.
         follow: Seconds to go on following the marker; 0: not at all.
-        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many seconds without
-            the marker while following.
+        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many s without it.
         lead: Seconds to predict the marker beyond each tick.
-        view: Mirror the motion in a window.
         record: File of all commands and measurements, .csv or .mcap.
-        seed: Of restarts and of the synthetic camera's noise.
-        rehearsal: What shall go wrong.
     """
 
     robot: str = "puma560"
@@ -203,7 +198,6 @@ class ReachReport:
 
     @property
     def reached(self) -> bool:
-        """Whether it arrived."""
         return self.decision.reached
 
     @property
@@ -226,8 +220,6 @@ class ReachReport:
         )
 
 
-Array = NDArray[np.float64]
-
 # Errors that mean "tried, not achieved": they end up in the report.
 _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorFaultError)
 # How long the servos may take to arrive after the last command.
@@ -239,15 +231,9 @@ def run_reach(
     progress: Progress = lambda phase, share: None,
     done: Callable[[ReachReport], None] = lambda report: None,
 ) -> ReachReport:
-    """Looks, solves, moves, looks again.
+    """Looks, solves, moves, looks again; not reaching the goal is a result (``reached``, ``problem``).
 
-    Args:
-        request: What to do.
-        progress: Called with the phase ("looking", "solving", "moving", …) and the share of it that is done.
-        done: Given the report when the arm has been left; with a window, before its user closes that.
-
-    Returns:
-        A report; not reaching the goal is a result (``report.reached``, ``report.problem``).
+    ``done`` is given the report when the arm has been left; with a window, before its user closes that.
 
     Raises:
         RobotIkError: Wrong input or environment; nothing was sent to a servo, or the arm was left as its
@@ -266,7 +252,7 @@ def run_reach(
         setup = prepare_robot(request)
         if request.record is not None:
             setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
-        vision = open_vision(request, setup, setup.frame, stack)
+        vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
         with setup.connected():
@@ -394,12 +380,7 @@ class _Reach:
         """The way from where the arm with torque stands now."""
         report, setup = self.report, self.report.setup
         report.q_start = start = setup.q.copy()
-        caps: dict[str, Any] = {
-            "velocity": setup.velocity,
-            "acceleration": setup.acceleration,
-            "rate": setup.rate,
-            "speed": report.request.speed,
-        }
+        caps = setup.caps(report.request.speed)
         if report.request.line:
             target = goal.target
             if (
@@ -421,9 +402,9 @@ class _Reach:
             self.show(tick.commanded if tick.measured is None else tick.measured, tick.time)
             self.progress("moving", min(1.0, tick.index / count))
 
-        settle = _SETTLE_SECONDS if setup.source is not None else 0.0
+        settle = _SETTLE_SECONDS if setup.arm is not None else 0.0
         self.report.execution = execute(
-            trajectory, setup.sinks, source=setup.source, clock=setup.clock, on_tick=show, settle=settle
+            trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle
         )
 
     def show(self, q: Array, time: float) -> None:
@@ -450,9 +431,9 @@ class _Reach:
             report.following = follow(
                 goals, report.robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
-                speed=request.speed, source=setup.source, on_tick=show,
+                speed=request.speed, source=setup.arm, on_tick=show,
             )  # fmt: skip
-        setup.settle(_SETTLE_SECONDS)
+        setup.repeat(_SETTLE_SECONDS)
         report.behind = (float(np.median(behind)), max(behind)) if behind else None
 
     def judge_read_back(self, goal: Goal, goal_sigma: Bound) -> Bound:
@@ -467,7 +448,7 @@ class _Reach:
         """The camera's view of the gripper."""
         self.progress("looking again", 0.0)
         report, vision = self.report, self.report.vision
-        if vision is None or not vision.sees_arm:
+        if vision is None or vision.why_blind:
             report.blind = "no camera watched the arm" if vision is None else vision.why_blind
             return
         body = vision.find_gripper()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import io
 import json
 import math
@@ -11,7 +10,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from robot_ik.camera.drawing.overlay import (
@@ -23,9 +21,10 @@ from robot_ik.camera.drawing.overlay import (
     draw_marker_outline,
     draw_robot,
 )
+from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.errors import MissingExtraError, apart
+from robot_ik.errors import apart
 from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import Film
@@ -49,9 +48,7 @@ def save_reach(report: ReachReport, folder: Path) -> list[Path]:
     written = []
     picture = reach_picture(report)
     if picture is not None:
-        ok, data = cv2.imencode(".png", picture)
-        assert ok
-        write_atomically(folder / "reach.png", data.tobytes())
+        write_image(folder / "reach.png", picture)
         written.append(folder / "reach.png")
     if report.execution is not None:
         write_atomically(folder / "trajectory.csv", _table(report))
@@ -250,12 +247,6 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
 
 def _pose(pose: Pose) -> dict[str, Any]:
     return {"position": pose.position, "wxyz": pose.wxyz}
-
-
-def require_films() -> None:
-    """Raises ``MissingExtraError`` where no film can be written."""
-    if importlib.util.find_spec("av") is None:
-        raise MissingExtraError("av", "video", "a film of the reach")
 
 
 def save_film(report: ReachReport, path: Path) -> Path | None:

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
-from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
+from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
 
 if TYPE_CHECKING:
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from robot_ik.jobs.reach import ReachRequest, Rehearsal
 
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 _RATE_HZ = 100.0
@@ -48,21 +46,9 @@ class KinematicScene:
         self.send(self.q, 0.0)
 
     def send(self, q: Array, now: float) -> None:
-        """Shows ``q`` (nq,)."""
         self.q = np.array(q, dtype=float)
         self.data.qpos[:] = self._robot.qpos(self.q)
         mujoco.mj_forward(self._robot.model, self.data)
-
-
-class LastCommand:
-    """Remembers what was sent last: a ``JointSink``."""
-
-    def __init__(self, q: Array) -> None:
-        self.q = q.copy()
-
-    def send(self, q: Array, now: float) -> None:
-        """Takes ``q`` (nq,)."""
-        self.q = np.array(q, dtype=float)
 
 
 @dataclass(frozen=True)
@@ -76,35 +62,34 @@ class JointLimits:
     used: tuple[float, float]
 
 
+@dataclass(eq=False)
 class RobotSetup:
     """A robot and, with a bus, its servos.
 
     Attributes:
         robot: Inside the intersection of model, servo mode and joint map.
         frame: What shall be moved.
-        dof: How many joints move it.
         limits: How that intersection came about.
-        recorder: Writes what is commanded and measured; empty: nothing does.
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
+        dof: How many joints move the frame.
         scene: Driven by what is read back (by what is commanded, without a bus).
+        recorder: Writes what is commanded and measured; empty: nothing does.
+        commanded: (nq,) what was sent last.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        limits: list[JointLimits],
-        config: ArmConfig | None,
-        arm: Arm | None,
-        clock: Clock,
-    ) -> None:
-        self.robot, self.limits, self.config, self.arm, self.clock = robot, limits, config, arm, clock
-        self.frame = frame
-        self.dof = len(joints_that_move(robot, frame))
-        self.scene = KinematicScene(robot)
-        self._command = LastCommand(robot.home)
+    robot: Robot
+    frame: str
+    limits: list[JointLimits]
+    config: ArmConfig | None
+    arm: Arm | None
+    clock: Clock
+
+    def __post_init__(self) -> None:
+        self.dof = len(joints_that_move(self.robot, self.frame))
+        self.scene = KinematicScene(self.robot)
         self.recorder: list[JointSink] = []
+        self.commanded: Array = self.robot.home.copy()
 
     def record(self, recording: Recording) -> None:
         """From here on every command is written, with what the servos measured last."""
@@ -112,29 +97,23 @@ class RobotSetup:
         self.recorder = [RecordingSink(recording, self.robot.joints, measured)]
 
     @property
-    def source(self) -> JointSource | None:
-        """Who measures the joints; None without a bus."""
-        return self.arm
-
-    @property
     def sinks(self) -> list[JointSink]:
-        """Who takes commands."""
-        return [*([] if self.arm is None else [self.arm]), self._command, *self.recorder]
+        """Who takes commands; the setup itself keeps the last one."""
+        return [*([] if self.arm is None else [self.arm]), self, *self.recorder]
 
-    @property
-    def commanded(self) -> Array:
-        """(nq,) what was sent last."""
-        return self._command.q
+    def send(self, q: Array, now: float) -> None:
+        """Keeps ``q`` (nq,) as what was sent last."""
+        self.commanded = np.array(q, dtype=float)
 
     @property
     def q(self) -> Array:
         """(nq,) where the joints are: measured, or as commanded without a bus."""
         if self.arm is None:
-            return self._command.q
+            return self.commanded
         from robot_ik.hardware.arm import ArmState
 
         if self.arm.state is ArmState.DISCONNECTED:
-            return self._command.q
+            return self.commanded
         q = self.arm.read().q
         self.scene.send(q, 0.0)
         return q
@@ -150,15 +129,12 @@ class RobotSetup:
         """(nv,) rad per servo tick; zeros without servos."""
         return np.zeros(self.robot.nv) if self.config is None else np.asarray(self.config.resolution)
 
-    @property
-    def velocity(self) -> Array | None:
-        """(nv,) cap of the arm file, rad/s; None without one."""
-        return None if self.config is None else self.config.velocity
-
-    @property
-    def acceleration(self) -> Array | None:
-        """(nv,) cap of the arm file, rad/s²; None without one."""
-        return None if self.config is None else self.config.acceleration
+    def caps(self, speed: float) -> dict[str, Any]:
+        """Speed limits, as ``joint_move`` and ``line_move`` take them: a share of the arm file's."""
+        shared = {"rate": self.rate, "speed": speed}
+        if self.config is None:
+            return shared
+        return {"velocity": self.config.velocity, "acceleration": self.config.acceleration, **shared}
 
     @property
     def rate(self) -> float:
@@ -172,23 +148,34 @@ class RobotSetup:
             yield
             return
         with self.arm:
-            self._command.q = self.q.copy()
+            self.stand()
             yield
+
+    def stand(self) -> None:
+        """From here on the arm counts as sent to where it is."""
+        self.commanded = self.q.copy()
 
     def enable_torque(self) -> None:
         """Torque on, where the arm stands."""
         if self.arm is not None:
             self.arm.enable()
-            self._command.q = self.q.copy()
+            self.stand()
 
-    def settle(self, seconds: float) -> None:
-        """Repeats the last command, so that servos can arrive."""
+    def repeat(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Sends the last command again and again, for ``seconds`` or ``until`` it says so."""
         if self.arm is None:
             return
-        begin = self.clock.now()
-        for k in range(int(np.ceil(seconds * self.rate))):
-            self.clock.sleep_until(begin + k / self.rate)
-            self.arm.send(self.commanded, self.clock.now())
+        clock, period = self.clock, 1.0 / self.rate
+        begin, tick = clock.now(), 1
+        while tick * period <= seconds + 1e-9:
+            clock.sleep_until(begin + tick * period)
+            now = clock.now()
+            for sink in self.sinks:
+                sink.send(self.commanded, now)
+            if until():
+                return
+            tick = max(tick + 1, int((now - begin) / period))
+        clock.sleep_until(begin + seconds)
 
     def counters(self) -> dict[str, int]:
         """Totals of the bus; empty without one."""

@@ -1,7 +1,7 @@
 """What stands round the robot in `robot-ik reach`: table, printed markers, camera.
 
-A robot's ``robot.toml`` says so under ``[reach]``; for any other model a scene is generated from its own
-kinematics: a goal that it can reach, a marker in front of that, and a camera that sees both.
+From ``[reach]`` of a ``robot.toml``, else generated: a goal within reach, a marker before it, a camera for
+both.
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, lo
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.ports import Array
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
-
-Array = NDArray[np.float64]
 
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
@@ -103,11 +102,8 @@ class Scene:
 def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Scene:
     """The scene of ``robot.toml``, or one generated from the kinematics of ``frame`` (default: the tool).
 
-    Args:
-        robot: Whose scene.
-        frame: What shall reach the marker.
-        upright: Generated only: the marker lies flat below the goal, however the tool is turned there; for
-            arms that are asked for a position alone.
+    Generated and ``upright``, the marker lies flat below the goal, however the tool is turned there: for arms
+    that are asked for a position alone.
 
     Raises:
         CameraError: No camera pose shows a goal.

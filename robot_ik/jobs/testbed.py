@@ -38,13 +38,7 @@ Image = NDArray[np.uint8]
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
-    """The servo arm of a robot on a bus, connected; torque stays as it is.
-
-    Args:
-        name: The robot: a name of the catalogue or a path.
-        arm_file: The arm file; None: the one beside the model.
-        bus: As ``--bus`` takes it.
-        on_exit: How the arm is left; empty: as its file says.
+    """The servo arm of a robot (name or path) on a bus, connected; torque stays as it is.
 
     Raises:
         ConfigError: There is no arm file, or it is another robot's.
@@ -90,11 +84,7 @@ def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
 class CameraTab:
     """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
 
-    Markers are detected in the picture alone, as a real camera's are; what the synthetic one knows is not
-    asked.
-
-    Args:
-        session: Whose first instance is seen.
+    Markers are detected in the picture alone; what the synthetic camera knows is not asked.
     """
 
     def __init__(self, session: Session) -> None:
@@ -167,7 +157,7 @@ def film(
     overwrite: bool = False,
     on_tick: Callable[[View, int], None] = lambda view, count: None,
 ) -> View:
-    """Runs a command log without a screen, and films it.
+    """Runs a command log without a screen, and films it; gives the last view.
 
     Args:
         log: What happens.
@@ -181,13 +171,9 @@ def film(
         overwrite: Whether files may be replaced.
         on_tick: Called after each tick with the view and the number of ticks in all.
 
-    Returns:
-        The last view.
-
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
         OutputError: Something cannot be written.
-        RobotIkError: As ``Session``.
     """
     wanted = round(seconds * log.start.rate) if seconds else log.ticks
     if not wanted:

@@ -12,17 +12,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robot_ik.camera.marker_goals import sigmas_at
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
+from robot_ik.ports import Array
 
 if TYPE_CHECKING:
     from robot_ik.goals import Tolerance
     from robot_ik.robot import Robot
 
-Array = NDArray[np.float64]
 
 # However uncertain the camera, a larger miss than this is no success.
 LARGEST_MISS = 0.005  # metres
@@ -55,13 +55,10 @@ EXACT = Bound(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Judgement:
-    """A measured miss and what was allowed.
+    """A measured miss and what was allowed, metres and radians; 0 for the part that the goal leaves free.
 
-    Attributes:
-        position, angle: Metres, radians; 0 for the part that the goal leaves free.
-        allowed: The bound.
-        sigma: Standard deviation of the measurement, metres and radians; zeros where it is exact.
-        pose: Where the tool was measured, world.
+    ``sigma`` is the standard deviation of the measurement, zeros where it is exact; ``pose``: where the tool
+    was measured, in the world.
     """
 
     position: float
@@ -72,7 +69,6 @@ class Judgement:
 
     @property
     def passed(self) -> bool:
-        """Whether the miss is within the bound."""
         return bool(self.position <= self.allowed.position and self.angle <= self.allowed.angle)
 
 
@@ -119,31 +115,12 @@ def judge_by_camera(
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
     metres, radians = goal.off(pose, goal.target)
     lever = seen.pose_camera_body.rotation @ pose_body_tool.position
-    sigma = sigma_at(seen.covariance, lever).combined(goal_sigma)
+    sigma = Bound(*sigmas_at(seen.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
     )
     return Judgement(metres, radians, allowed, sigma, pose)
-
-
-def sigma_at(covariance: Array, lever: Array) -> Bound:
-    """Standard deviation in the worst direction, at a point ``lever`` (3,) away from a body's origin.
-
-    A small rotation ω of the body moves that point by ω × lever.
-
-    Args:
-        covariance: (6, 6) of the body's pose, translation over rotation, along camera axes.
-        lever: Along camera axes too.
-    """
-    x, y, z = lever
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    jacobian = np.hstack([np.eye(3), -cross])
-    at_point = jacobian @ covariance @ jacobian.T
-    return Bound(
-        float(np.sqrt(np.linalg.eigvalsh(at_point)[-1])),
-        float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])),
-    )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from robot_ik.camera.marker_goals import sigmas_at
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
@@ -18,7 +19,6 @@ from robot_ik.jobs.verdict import (
     judge_by_camera,
     judge_read_back,
     quantisation,
-    sigma_at,
 )
 from robot_ik.robot import Robot, load_robot
 
@@ -76,7 +76,7 @@ def test_uncertainty_at_the_tool_against_random_draws() -> None:
     twists = rng.multivariate_normal(np.zeros(6), covariance, 40_000)
     moved = twists[:, :3] + np.cross(twists[:, 3:], lever)
     worst = np.sqrt(np.linalg.eigvalsh(np.cov(moved.T))[-1])
-    sigma = sigma_at(covariance, lever)
+    sigma = Bound(*sigmas_at(covariance, lever))
     assert sigma.position == pytest.approx(worst, rel=0.03)
     assert sigma.angle == pytest.approx(np.sqrt(np.linalg.eigvalsh(np.cov(twists[:, 3:].T))[-1]), rel=0.03)
 

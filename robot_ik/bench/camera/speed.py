@@ -1,9 +1,8 @@
 """How long it takes to detect, to draw and to give goals.
 
-A time stands there twice.  Processor time of one thread, OpenCV's own threads switched off, is what the work
-takes on a core of its own, whatever else the machine does.  Time by the clock, with OpenCV's threads, is what
-a user waits, and depends on what else runs.  Each is the best of three rounds of a picture, and the median
-over pictures.  Delays are by the clock.
+Processor time of one thread, OpenCV's own switched off, is what the work takes on a core of its own; time by
+the clock, with OpenCV's threads, is what a user waits, and depends on what else runs.  Each is the best of
+three rounds of a picture, and the median over pictures.  Delays are by the clock.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import frame_of
@@ -30,13 +28,11 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.ports import RealClock
+from robot_ik.ports import Array, RealClock
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot as Arm
 
-
-Array = NDArray[np.float64]
 
 _MARKER, _SIZE, _DICTIONARY, _DISTANCE = 7, 0.05, "DICT_5X5_50", 0.5
 _PERIOD, _ROUNDS = 1.0 / 30.0, 3
@@ -222,19 +218,15 @@ class _Camera:
         self._open = threading.Event()
 
     def set(self, *_: Any) -> bool:
-        """Takes any setting."""
         return True
 
     def get(self, *_: Any) -> float:
-        """Knows none."""
         return 0.0
 
     def isOpened(self) -> bool:
-        """It is."""
         return True
 
     def read(self) -> tuple[bool, Any]:
-        """Waits for the next picture."""
         self._due += _PERIOD
         self._open.wait(max(0.0, self._due - time.monotonic()))
         self._next += 1

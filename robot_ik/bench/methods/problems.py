@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -128,14 +128,6 @@ class Judge:
         body[:3, 3] = self._data.xpos[self._at.body]
         return np.asarray(body @ self._local)
 
-    def jacobian(self, q: Array) -> Array:
-        """(6, nv) of the whole model: linear over angular velocity of the frame, by ``mj_jac``."""
-        model, pose = self._robot.model, self.pose(q)
-        mujoco.mj_comPos(model, self._data)
-        found = np.zeros((6, model.nv))
-        mujoco.mj_jac(model, self._data, found[:3], found[3:], pose[:3, 3], self._at.body)
-        return found
-
     def miss(self, q: Array, target: Array) -> tuple[float, float]:
         """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
         here = self.pose(q)
@@ -161,8 +153,6 @@ class Judge:
         return True
 
 
-Array = NDArray[np.float64]
-
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
 WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
 #: A joint of the set ``limits`` is within this share of its range from an end of it.
@@ -183,8 +173,6 @@ class ProblemSet:
     """Targets for one frame, with the joint angles they were made from.
 
     Attributes:
-        name: Its key in ``SETS``.
-        frame: What shall get there.
         targets: (n, 4, 4) poses in the world.
         witnesses: (n, nq) joint angles inside the limits that meet them; (0, nq) if nothing can.
         first: (nq,) where the first solve starts.
@@ -205,16 +193,9 @@ class ProblemSet:
 
 
 def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
-    """``count`` problems of one kind for the tool.
+    """``count`` problems of one kind, a key of ``SETS``, for the tool; equal seeds give equal numbers.
 
-    Args:
-        name: A key of ``SETS``.
-        robot: From ``load_robot``.
-        count: How many.
-        seed: The same seed gives the same numbers.
-
-    Returns:
-        The set; empty, with a reason, where the robot cannot have such problems.
+    The set is empty, with a reason, where the robot cannot have such problems.
     """
     # A stream of its own for each kind: asking for one set more changes no other.
     rng = np.random.default_rng([seed, *name.encode()])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import platform
@@ -17,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot_ik.batch import usable_cores
-from robot_ik.errors import MissingExtraError
+from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.reading import read_json
 from robot_ik.tables import config_error
 
@@ -98,7 +97,6 @@ class Cell(_Data):
 
     @property
     def count(self) -> int:
-        """Problems solved or failed."""
         return len(self.microseconds)
 
     @property
@@ -248,21 +246,13 @@ _DASHES = ("-", "--", ":")
 Style = Callable[[str], dict[str, Any]]
 
 
-def need_matplotlib() -> None:
-    """Raises ``MissingExtraError`` unless plots can be drawn: asked before a long run, not after it."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plots", "drawing the plots") from error
-
-
 def draw(results: Results) -> dict[str, bytes]:
     """PNG files by name: what these results have something to show for.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    need_matplotlib()
+    require_plots("drawing the plots")
     style = _styles(
         [c.solver for c in results.cells]
         + [c.solver for c in results.curves]
@@ -301,7 +291,7 @@ def _styles(solvers: Iterable[str]) -> Style:
 def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     flat = [one for line in axes for one in line]
     for one in flat:
@@ -314,9 +304,7 @@ def _png(figure: Figure, axes: list[Axes]) -> bytes:
     lines = {line.get_label(): line for one in axes for line in one.get_lines()}
     shown = {str(name): line for name, line in lines.items() if not str(name).startswith("_")}
     figure.legend(list(shown.values()), list(shown), loc="outside right upper", frameon=False, fontsize=9)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _success(cells: list[Cell], style: Style) -> bytes:

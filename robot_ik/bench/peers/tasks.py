@@ -11,13 +11,11 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, plain_mjcf
 from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
-
-Array = NDArray[np.float64]
 
 #: Asked of every library, m and rad.
 TIGHT = (1e-6, 1e-6)
@@ -37,14 +35,7 @@ _BASE = 7  # numbers of a free base in qpos
 
 
 def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
-    """Writes a robot and its problems.
-
-    Args:
-        name: Of ``ARMS``, or ``FIGURE``.
-        folder: Made where it does not exist.
-        count: Problems of a kind; 30 of those out of reach.
-        seed: The same gives the same numbers.
-    """
+    """Writes a robot (of ``ARMS``, or ``FIGURE``) and its problems, ``count`` of a kind (30 out of reach)."""
     make_folder(folder)
     robot = load_robot(name)
     figure = name == FIGURE

@@ -39,16 +39,11 @@ class Task:
 
     Attributes:
         folder: Holds ``model.urdf`` and ``model.xml``, the same kinematics in both forms.
-        robot: Its name.
         joints: Names of the hinges, in the order of solutions (behind the seven numbers of a free base).
-        lower: (n,) rad; ``upper`` likewise.
-        upper: See ``lower``.
-        home: (nq,).
+        lower, upper: (n,) rad; ``home`` (nq,).
         sites: Frames with goals: one with a pose, or several with positions.
-        free_base: Whether the robot floats.
         frames: (n + 1, 4, 4) of an arm: constant transforms between axes z; empty for other robots.
-        position: Tolerance to ask for, m; ``angle`` rad.
-        angle: See ``position``.
+        position, angle: Tolerances to ask for, m and rad.
     """
 
     folder: Path
@@ -65,7 +60,6 @@ class Task:
 
     @classmethod
     def load(cls, folder: Path) -> Task:
-        """Of a folder."""
         facts = json.loads((folder / "task.json").read_text(encoding="utf-8"))
         for key in ("lower", "upper", "home", "frames"):
             facts[key] = np.array(facts[key], dtype=float)
@@ -75,17 +69,11 @@ class Task:
 
     @property
     def urdf(self) -> str:
-        """Path of the URDF."""
         return str(self.folder / "model.urdf")
 
 
 class Library:
-    """What takes part.
-
-    Attributes:
-        needs: Distributions that pip installs for it.
-        settings: What it was asked for, as text.
-    """
+    """What takes part; pip installs ``needs``, and ``settings`` says what it was asked for."""
 
     needs: tuple[str, ...] = ()
     settings = ""

@@ -7,13 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
+from robot_ik.bench.theses.tracking import Gauge, Track, track
 from robot_ik.chain import make_chain
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs import Progress
+from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS, make_solver
@@ -31,12 +32,9 @@ _AT_BASE = 1e-9
 
 
 def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
-    """q (4 · links,) of a chain of links of 1 m whose tip is at ``target``.
+    """q (4 · links,) of a chain of links of 1 m whose tip is at ``target``, world.
 
-    Args:
-        links: How many.
-        target: Pose of the tip, world; its orientation does not count unless ``oriented``.
-        oriented: Whether the last link has to be oriented as ``target`` says.
+    The orientation of ``target`` counts only where the last link has to be ``oriented`` so.
 
     Raises:
         ValueError: The links cannot get there.
@@ -104,8 +102,6 @@ def _rotation_up_to(direction: Array) -> Array:
 # tests 1-13.  The base is at the origin of the world; at home the links lie along z.
 
 
-Array = NDArray[np.float64]
-
 DIAGONAL = np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)
 SKEW = np.array([1.0, -1.0, 1.0]) / math.sqrt(3.0)
 X, Y, Z = np.eye(3)
@@ -152,8 +148,8 @@ class Course:
 
     def witness_miss(self) -> tuple[float, float]:
         """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
-        judge = CourseJudge(self.robot, self.goal)
-        metres, radians = np.max(list(map(judge.miss, self.witnesses, self.targets)), axis=0)
+        there = (self.robot.measure(q, self.goal.frame) for q in self.witnesses)
+        metres, radians = np.max(list(map(self.goal.off, there, self.targets)), axis=0)
         return float(metres), float(radians)
 
 
@@ -272,13 +268,7 @@ NUMBERS = tuple(range(1, 14))
 
 
 def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course:
-    """A00's test ``number`` (1 … 13).
-
-    Args:
-        number: His.
-        seed: Draws the points of 11 and 12.
-        frames: No more than so many; None: the whole course.
-    """
+    """A00's test ``number`` (1 … 13), of no more than so many frames; ``seed`` is for 11 and 12."""
     if number in (11, 12):
         return _lines(number, 3 if number == 11 else 5, seed, frames)
     return _square(number, frames) if number == 13 else _circles(number, frames)
@@ -304,7 +294,7 @@ class A00Report:
     """What there is so far; filled while the job runs, so that an interruption loses nothing.
 
     Attributes:
-        numbers, solvers, frames, seed: What was asked; ``frames`` is None for whole courses.
+        frames: None for whole courses.
         courses: The courses begun, by number.
         tracks: How a method fared on a course, by (solver, number).
         complete: All that was asked has been run.
@@ -348,7 +338,7 @@ def ask_a00(
     """An empty report for what is wanted; nothing named means all.
 
     Raises:
-        ConfigError: No such test, or less than one frame.
+        ConfigError: No such test.
         UnknownSolverError: No such method.
     """
     for number in numbers:

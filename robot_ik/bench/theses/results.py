@@ -153,11 +153,7 @@ def _track(track: Track) -> dict[str, Any]:
 
 
 def save_a00(report: A00Report, folder: Path) -> list[Path]:
-    """Writes what there is; returns the files.
-
-    Raises:
-        OutputError: The folder went away or is full.
-    """
+    """Writes what there is; returns the files.  OutputError: the folder went away or is full."""
     summary = a00_summary(report)
     return [_json(folder / "a00.json", summary), _csv(folder / "a00.csv", summary["tracks"])]
 

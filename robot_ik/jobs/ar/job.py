@@ -27,13 +27,12 @@ from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
+from robot_ik.ports import Array
 from robot_ik.robot import load_robot
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
-
-Array = NDArray[np.float64]
 
 # On the synthetic table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
@@ -50,11 +49,8 @@ class ArRequest:
     """What to draw on what.
 
     Attributes:
-        robot: Name or model file.
-        camera: ``synthetic``, or what ``open_source`` takes.
-        intrinsics: Calibration of a real camera.
+        camera: ``synthetic``, or what ``open_source`` takes; ``intrinsics``: its calibration, of a real one.
         board: See ``parse_board``; ``dictionary`` of its markers.
-        dictionary: See ``board``.
         extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
             of the board (x right, y up, z out of the print), or in the world of ``extrinsics``.
@@ -63,16 +59,11 @@ class ArRequest:
         marker: Id and side (m) of the marker to follow.
         backend: ``painter``, ``ray`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        occluder_geoms: See ``occluders``.
-        latency_options: What is done about delay.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
-        shadow: Whether it throws one.
         out: Film, picture or folder.
-        overwrite: Whether it may be replaced.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
-        seed: Of the synthetic camera's noise.
     """
 
     robot: str = "puma560"
@@ -104,14 +95,12 @@ class ArReport:
     """What came of it.
 
     Attributes:
-        backend: That drew.
-        scale: At which the robot was drawn.
+        backend, scale: Who drew, and at which scale.
         notice: What did not go as asked, in one line.
         pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
         seconds: Of tracking and drawing alone, without taking and writing pictures.
         interrupted: The run was ended by hand.
-        file: What was written.
     """
 
     backend: str
@@ -145,11 +134,8 @@ def run_ar(
 ) -> ArReport:
     """Draws the robot into each picture and writes them.
 
-    Args:
-        request: What to draw on what.
-        progress: Called with how many pictures are done, and of how many (0: unknown).
-        robot: Who is drawn; default: the request's.
-        mover: Makes what moves the robot, in place of ``request.motion``.
+    ``progress`` is given how many pictures are done, and of how many (0: unknown); ``robot`` is drawn in
+    place of the request's, and ``mover`` makes what moves it in place of ``request.motion``.
 
     Raises:
         MarkerNotFoundError: The board was in no picture.

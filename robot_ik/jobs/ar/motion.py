@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.registration import Seen
@@ -17,7 +16,7 @@ from robot_ik.goals import PositionGoal
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
-from robot_ik.ports import Clock, JointSource
+from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.problem import Problem
 from robot_ik.reading import read_text, read_toml
 from robot_ik.robot import Robot
@@ -34,11 +33,9 @@ class _RecordingClock:
         self._clock, self._run, self._recorder = clock, run, recorder
 
     def now(self) -> float:
-        """Of the clock."""
         return self._clock.now()
 
     def sleep_until(self, deadline: float) -> None:
-        """Of the clock."""
         self._clock.sleep_until(deadline)
         self._recorder.send(self._run.setup.true_q(), self._clock.now())
 
@@ -75,9 +72,7 @@ def robot_of(text: str) -> str:
 def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     """Runs it; how the joints moved, where the shafts truly were, and what went wrong in one line.
 
-    Args:
-        text: As for ``is_script``.
-        robot: The one that is drawn; joints that the script's servos do not turn stay at home.
+    Joints that the script's servos do not turn stay at home.
 
     Raises:
         ConfigError: The script is of another robot, or it is wrong.
@@ -103,8 +98,6 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     notice = "" if failed is None else f"the script failed at {failed.name!r}: {failed.found}"
     return Trajectory(moved.times, q, robot.joints), notice
 
-
-Array = NDArray[np.float64]
 
 # A wave goes this part of the way to each joint's limits, at most so far, in so many seconds.
 _WAVE_SHARE, _WAVE_MOST, _WAVE_PERIOD = 0.25, 0.45, 4.0
@@ -148,12 +141,7 @@ class Waving:
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """Plays a trajectory over and over.
-
-    Attributes:
-        trajectory: One number for each joint.
-        notice: What the user should know of it, in one line.
-    """
+    """Plays a trajectory over and over; ``notice`` is what the user should know of it, in one line."""
 
     trajectory: Trajectory
     notice: str = ""
@@ -196,14 +184,10 @@ class Mirroring:
 
 
 def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> DrawnMotion:
-    """The motion that ``text`` names; ``stack`` closes what it opens.
+    """The motion of ``robot``, drawn as ``figure``, that ``text`` names; ``stack`` closes what it opens.
 
-    Args:
-        text: ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
-            comes along), or ``FILE.toml[@BUS]`` of an arm.
-        robot: Who moves.
-        figure: Where it stands.
-        stack: Of the run.
+    ``text`` is ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
+    comes along), or ``FILE.toml[@BUS]`` of an arm.
 
     Raises:
         ConfigError: It means nothing, or the file does not fit the robot.

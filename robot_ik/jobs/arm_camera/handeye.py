@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
@@ -26,6 +25,7 @@ from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_vie
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import calibration_of, open_calibrated
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -62,12 +62,8 @@ class HandEyeRequest(ArmCameraRequest):
 class HandEyeScene:
     """The camera and the board of the job.
 
-    Attributes:
-        task: For planning.
-        board: How it is seen.
-        source: The camera.
-        truth: Where camera and board really are; None where it is unknown.
-        stale: Pictures to throw away before one counts.
+    ``task`` is for planning; ``truth``, where camera and board really are, None where it is unknown; so many
+    ``stale`` pictures are thrown away before one counts.
     """
 
     task: ViewTask
@@ -190,9 +186,6 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
 
 
-Array = NDArray[np.float64]
-
-
 # ------------------------------------------------------------------------------------------
 # The phases, and what came of them.
 
@@ -202,7 +195,6 @@ class HandEyeReport:
     """What came out.
 
     Attributes:
-        samples: What was measured.
         truth: Where camera and board really are; None where it is unknown.
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
@@ -228,7 +220,6 @@ class HandEyeReport:
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
 
     def extrinsics(self) -> CameraExtrinsics:
-        """For the file."""
         result = self.result
         assert result is not None  # a dry run has none
         return CameraExtrinsics(
@@ -245,13 +236,9 @@ def run_handeye(
     keep: Callable[[SampleSet], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> HandEyeReport:
-    """Plans, moves, looks, solves.
+    """Plans, moves, looks, solves; a ``dry_run`` plans only, and nothing moves.
 
-    Args:
-        request: What to do.
-        dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each station, so that an interruption loses none.
-        progress: Called with the phase and the share of it that is done.
+    ``keep`` is handed the samples after each station, so that an interruption loses none.
 
     Raises:
         MarkerNotFoundError: The board was seen at fewer than four stations.
@@ -277,11 +264,7 @@ def run_handeye(
 
 
 def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
-    """Solves again what was measured before.
-
-    Args:
-        samples: From a file.
-        intrinsics: A newer calibration of the same camera; None: the one the samples were taken with.
+    """Solves again what was measured before, also with newer ``intrinsics`` of the same camera.
 
     Raises:
         CalibrationError: For another picture size, or views that cannot tell where the camera is.
@@ -324,12 +307,7 @@ class ViewPhases:
     def measure(
         self, stations: Sequence[Array], samples: SampleSet, keep: Callable[[], None]
     ) -> tuple[int, ...]:
-        """Goes to all stations and looks at the board; the servos have torque.
-
-        Args:
-            stations: Where to.
-            samples: Joint angles read and corners seen are added to it.
-            keep: Called after each station.
+        """Goes to all stations with torque and looks at the board; ``keep`` is called after each sample.
 
         Returns:
             Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import Board, BoardView
@@ -26,6 +25,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, Rehearsal
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.motion.trajectory import joint_move
+from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
 from robot_ik.tables import Pair, Position, Several, Table, Wxyz, config_error
@@ -65,7 +65,6 @@ class ArmCameraRequest:
         return {one.name: getattr(self, one.name) for one in fields(ArmCameraRequest)}
 
     def setup(self, rehearsal: Rehearsal | None = None) -> ReachRequest:
-        """What ``prepare_robot`` is asked for."""
         return ReachRequest(
             robot=self.robot, frame=self.frame, bus=self.bus, arm_file=self.arm_file,
             speed=self.speed, seed=self.seed, rehearsal=rehearsal or Rehearsal(),
@@ -76,8 +75,6 @@ class ArmCameraRequest:
 # Drives an arm from station to station; at each it stands still, its joints are read and a picture is taken.
 
 
-Array = NDArray[np.float64]
-
 # Servos may take this long to arrive after the last command, and then to come to rest.
 _SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
 # Two readings that differ by no more than this many ticks are of an arm at rest.
@@ -86,14 +83,9 @@ _STILL_TICKS = 1.01
 
 @dataclass(frozen=True, eq=False)
 class Station:
-    """The arm at one station.
+    """The arm at one station: where it was sent (nq,), and the picture.
 
-    Attributes:
-        number: From 0.
-        asked: (nq,) where it was sent.
-        q: (nq,) where its servos say it is: mean of the readings before and after the picture.
-        still: Whether it had come to rest.
-        frame: The picture.
+    ``q`` (nq,) is where its servos say it is, mean of before and after the picture; ``still``: at rest.
     """
 
     number: int
@@ -111,32 +103,25 @@ def visit_stations(
     speed: float = 1.0,
     progress: Callable[[int, float], None] = lambda number, share: None,
 ) -> Iterator[Station]:
-    """Goes to each station in turn; a generator, so that what was seen before an interruption is kept.
+    """Goes to each station (nq,) in turn; a generator, so that what was seen before an interruption is kept.
 
-    Args:
-        setup: Connected, with torque on (``setup.connected()``, ``setup.enable_torque()``).
-        stations: (nq,) each, inside the limits; see ``plan_views``.
-        take: Takes a picture.
-        speed: Share of the joints' speed limits.
-        progress: Called with the number of the station and the share of the way to it.
+    The setup is connected, with torque on; ``take`` takes a picture, and ``progress`` is given the number of
+    the station and the share of the way to it.
 
     Raises:
         TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
             says.
     """
     for number, asked in enumerate(stations):
-        trajectory = joint_move(
-            setup.robot, setup.q, asked, speed=speed, rate=setup.rate,
-            velocity=setup.velocity, acceleration=setup.acceleration,
-        )  # fmt: skip
+        trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(speed))
         count = max(1, len(trajectory))
 
         def show(tick: Any, number: int = number, count: int = count) -> None:
             progress(number, min(1.0, tick.index / count))
 
         execute(
-            trajectory, setup.sinks, source=setup.source, clock=setup.clock, on_tick=show,
-            settle=0.0 if setup.source is None else _SETTLE_SECONDS,
+            trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show,
+            settle=0.0 if setup.arm is None else _SETTLE_SECONDS,
         )  # fmt: skip
         before, still = _come_to_rest(setup)
         frame = take()
@@ -150,7 +135,7 @@ def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
         setup.scene.send(last, setup.clock.now())
         return last, True
     for _ in range(_REST_CHECKS):
-        setup.settle(_REST_CHECK_SECONDS)
+        setup.repeat(_REST_CHECK_SECONDS)
         now = setup.q
         if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
             return now, True
@@ -167,15 +152,13 @@ _SCHEMA = 1
 
 @dataclass(eq=False)
 class SampleSet:
-    """Joint angles read from the servos, and the board's corners in the picture taken there.
+    """Joint angles (nq,) read from the servos, and the board's corners in the picture taken there.
 
     Attributes:
         robot: As for ``load_robot``; ``joints`` are the active ones, in the order of ``q``.
-        frame: What carries camera or board.
-        mounting: Which of the two.
+        frame, mounting: What carries camera or board, and which of the two.
         intrinsics: Of the pictures.
         date: ISO 8601.
-        q: (nq,) of each station; ``views``: what was seen there.
     """
 
     robot: str
@@ -191,7 +174,6 @@ class SampleSet:
         return len(self.q)
 
     def add(self, q: Array, view: BoardView) -> None:
-        """One station more."""
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 
@@ -219,7 +201,6 @@ class SampleSet:
         ]
 
     def as_values(self) -> dict[str, Any]:
-        """For JSON."""
         lens = self.intrinsics
         return {
             "schema": _SCHEMA,
@@ -248,21 +229,13 @@ class SampleSet:
 
     @classmethod
     def of_values(cls, data: Any) -> SampleSet:
-        """What ``as_values`` gave, through JSON.
-
-        Raises:
-            ValueError (pydantic's ValidationError among them), RobotIkError: It is something else.
-        """
+        """What ``as_values`` gave, through JSON; ValueError or RobotIkError: something else."""
         of_verify = isinstance(data, dict) and data.get("job") == "verify"
         return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
 
     @classmethod
     def of_file(cls, file: _SampleFile) -> SampleSet:
-        """What the file says.
-
-        Raises:
-            ValueError, RobotIkError: It says something impossible.
-        """
+        """What the file says; ValueError, RobotIkError: it says something impossible."""
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
         found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date)
         for k, one in enumerate(file.samples):
@@ -273,20 +246,12 @@ class SampleSet:
         return found
 
     def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
         write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> SampleSet:
-        """Reads what ``save`` wrote.
-
-        Raises:
-            CameraError: Missing, or no such file.
-        """
+        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
         return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
 
 
@@ -326,11 +291,7 @@ Made = TypeVar("Made")
 
 
 def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
-    """What ``made`` makes of a JSON file.
-
-    Raises:
-        CameraError: It is missing, or ``made`` can make nothing of it.
-    """
+    """What ``made`` makes of a JSON file; CameraError: it is missing, or ``made`` can make nothing of it."""
     hint = f"give the file that robot-ik camera {command} leaves beside its result"
     try:
         text = read_text(path, "the file of samples")
@@ -371,11 +332,7 @@ class VerifySamples:
         return len(self.samples)
 
     def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
         values = self.samples.as_values() | {
             "job": "verify",
             "camera": _pose_values(self.camera),
@@ -388,11 +345,7 @@ class VerifySamples:
 
     @classmethod
     def load(cls, path: Path) -> VerifySamples:
-        """Reads what ``save`` wrote.
-
-        Raises:
-            CameraError: Missing, or no such file.
-        """
+        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
         return read_samples(path, cls._of_values, "an arm before a standing camera", "verify")
 
     @classmethod
@@ -412,11 +365,7 @@ class VerifySamples:
         )
 
     def arm(self, file: Path) -> ArmConfig:
-        """The arm of a file, if the joints were read with it.
-
-        Raises:
-            ConfigError: It has other joints, or one has been changed since.
-        """
+        """The arm of a file; ConfigError: the joints were not read with it, or one has been changed."""
         config = ArmConfig.load(file)
         by_name = {joint.name: joint for joint in config.joints}
         for row in self.servos:

@@ -6,8 +6,6 @@ The camera's pose must come from elsewhere than the arm: a board on the table (`
 from __future__ import annotations
 
 import contextlib
-import importlib.util
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
@@ -29,15 +26,17 @@ from robot_ik.camera.calibration.kinematic import (
     measure_errors,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, ViewPhases, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.reach import Rehearsal
+from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import prepare_robot
 from robot_ik.jobs.scene import scene_for
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -49,14 +48,9 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class Region:
-    """Some of the poses.
+    """Some of the poses: RMS, median and largest of the distances, metres; RMS of the angles, rad.
 
-    Attributes:
-        name: Which.
-        count: How many.
-        rms, median, largest: Of the distances, metres.
-        angle: RMS, rad.
-        sigma: RMS of the stated standard deviations, metres.
+    ``sigma`` is the RMS of the stated standard deviations, metres.
     """
 
     name: str
@@ -120,8 +114,6 @@ class VerifyRequest(ArmCameraRequest):
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
 
 
-Array = NDArray[np.float64]
-
 # Pictures of the marker on the table by which the simulated camera is located.
 _LOCATE_PICTURES = 5
 # A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
@@ -137,8 +129,6 @@ class VerifyReport:
     """What came out.
 
     Attributes:
-        robot: Inside the limits that were used.
-        config: The servos.
         known: What was measured, and what was known before of camera and board.
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
@@ -214,13 +204,7 @@ def run_verify(
     keep: Callable[[VerifySamples], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
-    """Locates the camera, plans, moves, looks, compares.
-
-    Args:
-        request: What to do.
-        dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each station, so that an interruption loses none.
-        progress: Called with the phase and the share of it that is done.
+    """Locates the camera, plans, moves, looks, compares; ``dry_run`` and ``keep`` as in ``run_handeye``.
 
     Raises:
         RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
@@ -252,11 +236,8 @@ def run_verify(
 def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
     """Judges again what was measured before.
 
-    Args:
-        known: From a file.
-        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics``
-            and ``pose_frame_board``.
-        board_sigma: Whether ``request.board_sigma`` is said anew, too.
+    Of the request count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics`` and
+    ``pose_frame_board``; with ``board_sigma`` its ``board_sigma``, too.
 
     Raises:
         ConfigError: The arm file is not the one the joints were read with.
@@ -332,7 +313,6 @@ class _VerifyPhases(ViewPhases):
         )
 
     def _located(self) -> CameraExtrinsics:
-        """The simulated camera finds its place by the marker on the table, as a person would have it do."""
         around, lens = scene_for(self.setup.robot, self.setup.frame), self.scene.task.intrinsics
         marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
         views = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
@@ -366,36 +346,26 @@ _VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
 _LONGEST = 0.25
 
 
-def require_plots() -> None:
-    """Raises ``MissingExtraError`` unless matplotlib is installed; asked before the arm moves."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("matplotlib", "plots", "drawing the errors")
-
-
 def error_picture(report: VerifyReport) -> bytes:
     """PNG: an arrow for each pose, in each row of the same scale and colours; no OpenGL.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    require_plots()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    require_plots("drawing the errors")
     from matplotlib.figure import Figure
 
     rows = [("as it is", report.judged(corrected=False))]
     if report.fit is not None:
         rows.append(("with new zeros", report.judged(corrected=True)))
     figure = Figure(figsize=(10.0, 4.4 * len(rows)), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), len(_VIEWS), squeeze=False)
     for line, (title, errors) in zip(grid, rows, strict=True):
         for axes, (view, across, up) in zip(line, _VIEWS, strict=True):
             arrows, scale = _draw(axes, errors, across, up)
             axes.set_title(f"{title}, {view}, arrows ×{scale:.0f}")
         figure.colorbar(arrows, ax=list(line), label="off by, mm")
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple[Any, float]:

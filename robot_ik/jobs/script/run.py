@@ -43,11 +43,7 @@ def open_camera(
 ) -> Vision:
     """The camera of the robot's scene, ready: the first picture, which takes longest, has been taken.
 
-    Args:
-        setup: What it looks at.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
-        seed: Of its noise.
-        stack: Closes it.
+    ``marker_at``: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
 
     Raises:
         CameraError: The robot's model has no scene, and none can be generated.
@@ -61,16 +57,9 @@ def open_camera(
         scene = replace(scene, pose_world_marker=pose)
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
-    vision = Vision(
-        scene,
-        stack.enter_context(source),
-        scene.intrinsics,
-        scene.pose_world_camera,
-        setup,
-        setup.frame,
-        synthetic=source,
-        seed=seed,
-    )
+    stack.enter_context(source)
+    camera = scene.pose_world_camera
+    vision = Vision(scene, source, scene.intrinsics, camera, setup, synthetic=source, seed=seed)
     vision.picture()
     return vision
 
@@ -110,14 +99,9 @@ def check_script(script: Script, setup: RobotSetup) -> None:
 
 @dataclass(frozen=True)
 class ScriptRequest:
-    """On what a script shall run.
+    """On what a script shall run: ``sim``, ``pty`` or a serial port; the rest is instead of the script's own.
 
-    Attributes:
-        bus: ``sim``, ``pty`` or a serial port.
-        robot: Instead of the script's: catalogue name or path; empty: the script's.
-        arm_file: Instead of the script's, or of the one beside the model.
-        seed: Instead of the script's.
-        record: File of all commands and measurements, .csv or .mcap.
+    ``record``: file of all commands and measurements, .csv or .mcap.
     """
 
     bus: str = "sim"
@@ -141,9 +125,7 @@ def run_script(
 class ScriptRun:
     """One run of one script.
 
-    Attributes:
-        report: Grows while it runs, and is whole as far as it goes whenever the run ends.
-        setup: The arm; its clock is the run's.
+    ``report`` is whole as far as it goes whenever the run ends; the clock of ``setup`` is the run's.
     """
 
     def __init__(self, script: Script, request: ScriptRequest) -> None:
@@ -189,7 +171,6 @@ class ScriptRun:
                     setup.record(stack.enter_context(open_recording(self._request.record, now.robot.joints)))
                 stack.enter_context(setup.connected())
                 setup.enable_torque()
-                now.stand()
                 now.begin = setup.clock.now()
                 try:
                     self._steps(now, progress)

@@ -1,7 +1,6 @@
 """What steps share: a name, a check, a run; joints, frames and grippers by name, and how far off they are.
 
-A subclass of ``ScriptStep`` that has a key ``do`` is a kind of step.  Lengths are metres, angles degrees
-(``_deg``), tolerances millimetres and degrees, times seconds.
+Lengths are metres, angles degrees (``_deg``), tolerances millimetres and degrees, times seconds.
 """
 
 from __future__ import annotations
@@ -52,11 +51,7 @@ STEPS: dict[str, type[ScriptStep]] = {}
 
 
 class ScriptStep(Table):
-    """What every step has.
-
-    Attributes:
-        name: For the report; by default what the step does.
-    """
+    """What every step has; a subclass with a key ``do`` is a kind of step.  ``name``: in place of a title."""
 
     title_keys: ClassVar[tuple[str, ...]] = ()
     """Keys whose values, after ``do``, make the title of a step without a name."""
@@ -117,11 +112,7 @@ class ScriptStep(Table):
 
 
 def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
-    """The class of a step by what stands in its table.
-
-    Raises:
-        WrongKey: There is no such step.
-    """
+    """The class of a step by what stands in its table; WrongKey: there is no such step."""
     if "do" not in table:
         raise WrongKey("this key is missing", "do", ", ".join(STEPS))
     if not isinstance(table["do"], str) or table["do"] not in STEPS:
@@ -130,12 +121,7 @@ def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
 
 
 class Action(ScriptStep):
-    """A step that takes time.
-
-    Attributes:
-        time_limit_s: The step fails when it takes longer.
-        raises: Class of the error with which it must end; without it, an error is a failure.
-    """
+    """A step that takes time, at most so much, and ends with the error it ``raises``, if any."""
 
     time_limit_s: Seconds | None = None
     raises: ErrorClass | None = None
@@ -169,7 +155,6 @@ class Framed(ScriptStep):
     frame: str | None = None
 
     def check(self, context: Context) -> None:
-        """Whether the robot has it."""
         super().check(context)
         if self.frame is not None and self.frame not in context.robot.frames:
             raise WrongKey.unknown("frame", self.frame, context.robot.frames, "frame")
@@ -282,11 +267,7 @@ class GripperWidth(ScriptStep):
     """Whether joints of q will do, which know no width."""
 
     def check_gripper(self, context: Context) -> None:
-        """Whether there is a gripper, and one that can do this.
-
-        Raises:
-            WrongKey: There is none, or it opens no width, or cannot be asked how hard to press.
-        """
+        """Whether there is a gripper, and one that can do this; else WrongKey."""
         joints = context.config.auxiliary_of(GRIPPER)
         if not joints and (not self.by_opening or not gripper_joints(context.robot)):
             problem = f"the arm of {context.robot.name!r} has no gripper"

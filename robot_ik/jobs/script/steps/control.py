@@ -26,7 +26,7 @@ class WaitStep(Action):
 
     def run(self, now: RunState, result: StepResult) -> None:
         if now.movable:
-            now.repeat(self.seconds)
+            now.setup.repeat(self.seconds)
         else:
             now.setup.clock.sleep_until(now.setup.clock.now() + self.seconds)
 
@@ -38,7 +38,7 @@ class HoldStep(Action):
 
     def run(self, now: RunState, result: StepResult) -> None:
         now.arm.hold()
-        now.stand()
+        now.setup.stand()
 
 
 class InjectStep(ScriptStep):
@@ -62,11 +62,7 @@ class InjectStep(ScriptStep):
 
     @property
     def fault(self) -> Fault:
-        """What it injects.
-
-        Raises:
-            WrongKey: There is no such kind, or not with such a value.
-        """
+        """What it injects; WrongKey: there is no such kind, or not with such a value."""
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
     def check(self, context: Context) -> None:
@@ -113,5 +109,4 @@ class RecoverStep(Action):
             restarted = arm.reset_fault()
             result.numbers["restarted"] = list(restarted)
             result.found = f"restarted: {', '.join(restarted)}" if restarted else ""
-        arm.enable()
-        now.stand()
+        now.setup.enable_torque()

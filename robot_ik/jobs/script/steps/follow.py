@@ -89,7 +89,7 @@ class FollowStep(Framed, Action):
                 goals,
                 now.robot,
                 now.solver,
-                now.sinks,
+                now.setup.sinks,
                 rate=now.config.rate_hz,
                 clock=now.setup.clock,
                 duration=self.seconds,
@@ -132,7 +132,7 @@ class FollowStep(Framed, Action):
     def _judge_at_end(self, now: RunState, result: StepResult) -> None:
         """Where the marker really lies in the end, which only the scene knows."""
         assert now.vision is not None
-        now.repeat(_ARRIVE)
+        now.setup.repeat(_ARRIVE)
         seen = now.vision.find_target_again()
         assert seen.true_pose is not None
         true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)

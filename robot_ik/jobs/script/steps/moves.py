@@ -49,11 +49,7 @@ Judge = Callable[[], tuple[bool, str, dict[str, float]]]
 
 
 class Move(Tolerant, Action):
-    """A planned motion; it is over when the servos have arrived within the tolerance.
-
-    Attributes:
-        speed: Share of the speed limits.
-    """
+    """A planned motion; it is over when the servos have arrived within the tolerance."""
 
     speed: Share | None = None
 
@@ -78,12 +74,7 @@ class Move(Tolerant, Action):
 
     def caps(self, now: RunState) -> dict[str, Any]:
         """Speed limits, as ``joint_move`` takes them."""
-        return {
-            "velocity": now.config.velocity,
-            "acceleration": now.config.acceleration,
-            "rate": now.config.rate_hz,
-            "speed": self.speed or now.script.content.speed,
-        }
+        return now.setup.caps(self.speed or now.script.content.speed)
 
     def by_goal(self, now: RunState, goal: Goal) -> Judge:
         """Judges by MuJoCo where the goal's frame is."""
