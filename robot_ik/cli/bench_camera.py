@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import unknown_name_text
-from robot_ik.files import claimed, plain, write_atomically
+from robot_ik.files import claimed
+from robot_ik.jobs.results import save_json
 
 
 @dataclass(frozen=True)
@@ -131,5 +131,5 @@ def _write(path: Path, found: MeasuredRows, effort: Effort) -> None:
         "seed": effort.seed,
         **found.facts(),
     }
-    write_atomically(path, json.dumps(plain(facts), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    save_json(path, facts)
     console.say(f"figures: {path}", "dim")

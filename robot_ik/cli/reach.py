@@ -32,8 +32,8 @@ from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
-    from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
-    from robot_ik.jobs.robot_setup import JointLimits
+    from robot_ik.jobs.reach import ReachReport, ReachRequest
+    from robot_ik.jobs.robot_setup import JointLimits, Rehearsal
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 
 
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
-    from robot_ik.jobs.reach import Rehearsal
+    from robot_ik.jobs.robot_setup import Rehearsal
 
     numbers = options.marker_at
     if numbers and len(numbers) not in (3, 4):

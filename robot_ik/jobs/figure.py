@@ -31,14 +31,8 @@ from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
 from robot_ik.files import write_atomically
-from robot_ik.jobs.ar.job import (
-    ArReport,
-    ArRequest,
-    PictureProgress,
-    heights,
-    marker_from_base,
-    run_ar,
-)
+from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
+from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph, save_png
 from robot_ik.ports import Array
@@ -206,7 +200,7 @@ class MarkerFigure:
             yield self.frames[-1]
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """(nq,) at ``time``: see ``jobs.ar.motion.Motion``."""
+        """(nq,) at ``time``: see ``jobs.ar.motion.DrawnMotion``."""
         assert self._drawn is not None
         self.show(None if seen is None else marker_from_base(seen, self._drawn))
         for _ in self.until(time):
@@ -220,9 +214,9 @@ def draw_on_camera(
     """The figure drawn into the pictures of a camera, acting on a marker in them."""
     made: list[MarkerFigure] = []
 
-    def mover(robot: Robot, drawn: DrawnRobot) -> MarkerFigure:
+    def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
         made.append(MarkerFigure(abilities, request, drawn))
-        return made[-1]
+        return DrawnMotion(made[-1].q)
 
     report = run_ar(camera, progress, robot=abilities.figure.robot, mover=mover)
     return report, made[-1].frames
@@ -264,12 +258,18 @@ def watch(
         each(frame)
         arm = frame.decision.arm
         if frame.action in ("reach", "bend", "jump") and arm is not None:
-            miss = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
+            miss = _miss(robot, hands, frame)
             nearest = miss if frame.action != "jump" else min(nearest, miss)
             if frame.phase >= 1.0:
                 report.misses.append((frame.action, nearest))
                 nearest = np.inf
     return report
+
+
+def _miss(robot: Robot, hands: Mapping[str, str], frame: FigureFrame) -> float:
+    """Distance, m, of ball and the hand that the decision names."""
+    hand = hands[frame.decision.arm or "right"]
+    return float(np.linalg.norm(robot.forward(frame.q, hand).position - frame.ball))
 
 
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:
@@ -431,12 +431,7 @@ _STRIP_WIDTH = 165
 
 
 def strip(
-    figure: Figure,
-    q: Array,
-    count: int,
-    view_deg: tuple[float, float],
-    *,
-    follow: bool = False,
+    figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
     """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
     optics = lens(2 * _STRIP_WIDTH, 560)
@@ -478,7 +473,7 @@ def tour(
         shown = [f for f in report.frames if f.action == action] or report.frames
         pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
         if action == "jump":  # the palm at the ball
-            pick = min(shown, key=lambda frame: _hand_from_ball(figure, frame))
+            pick = min(shown, key=lambda frame: _miss(figure.robot, figure.hands, frame))
         save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
     only = lambda name: np.array([f.q for f in runs[name] if f.action == name])  # noqa: E731
     walked = only("walk")
@@ -491,11 +486,6 @@ def tour(
     steps = np.array([f.q for f in walk.frames if f.action == "walk"])
     save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
-
-
-def _hand_from_ball(figure: Figure, frame: FigureFrame) -> float:
-    hand = figure.hands[frame.decision.arm or "right"]
-    return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
 
 def json_numbers(values: Sequence[float]) -> list[float | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -107,10 +107,7 @@ def photograph(
     field = ray_field(intrinsics)
     subject = np.asarray(surface_points(model, qpos).mean(axis=0))
     distance = float(np.linalg.norm(subject - camera.position))
-    lights = Lights.beside(camera, distance)
-    lights = Lights(
-        lights.lamp, lights.lamp_radius, lights.ceiling, lights.ceiling_radius, lights.window, _STRENGTH
-    )
+    lights = replace(Lights.beside(camera, distance), strength=_STRENGTH)
     view = SyntheticView(field, camera, lights, Caster(model), _seamless(field, camera, floor))
     view.robot.place(qpos)
     lit = _floor_light(view)
@@ -183,12 +180,12 @@ class Portrait:
     pair: tuple[Image, Image]
 
 
-def pose_at_work(robot: Robot, scene: GalleryScene | None, floor: float, seed: int) -> Solution:
+def pose_at_work(robot: Robot, scene: GalleryScene, floor: float, seed: int) -> Solution:
     """Solves for what the robot does in its second picture.
 
-    Without a ``scene`` it reaches for a random position above the floor, whose height is ``floor``, world.
+    Where the scene has no goals it reaches for a random position above the floor, whose height is ``floor``.
     """
-    if scene is None or not scene.goals:
+    if not scene.goals:
         return solve(robot, _random_goal(robot, floor, np.random.default_rng(seed)), seed=seed)
     goals: list[Goal] = [PoseGoal.at(frame, robot.forward(robot.home, frame)) for frame in scene.keep]
     for frame, numbers in scene.goals.items():
@@ -214,7 +211,7 @@ def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portra
     Raises:
         ModelError: The model has nothing that can be seen.
     """
-    scene, height = robot.file.gallery, height or HEIGHT
+    scene, height = robot.file.gallery or GalleryScene(), height or HEIGHT
     at_home = surface_points(robot.model, robot.qpos(robot.home))
     if not len(at_home):
         raise ModelError(f"{robot.path} has no visible geom to draw", path=robot.path)
@@ -222,12 +219,11 @@ def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portra
     solution = pose_at_work(robot, scene, floor, seed)
     at_work = surface_points(robot.model, robot.qpos(solution.q))
     optics = lens(round(_WIDEST * height), height)
-    view = scene.view_deg if scene is not None else GalleryScene().view_deg
-    camera = fitted_camera(np.concatenate([at_home, at_work]), view, optics)
+    camera = fitted_camera(np.concatenate([at_home, at_work]), scene.view_deg, optics)
     photos = [photograph(robot.model, robot.qpos(q), camera, optics, floor) for q in (robot.home, solution.q)]
-    work = Photo(_with_goals(photos[1], solution), photos[1].coverage, photos[1].intrinsics, photos[1].camera)
+    work = replace(photos[1], image=_with_goals(photos[1], solution))
     home = robot.file.home if isinstance(robot.file.home, str) else "home"
-    captions = (home, scene.about if scene is not None else GalleryScene().about)
+    captions = (home, scene.about)
     pair = (_cropped(photos[0]), _cropped(work))
     image = _card(robot, captions, pair)
     return Portrait(robot, captions, (photos[0], work), image, solution, pair)

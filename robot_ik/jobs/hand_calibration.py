@@ -56,12 +56,7 @@ def require_limp(arm: Arm) -> None:
         )
 
 
-def calibrate_by_hand(
-    arm: Arm,
-    person: Person,
-    pose: Mapping[str, float],
-    limits: Limits,
-) -> Calibration:
+def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limits: Limits) -> Calibration:
     """Ranges, zeros and directions of an arm without torque, as a person shows them.
 
     Args:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs import Progress
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.recording import open_recording
-from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import (
     EXACT,
@@ -46,64 +46,35 @@ from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
+from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
+from robot_ik.solution import Solution
 from robot_ik.solvers import make_solver
-from robot_ik.testbed.frontends.window import Solid
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-    from robot_ik.solution import Solution
-
+from robot_ik.testbed.frontends.window import Solid, WindowSink
 
 # ------------------------------------------------------------------------------------------
-# What a reach shall do, and what shall go wrong on purpose.
+# What a reach shall do.
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
-
-    Attributes:
-        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
-        stuck: Joints whose shaft does not move.
-        cover_gripper: Hide the gripper's markers in the second picture.
-        blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
-    """
-
-    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
-    stuck: tuple[str, ...] = ()
-    cover_gripper: bool = False
-    blank_marker: bool = False
-    marker_at: tuple[float, float, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class ReachRequest:
+class ReachRequest(ArmRequest):
     """What ``run_reach`` shall do; every default is the embedded demonstration.
 
     Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
         solver: Name of a method; empty: the robot's own, else ``auto``.
         goal: Instead of a marker.
-        frame: What shall get there; None: the robot's tool.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file of a real camera.
         pose_world_camera: Where a real camera stands; None: where the scene's stands.
         marker_id, marker_size, dictionary: The target; None: the scene's.
-        bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        speed: Share of the joints' speed limits.
         follow: Seconds to go on following the marker; 0: not at all.
         when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many s without it.
         lead: Seconds to predict the marker beyond each tick.
         record: File of all commands and measurements, .csv or .mcap.
     """
 
-    robot: str = "puma560"
     solver: str = ""
     goal: Goal | None = None
-    frame: str | None = None
     camera: str = "synthetic"
     intrinsics: Path | None = None
     pose_world_camera: Pose | None = None
@@ -111,17 +82,12 @@ class ReachRequest:
     marker_size: float | None = None
     dictionary: str | None = None
     bus: str = "pty"
-    arm_file: Path | None = None
-    speed: float = 1.0
     line: bool = False
     follow: float = 0.0
     when_lost: LostPolicy = "hold"
     lost_after: float = 2.0
     lead: float = 0.0
-    view: bool = False
     record: Path | None = None
-    seed: int = 0
-    rehearsal: Rehearsal = Rehearsal()
 
 
 # ------------------------------------------------------------------------------------------
@@ -272,8 +238,6 @@ def _window(
 ) -> Any:
     if not request.view:
         return None
-    from robot_ik.testbed.frontends.window import WindowSink
-
     scene = window_scene(setup.robot, setup.frame, None if vision is None else vision.scene)
     view: dict[str, Any] = {"solids": scene_solids(scene)}
     if scene is not None:
@@ -408,11 +372,10 @@ class _Reach:
         )
 
     def show(self, q: Array, time: float) -> None:
-        """The arm at ``q`` (nq,) in scene and window."""
-        scene = self.report.setup.scene
-        scene.send(q, time)
+        """The arm at ``q`` (nq,), for camera and window."""
+        self.report.setup.shown = q.copy()
         if self.window is not None:
-            self.window.send(scene.q, time)
+            self.window.send(q, time)
 
     def follow(self) -> None:
         """Goes on after the marker for the time that was asked for."""
@@ -455,7 +418,7 @@ class _Reach:
         report.after = vision.last_image
         if body is not None:
             report.by_camera = judge_by_camera(
-                body, vision.pose_world_camera, vision.pose_body_tool(report.setup.scene.q), goal, bound,
+                body, vision.pose_world_camera, vision.pose_body_tool(report.setup.shown), goal, bound,
                 goal_sigma,
             )  # fmt: skip
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -25,10 +24,11 @@ from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import apart
-from robot_ik.files import plain, timestamp, write_atomically
+from robot_ik.files import timestamp, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
+from robot_ik.jobs.results import save_json
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
@@ -53,9 +53,7 @@ def save_reach(report: ReachReport, folder: Path) -> list[Path]:
     if report.execution is not None:
         write_atomically(folder / "trajectory.csv", _table(report))
         written.append(folder / "trajectory.csv")
-    text = json.dumps(plain(reach_summary(report)), indent=2, allow_nan=False, ensure_ascii=False)
-    write_atomically(folder / "summary.json", text + "\n")
-    return [*written, folder / "summary.json"]
+    return [*written, save_json(folder / "summary.json", reach_summary(report))]
 
 
 def reach_picture(report: ReachReport) -> Any:

@@ -138,29 +138,17 @@ class McapRecording(Recording):
         place = f"/robot_{moment.robot}" if moment.robot else ""
         for topic, q in (("joint_commands", moment.commanded), ("joint_states", moment.measured)):
             if q is not None:
-                state = {
-                    "header": head,
-                    "name": self._joints,
-                    "position": q.tolist(),
-                    "velocity": [],
-                    "effort": [],
-                }
-                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", state, stamp)
+                state = {"name": self._joints, "position": q.tolist(), "velocity": [], "effort": []}
+                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", {"header": head, **state}, stamp)
         if (goal := moment.goal) is not None:
-            x, y, z = (float(value) for value in goal.position)
-            w, i, j, k = (float(value) for value in goal.wxyz)
-            pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": i, "y": j, "z": k, "w": w}}
+            position = dict(zip("xyz", goal.position.tolist(), strict=True))
+            orientation = dict(zip("wxyz", goal.wxyz.tolist(), strict=True))
+            pose = {"position": position, "orientation": orientation}
             self._put(f"{place}/goal", "geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}, stamp)
         if moment.text:
-            row = {
-                "stamp": when,
-                "level": _INFO,
-                "name": "robot_ik",
-                "msg": moment.text,
-                "file": "",
-                "function": "",
-            }
-            self._put("/rosout", "rcl_interfaces/msg/Log", row | {"line": 0}, stamp)
+            empty = {"file": "", "function": "", "line": 0}
+            row = {"stamp": when, "level": _INFO, "name": "robot_ik", "msg": moment.text, **empty}
+            self._put("/rosout", "rcl_interfaces/msg/Log", row, stamp)
 
     def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
         self._writer.write_message(topic, self._schemas[kind], message, log_time=stamp, publish_time=stamp)

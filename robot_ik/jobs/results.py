@@ -7,12 +7,13 @@ import datetime
 import fnmatch
 import importlib.util
 import io
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_ik.errors import MissingExtraError
-from robot_ik.files import claimed_folder, folder_for_results
+from robot_ik.files import claimed_folder, folder_for_results, plain, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,6 +73,13 @@ def _stamp(path: Path) -> tuple[int, int]:
     """Changes whenever a file is written whole: its inode and time."""
     found = path.stat()
     return found.st_ino, found.st_mtime_ns
+
+
+def save_json(path: Path, values: Any) -> Path:
+    """Writes what a job has found, whole or not at all; OutputError: it cannot be written."""
+    text = json.dumps(plain(values), indent=2, allow_nan=False, ensure_ascii=False)
+    write_atomically(path, text + "\n")
+    return path
 
 
 def require_plots(purpose: str) -> None:

@@ -1,15 +1,14 @@
-"""The arm's side of a job: robot, servos, clock, and the scene that the joint angles read back drive."""
+"""The arm's side of a job: robot, servos, clock, and the joint angles read back."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 
 from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
@@ -21,7 +20,6 @@ from robot_ik.robot import Robot, load_robot
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.reach import ReachRequest, Rehearsal
 
 
 _log = logging.getLogger(__name__)
@@ -31,24 +29,47 @@ _RATE_HZ = 100.0
 _HEADROOM = 1.3
 
 
-class KinematicScene:
-    """A MuJoCo scene that shows joint angles: qpos is written and ``mj_forward`` run; ``data.time`` stays 0.
+@dataclass(frozen=True)
+class Rehearsal:
+    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
 
     Attributes:
-        q: (nq,) what is shown.
-        data: MuJoCo's, of the robot's model.
+        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
+        stuck: Joints whose shaft does not move.
+        cover_gripper: Hide the gripper's markers in the second picture.
+        blank_marker: Leave the target's paper white.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self.data = mujoco.MjData(robot.model)
-        self.q = robot.home.copy()
-        self.send(self.q, 0.0)
+    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
+    stuck: tuple[str, ...] = ()
+    cover_gripper: bool = False
+    blank_marker: bool = False
+    marker_at: tuple[float, float, float, float] | None = None
 
-    def send(self, q: Array, now: float) -> None:
-        self.q = np.array(q, dtype=float)
-        self.data.qpos[:] = self._robot.qpos(self.q)
-        mujoco.mj_forward(self._robot.model, self.data)
+
+@dataclass(frozen=True)
+class ArmRequest:
+    """An arm on a bus.
+
+    Attributes:
+        robot: Catalogue name, or path of an MJCF or URDF file.
+        frame: What shall be moved; None: the tool, or what carries the scene's markers.
+        bus: ``pty``, ``sim``, ``none`` or a serial port.
+        arm_file: None: the one beside the model, else a generic one.
+        speed: Share of the joints' speed limits.
+        seed: Of planning, restarts and simulated noise.
+        view: Mirror the motion in a window.
+    """
+
+    robot: str = "puma560"
+    frame: str | None = None
+    bus: str = "sim"
+    arm_file: Path | None = None
+    speed: float = 1.0
+    seed: int = 0
+    view: bool = False
+    rehearsal: Rehearsal = Rehearsal()
 
 
 @dataclass(frozen=True)
@@ -73,7 +94,7 @@ class RobotSetup:
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
         dof: How many joints move the frame.
-        scene: Driven by what is read back (by what is commanded, without a bus).
+        shown: (nq,) what was read back last (what was commanded, without a bus): for pictures and windows.
         recorder: Writes what is commanded and measured; empty: nothing does.
         commanded: (nq,) what was sent last.
     """
@@ -87,9 +108,9 @@ class RobotSetup:
 
     def __post_init__(self) -> None:
         self.dof = len(joints_that_move(self.robot, self.frame))
-        self.scene = KinematicScene(self.robot)
         self.recorder: list[JointSink] = []
         self.commanded: Array = self.robot.home.copy()
+        self.shown = self.commanded
 
     def record(self, recording: Recording) -> None:
         """From here on every command is written, with what the servos measured last."""
@@ -114,15 +135,14 @@ class RobotSetup:
 
         if self.arm.state is ArmState.DISCONNECTED:
             return self.commanded
-        q = self.arm.read().q
-        self.scene.send(q, 0.0)
-        return q
+        self.shown = self.arm.read().q.copy()
+        return self.shown
 
     def true_q(self) -> Array:
         """(nq,) where a camera would see the joints: with virtual servos their shafts, faults included."""
         if self.arm is not None and self.arm.virtual_bus is not None and self.config is not None:
             return np.asarray(self.arm.virtual_bus.true_angles(self.config))
-        return self.scene.q
+        return self.shown
 
     @property
     def resolution(self) -> Array:
@@ -185,47 +205,50 @@ class RobotSetup:
         return found
 
 
-def prepare_robot(request: ReachRequest) -> RobotSetup:
+def prepare_robot(request: ArmRequest) -> RobotSetup:
     """Robot and arm of a request; nothing is opened yet.
 
     Raises:
         ModelError, ConfigError: Robot or arm file is wrong, or they do not belong together.
     """
-    robot = load_robot(request.robot)
+    robot, rehearsal = load_robot(request.robot), request.rehearsal
     frame = robot.frame(request.frame).name
     if request.bus == "none":
-        _refuse_servo_faults(request.rehearsal)
+        _refuse_servo_faults(rehearsal)
         clock: Clock = RealClock() if request.view else VirtualClock()
         robot = _only_what_moves(robot, request.robot, frame)
-        limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
-        return RobotSetup(robot, frame, limits, None, None, clock)
+        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
-    before = {name: limits for name, _, limits in _ranges(robot)}
     limited = robot.with_limits(config.lower, config.upper)
-    limits = [
-        JointLimits(joint.name, unit, before[joint.name], joint.limits, used)
-        for joint, (_, unit, used) in zip(config.joints, _ranges(limited), strict=True)
-    ]
-    row = bus_row(request.bus)
-    if not row.virtual:
-        _refuse_servo_faults(request.rehearsal)
-        check_model(config, before)
-        arm = open_arm(config, request.bus)
-        return RobotSetup(limited, frame, limits, config, arm, arm.clock)
-    rehearsal = request.rehearsal
-    faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
-    faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
-    clock = row.clock()
-    servos = VirtualBus.from_config(config, clock, limited.home)
-    servos.inject(*faults)
-    return RobotSetup(
-        limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock
-    )
+    limits = _joint_limits(robot, limited, config)
+    row, servos = bus_row(request.bus), None
+    if row.virtual:
+        faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
+        faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
+        servos = VirtualBus.from_config(config, row.clock(), limited.home)
+        servos.inject(*faults)
+    else:
+        _refuse_servo_faults(rehearsal)
+        check_model(config, {limit.joint: limit.model for limit in limits})
+    arm = open_arm(config, request.bus, virtual_bus=servos)
+    return RobotSetup(limited, frame, limits, config, arm, arm.clock)
+
+
+def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
+    """Of the model, of the servos, and of both together."""
+    servos = {} if config is None else {joint.name: joint.limits for joint in config.joints}
+    return [
+        JointLimits(
+            joint, "m" if kind == SLIDE else "rad", (float(robot.lower[k]), float(robot.upper[k])),
+            servos.get(joint), (float(limited.lower[k]), float(limited.upper[k])),
+        )
+        for joint, kind, k in zip(robot.joints, robot.tree.kind, robot.tree.vadr, strict=True)
+    ]  # fmt: skip
 
 
 def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
@@ -266,12 +289,13 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 
-def _ranges(robot: Robot) -> list[tuple[str, str, tuple[float, float]]]:
-    tree = robot.tree
-    return [
-        (joint, "m" if kind == SLIDE else "rad", (float(robot.lower[at]), float(robot.upper[at])))
-        for joint, kind, at in zip(robot.joints, tree.kind, tree.vadr, strict=True)
-    ]
+def require_joints(robot: Robot, config: ArmConfig, path: Path) -> None:
+    """Raises ``ConfigError`` where an arm file has joints that the robot has not."""
+    if strangers := [joint for joint in config.names if joint not in robot.joints]:
+        raise ConfigError(
+            f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
+            file=path, key="joints", allowed=", ".join(robot.joints),
+        )  # fmt: skip
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:
@@ -295,12 +319,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
     if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
         with contextlib.suppress(UnknownJointError):
             robot = load_robot(name, joints=config.names)
-    strangers = [joint for joint in config.names if joint not in robot.joints]
-    if strangers:
-        raise ConfigError(
-            f"the model has no joint {', '.join(map(repr, strangers))}",
-            file=path, key="joints", allowed=", ".join(robot.joints),
-        )  # fmt: skip
+    require_joints(robot, config, path)
     if len(config.joints) < len(robot.joints):
         robot = load_robot(name, joints=config.names)
     by_name = {joint.name: joint for joint in config.joints}

@@ -426,9 +426,11 @@ def teleoperate(
     while not over() and (seconds is None or clock.now() - begin < seconds):
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
         report.ticks += 1
-        here = _where(follower) if blend is None else {}
+        if blend is None:
+            follower.read()
         try:
             if blend is None:
+                here = follower.positions()
                 operator.engage(here)
                 blend = Blend(here, operator.command(now), follower.config, now)
                 report.engaged += 1
@@ -454,11 +456,6 @@ def teleoperate(
     report.delay = float(np.median(report.delays)) if report.delays else 0.0
     report.end = "it was ended" if over() else "the time was over"
     return report
-
-
-def _where(arm: Arm) -> dict[str, float]:
-    arm.read()
-    return arm.positions()
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:

@@ -9,20 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_ik.camera.marker_goals import sigmas_at
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal
+from robot_ik.goals import Goal, Tolerance
 from robot_ik.ports import Array
-
-if TYPE_CHECKING:
-    from robot_ik.goals import Tolerance
-    from robot_ik.robot import Robot
-
+from robot_ik.robot import Robot
 
 # However uncertain the camera, a larger miss than this is no success.
 LARGEST_MISS = 0.005  # metres

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +17,17 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
+from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
 from robot_ik.jobs.ar.output import PictureSink, open_sink
-from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, synthetic_scene
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.ports import Array
-from robot_ik.robot import load_robot
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-
+from robot_ik.robot import Robot, load_robot
 
 # On the synthetic table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
@@ -122,7 +117,7 @@ class ArReport:
 
 #: Called with how many pictures are done, and of how many (0: unknown).
 PictureProgress = Callable[[int, int], None]
-Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
+Mover = Callable[[Robot, DrawnRobot], DrawnMotion]
 
 
 def run_ar(
@@ -148,14 +143,14 @@ def run_ar(
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
         motion = _motion(request, robot, figure, mover, stack)
         opened = _open(request, motion, stack)
-        if opened.scene is not None and not request.scale:  # all of it stays in the synthetic pictures
-            scale = _scale_in_view(request, robot, motion, opened.scene, opened.total)
+        if opened.pose_board_camera is not None and not request.scale:  # all of it stays in the picture
+            scale = _scale_in_view(request, robot, motion, opened, opened.pose_board_camera)
             figure = _figure(request, robot, scale)
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
         stack.callback(getattr(artist, "close", lambda: None))
-        report = ArReport(artist.name, figure.scale, _joined(notice, getattr(motion, "notice", "")))
+        report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
         registrar = _registrar(request, opened.intrinsics, artist, figure)
         _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
         report.file = sink.close()
@@ -182,12 +177,15 @@ def _motion(
 
 @dataclass(frozen=True, eq=False)
 class _Opened:
-    """The pictures: ``total`` of them (0: unknown), their optics; ``scene`` None: real ones."""
+    """The pictures: ``total`` of them (0: unknown), their optics.
+
+    ``pose_board_camera`` by time, of synthetic ones alone.
+    """
 
     frames: Iterator[Frame]
     intrinsics: CameraIntrinsics
     total: int
-    scene: BoardScene | None
+    pose_board_camera: Callable[[float], Pose] | None
 
 
 def _draw(
@@ -235,20 +233,12 @@ def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Arr
     request = replace(request, motion="follow")
     with contextlib.ExitStack() as stack:
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        opened = _open(request, Standing(robot), stack)
+        opened = _open(request, standing(robot), stack)
         watcher, begin = _watcher(request, opened.intrinsics), None
         for frame in opened.frames:
             begin = frame.time if begin is None else begin
             seen = watcher.see(frame)
             yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
-
-
-def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
-    """(3,) the other marker seen from the base of the drawn robot, in its own metres; None: not seen."""
-    if seen.marker is None:
-        return None
-    board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
-    return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
 
 
 def _usual_scale(request: ArRequest, robot: Robot) -> float:
@@ -257,7 +247,7 @@ def _usual_scale(request: ArRequest, robot: Robot) -> float:
 
 
 def _scale_in_view(
-    request: ArRequest, robot: Robot, motion: DrawnMotion, scene: BoardScene, pictures: int
+    request: ArRequest, robot: Robot, motion: DrawnMotion, opened: _Opened, camera_at: Callable[[float], Pose]
 ) -> float:
     """The usual scale, or the largest at which the whole robot is in all pictures of the scene.
 
@@ -265,16 +255,15 @@ def _scale_in_view(
     """
     usual = _usual_scale(request, robot)
     # A few moments tell as much as all of them: robot and board go on slowly.
-    times = np.linspace(0.0, pictures / _RATE_HZ, min(_MOMENTS, pictures)).tolist()
+    times = np.linspace(0.0, opened.total / _RATE_HZ, min(_MOMENTS, opened.total)).tolist()
     moments = [
-        (surface_points(robot.model, robot.qpos(motion.q(time, None))), scene.pose_board_camera(time))
-        for time in times
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), camera_at(time)) for time in times
     ]
 
     def fits(scale: float) -> bool:
         figure = _figure(request, robot, scale)
         return all(
-            in_picture(figure.camera(camera).inverse().apply(points), scene.intrinsics)
+            in_picture(figure.camera(camera).inverse().apply(points), opened.intrinsics)
             for points, camera in moments
         )
 
@@ -338,8 +327,8 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
             width, height, rate_hz=_RATE_HZ, motion=still, occluders=occluders,
             follow=request.motion == "follow", seed=request.seed,
         )  # fmt: skip
-        scene = BoardScene(source.scene.intrinsics, source.scene.pose_world_camera, still or BoardMotion())
-        seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
+        board, camera = still or BoardMotion(), source.scene.pose_world_camera
+        seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
@@ -347,7 +336,8 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
                 yield source.read().without_truth()
                 clock.ticks += 1
 
-        return _Opened(made(), source.scene.intrinsics, count, scene)
+        intrinsics = source.scene.intrinsics
+        return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))
     real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
     return _Opened(_limited(real, request.seconds), lens, 0, None)
 

@@ -80,19 +80,6 @@ class BoardMotion:
 AT_REST = BoardMotion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
 
 
-@dataclass(frozen=True)
-class BoardScene:
-    """Where the camera stands on the synthetic table, and how the board moves before it."""
-
-    intrinsics: CameraIntrinsics
-    pose_world_camera: Pose
-    motion: BoardMotion
-
-    def pose_board_camera(self, t: float) -> Pose:
-        """The camera seen from the board at time t."""
-        return self.motion.pose(t).inverse().compose(self.pose_world_camera)
-
-
 def lens(width: int, height: int) -> CameraIntrinsics:
     """A webcam's optics at this size: distortion, middle not quite in the middle."""
     base = CameraIntrinsics(1280, 960, 1150.0, 1150.0, 648.0, 471.0, (-0.14, 0.05, 0.0005, -0.0003, 0.0))
@@ -151,10 +138,6 @@ def synthetic_scene(
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(
-        scene,
-        lambda: np.zeros(0),
-        seed=seed,
-        clock=clock,
-        quality="full" if quality == "full" else "fast",
+        scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="full" if quality == "full" else "fast"
     )
     return source, clock

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -16,15 +16,11 @@ from robot_ik.camera.calibration.extrinsics import today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
-from robot_ik.execution import execute
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, Rehearsal
-from robot_ik.jobs.robot_setup import RobotSetup
-from robot_ik.motion.trajectory import joint_move
+from robot_ik.jobs.robot_setup import ArmRequest
 from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
@@ -32,115 +28,25 @@ from robot_ik.tables import Pair, Position, Several, Table, Wxyz, config_error
 
 
 @dataclass(frozen=True)
-class ArmCameraRequest:
+class ArmCameraRequest(ArmRequest):
     """An arm, a camera, a board, and how many pictures to take of it.
 
     Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
-        bus: ``sim``, ``pty`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        frame: What carries camera or board; None: the tool, or what carries the scene's markers.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file; needed for a real camera.
         board: None: the simulated one.
         views: How many pictures.
-        speed: Share of the joints' speed limits.
-        seed: Of planning and of the simulated noise.
     """
 
-    robot: str = "puma560"
-    bus: str = "sim"
-    arm_file: Path | None = None
-    frame: str | None = None
     camera: str = "synthetic"
     intrinsics: Path | None = None
     board: Board | None = None
     views: int = 15
-    speed: float = 1.0
-    seed: int = 0
 
     @property
     def shared(self) -> dict[str, Any]:
         """These attributes by name, for a request of another kind."""
         return {one.name: getattr(self, one.name) for one in fields(ArmCameraRequest)}
-
-    def setup(self, rehearsal: Rehearsal | None = None) -> ReachRequest:
-        return ReachRequest(
-            robot=self.robot, frame=self.frame, bus=self.bus, arm_file=self.arm_file,
-            speed=self.speed, seed=self.seed, rehearsal=rehearsal or Rehearsal(),
-        )  # fmt: skip
-
-
-# ------------------------------------------------------------------------------------------
-# Drives an arm from station to station; at each it stands still, its joints are read and a picture is taken.
-
-
-# Servos may take this long to arrive after the last command, and then to come to rest.
-_SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
-# Two readings that differ by no more than this many ticks are of an arm at rest.
-_STILL_TICKS = 1.01
-
-
-@dataclass(frozen=True, eq=False)
-class Station:
-    """The arm at one station: where it was sent (nq,), and the picture.
-
-    ``q`` (nq,) is where its servos say it is, mean of before and after the picture; ``still``: at rest.
-    """
-
-    number: int
-    asked: Array
-    q: Array
-    still: bool
-    frame: Frame
-
-
-def visit_stations(
-    setup: RobotSetup,
-    stations: Sequence[Array],
-    take: Callable[[], Frame],
-    *,
-    speed: float = 1.0,
-    progress: Callable[[int, float], None] = lambda number, share: None,
-) -> Iterator[Station]:
-    """Goes to each station (nq,) in turn; a generator, so that what was seen before an interruption is kept.
-
-    The setup is connected, with torque on; ``take`` takes a picture, and ``progress`` is given the number of
-    the station and the share of the way to it.
-
-    Raises:
-        TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
-            says.
-    """
-    for number, asked in enumerate(stations):
-        trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(speed))
-        count = max(1, len(trajectory))
-
-        def show(tick: Any, number: int = number, count: int = count) -> None:
-            progress(number, min(1.0, tick.index / count))
-
-        execute(
-            trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show,
-            settle=0.0 if setup.arm is None else _SETTLE_SECONDS,
-        )  # fmt: skip
-        before, still = _come_to_rest(setup)
-        frame = take()
-        yield Station(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
-
-
-def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
-    """Reads until two readings agree: the last one (nq,), and whether they did."""
-    last = setup.q
-    if setup.arm is None:
-        setup.scene.send(last, setup.clock.now())
-        return last, True
-    for _ in range(_REST_CHECKS):
-        setup.repeat(_REST_CHECK_SECONDS)
-        now = setup.q
-        if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
-            return now, True
-        last = now
-    return last, False
 
 
 # ------------------------------------------------------------------------------------------
@@ -201,31 +107,21 @@ class SampleSet:
         ]
 
     def as_values(self) -> dict[str, Any]:
-        lens = self.intrinsics
-        return {
-            "schema": _SCHEMA,
-            "job": "handeye",
-            "date": self.date,
-            "robot": self.robot,
-            "joints": self.joints,
-            "frame": self.frame,
-            "mounting": self.mounting,
-            "intrinsics": {
-                "width": lens.width, "height": lens.height, "fx": lens.fx, "fy": lens.fy,
-                "cx": lens.cx, "cy": lens.cy, "distortion": lens.distortion, "model": lens.model,
-            },
-            "samples": [
-                {
-                    "q": q,
-                    "points": view.points,
-                    "pixels": view.pixels,
-                    "sigma": view.sigma,
-                    "position": view.pose_camera_board.position,
-                    "wxyz": view.pose_camera_board.wxyz,
-                }
-                for q, view in zip(self.q, self.views, strict=True)
-            ],
-        }  # fmt: skip
+        shared = ("date", "robot", "joints", "frame", "mounting")
+        rows = [
+            {
+                "q": q,
+                "points": view.points,
+                "pixels": view.pixels,
+                "sigma": view.sigma,
+                "position": view.pose_camera_board.position,
+                "wxyz": view.pose_camera_board.wxyz,
+            }
+            for q, view in zip(self.q, self.views, strict=True)
+        ]
+        lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
+        facts = {key: getattr(self, key) for key in shared}
+        return {"schema": _SCHEMA, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
 
     @classmethod
     def of_values(cls, data: Any) -> SampleSet:

@@ -30,11 +30,11 @@ from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
-from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, ViewPhases, open_scene
+from robot_ik.jobs.arm_camera import handeye
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
-from robot_ik.jobs.reach import Rehearsal
 from robot_ik.jobs.results import png_of, require_plots
-from robot_ik.jobs.robot_setup import prepare_robot
+from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
@@ -215,19 +215,20 @@ def run_verify(
             file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
-        setup = prepare_robot(request.setup(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
+        setup = prepare_robot(replace(request, rehearsal=Rehearsal(zero_offset_deg=request.zero_offset_deg)))
         scene = open_scene(_scene_request(request), setup, stack)
         extrinsics = _given_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        phases = _VerifyPhases(request, setup, scene, progress)
-        known = phases.locate(extrinsics)
+        known = _locate(request, setup, scene, extrinsics, progress)
         report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
-        report.stations = phases.plan(replace(scene.task, mount=mount))
+        report.stations = handeye.plan(request, setup, replace(scene.task, mount=mount), progress)
         if dry_run:
             return report
         setup.enable_torque()
-        report.unseen = phases.measure(report.stations, known.samples, lambda: keep(known))
+        report.unseen = handeye.measure(
+            request, setup, scene, report.stations, known.samples, lambda: keep(known), progress
+        )
     progress("comparing", 0.0)
     report.compare(len(report.stations), fit=request.fit)
     return report
@@ -287,42 +288,44 @@ def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> C
     return extrinsics
 
 
-@dataclass(frozen=True, eq=False)
-class _VerifyPhases(ViewPhases):
-    """What a check does before the camera, one thing after the other."""
+def _locate(
+    request: VerifyRequest,
+    setup: RobotSetup,
+    scene: HandEyeScene,
+    extrinsics: CameraExtrinsics | None,
+    progress: Progress,
+) -> VerifySamples:
+    """What is known before the first sample; no place: it is found by the marker on the table."""
+    if extrinsics is None:
+        progress("locating the camera", 0.0)
+        extrinsics = _located(setup, scene)
+    task, config, truth, joints = scene.task, setup.config, scene.truth, setup.robot.joints
+    pose = request.pose_frame_board
+    if pose is None:
+        pose = Pose() if truth is None else truth.pose_other_board
+    offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
+    return VerifySamples(
+        SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
+        _known_camera(extrinsics),
+        KnownPose.within(pose, *request.board_sigma),
+        _by_arm(extrinsics),
+        None if truth is None else np.deg2rad(offsets_deg),
+        () if config is None else tuple(servo_values(joint) for joint in config.joints),
+    )
 
-    request: VerifyRequest
 
-    def locate(self, extrinsics: CameraExtrinsics | None) -> VerifySamples:
-        """What is known before the first sample; no place: it is found by the marker on the table."""
-        if extrinsics is None:
-            self.progress("locating the camera", 0.0)
-            extrinsics = self._located()
-        request, task, config, truth = self.request, self.scene.task, self.setup.config, self.scene.truth
-        joints, pose = self.setup.robot.joints, request.pose_frame_board
-        if pose is None:
-            pose = Pose() if truth is None else truth.pose_other_board
-        offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
-        return VerifySamples(
-            SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
-            _known_camera(extrinsics),
-            KnownPose.within(pose, *request.board_sigma),
-            _by_arm(extrinsics),
-            None if truth is None else np.deg2rad(offsets_deg),
-            () if config is None else tuple(servo_values(joint) for joint in config.joints),
+def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
+    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+    around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
+    marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
+    views = [marker.see(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
+    seen = [view for view in views if view is not None]
+    if not seen:
+        raise MarkerNotFoundError(
+            "the marker on the table is hidden, so the simulated camera does not know where it stands",
+            hint="give where it is: --camera-extrinsics FILE",
         )
-
-    def _located(self) -> CameraExtrinsics:
-        around, lens = scene_for(self.setup.robot, self.setup.frame), self.scene.task.intrinsics
-        marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
-        views = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
-        seen = [view for view in views if view is not None]
-        if not seen:
-            raise MarkerNotFoundError(
-                "the marker on the table is hidden, so the simulated camera does not know where it stands",
-                hint="give where it is: --camera-extrinsics FILE",
-            )
-        return locate_camera(seen, around.pose_world_marker, lens)
+    return locate_camera(seen, around.pose_world_marker, lens)
 
 
 def _by_arm(extrinsics: CameraExtrinsics) -> bool:

@@ -21,6 +21,7 @@ from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
+from robot_ik.jobs.scene import in_view
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
@@ -72,14 +73,7 @@ class Clearance:
     def sees(self, q: Array, eye: Array, points: Array) -> bool:
         """Whether no geom stands between an eye and points (n, 3), world, at ``q``."""
         self._place(q)
-        geom = np.zeros(1, dtype=np.int32)
-        for point in points:
-            ray = point - eye
-            length = float(np.linalg.norm(ray))
-            hit = mujoco.mj_ray(self._robot.model, self._data, eye, ray / length, None, 1, -1, geom, None)
-            if 0.0 <= hit < length - 2e-3:
-                return False
-        return True
+        return in_view(self._robot.model, self._data, eye, points, 2e-3)
 
     def _place(self, q: Array) -> None:
         self._data.qpos[:] = self._robot.qpos(q)

@@ -83,16 +83,10 @@ def json_report(report: ScriptReport) -> Mapping[str, Any]:
         }
         for step in report.steps
     ]
+    keys = ("script", "file", "robot", "bus", "seed", "passed", "interrupted", "virtual_time")
     return {
         "schema": SCHEMA,
-        "script": report.script,
-        "file": report.file,
-        "robot": report.robot,
-        "bus": report.bus,
-        "seed": report.seed,
-        "passed": report.passed,
-        "interrupted": report.interrupted,
-        "virtual_time": report.virtual_time,
+        **{key: getattr(report, key) for key in keys},
         "seconds": round(report.seconds, 6),
         "counters": dict(report.counters),
         "steps": rows,

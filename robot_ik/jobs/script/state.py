@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import ConfigError, apart
+from robot_ik.errors import ConfigError, RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.robot_setup import RobotSetup
@@ -18,7 +18,6 @@ from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from robot_ik.errors import RobotIkError
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -69,15 +68,6 @@ class Script:
         return ConfigError(problem, file=self.file, key=key, allowed=allowed)
 
 
-@dataclass(frozen=True)
-class Context:
-    """What a step is checked against: the robot, inside the limits of model and arm file, and the arm."""
-
-    robot: Robot
-    config: ArmConfig
-    simulated: bool
-
-
 @dataclass
 class RunState:
     """Where a run stands.
@@ -110,6 +100,11 @@ class RunState:
         return self.setup.arm
 
     @property
+    def simulated(self) -> bool:
+        """Whether its servos are; else they are behind a real port."""
+        return self.arm.virtual_bus is not None
+
+    @property
     def servos(self) -> VirtualBus:
         """The simulated servos; no step that wants them runs on a real port."""
         assert self.arm.virtual_bus is not None
@@ -139,11 +134,7 @@ class RunState:
         return (commanded if near else measured).copy()
 
     def play(
-        self,
-        trajectory: Trajectory,
-        limit: float | None,
-        arrived: Callable[[], bool],
-        result: StepResult,
+        self, trajectory: Trajectory, limit: float | None, arrived: Callable[[], bool], result: StepResult
     ) -> None:
         """Sends a trajectory, then waits at its end until ``arrived`` or the time is over.
 

@@ -6,21 +6,19 @@ Lengths are metres, angles degrees (``_deg``), tolerances millimetres and degree
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import mujoco
 import numpy as np
 from pydantic import AfterValidator, Field
 
 from robot_ik.errors import apart
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Context, RunState, error_classes
+from robot_ik.jobs.script.state import RunState, error_classes
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
 from robot_ik.tables import Pair, Table, WrongKey
-
-if TYPE_CHECKING:
-    from robot_ik.hardware.joint_map import JointMap
-    from robot_ik.ports import Array
-    from robot_ik.robot import Robot
 
 
 def _error_class(name: str) -> str:
@@ -88,16 +86,16 @@ class ScriptStep(Table):
                 found.append(f"{value:g} s" if key == "seconds" else str(value))
         return " ".join(found)
 
-    def check(self, context: Context) -> None:
+    def check(self, now: RunState) -> None:
         """Whether this robot, arm and bus can do it; before anything is opened or moves.
 
         Raises:
             WrongKey: They cannot.
         """
-        if not context.simulated and self.simulated_only:
+        if not now.simulated and self.simulated_only:
             problem = f"{self.do!r} is for simulated servos, and this is a real port"
             raise WrongKey(problem, "do", "--bus sim or pty")
-        if not context.simulated and self.needs_camera:
+        if not now.simulated and self.needs_camera:
             problem = "the synthetic camera does not see a real desk"
             raise WrongKey(problem, "do", "other steps, or robot-ik reach")
 
@@ -154,10 +152,10 @@ class Framed(ScriptStep):
 
     frame: str | None = None
 
-    def check(self, context: Context) -> None:
-        super().check(context)
-        if self.frame is not None and self.frame not in context.robot.frames:
-            raise WrongKey.unknown("frame", self.frame, context.robot.frames, "frame")
+    def check(self, now: RunState) -> None:
+        super().check(now)
+        if self.frame is not None and self.frame not in now.robot.frames:
+            raise WrongKey.unknown("frame", self.frame, now.robot.frames, "frame")
 
 
 def require_keyframe(robot: Robot, keyframe: str | None) -> None:
@@ -182,10 +180,10 @@ class JointValues(ScriptStep):
             wanted[robot.joints.index(name)] = number * per_unit(robot, name)
         return wanted
 
-    def check(self, context: Context) -> None:
+    def check(self, now: RunState) -> None:
         """Names and kinds of the joints, and whether they can go there."""
-        super().check(context)
-        robot = context.robot
+        super().check(now)
+        robot = now.robot
         for key in ("joints_deg", "joints_mm"):
             for joint, number in (getattr(self, key) or {}).items():
                 at = f"{key}.{joint}"
@@ -266,11 +264,11 @@ class GripperWidth(ScriptStep):
     by_opening: ClassVar[bool] = False
     """Whether joints of q will do, which know no width."""
 
-    def check_gripper(self, context: Context) -> None:
+    def check_gripper(self, now: RunState) -> None:
         """Whether there is a gripper, and one that can do this; else WrongKey."""
-        joints = context.config.auxiliary_of(GRIPPER)
-        if not joints and (not self.by_opening or not gripper_joints(context.robot)):
-            problem = f"the arm of {context.robot.name!r} has no gripper"
+        joints = now.config.auxiliary_of(GRIPPER)
+        if not joints and (not self.by_opening or not gripper_joints(now.robot)):
+            problem = f"the arm of {now.robot.name!r} has no gripper"
             allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"
             raise WrongKey(problem, "do", allowed)
         sliding = bool(joints) and all(joint.slides for joint in joints)
@@ -280,7 +278,7 @@ class GripperWidth(ScriptStep):
                 problem = f"that needs a {what} of the arm file's group gripper"
                 raise WrongKey(problem, key, "opening alone")
         if self.width_mm is not None:
-            opening = sum(1e3 * joint.limits[1] * fingers_on(context.robot, joint) for joint in joints)
+            opening = sum(1e3 * joint.limits[1] * fingers_on(now.robot, joint) for joint in joints)
             if self.width_mm > opening + 1e-9:
                 asked, widest = apart(self.width_mm, opening, digits=6, form="g")
                 raise WrongKey(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

@@ -9,7 +9,7 @@ from pydantic import Field
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Context, RunState, StepFailed
+from robot_ik.jobs.script.state import RunState, StepFailed
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep, Word
 
 PATIENCE = 2.0
@@ -65,9 +65,9 @@ class InjectStep(ScriptStep):
         """What it injects; WrongKey: there is no such kind, or not with such a value."""
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
-    def check(self, context: Context) -> None:
-        super().check(context)
-        self.fault.require_servo(context.config)
+    def check(self, now: RunState) -> None:
+        super().check(now)
+        self.fault.require_servo(now.config)
 
     def run(self, now: RunState, result: StepResult) -> None:
         now.servos.inject(self.fault)
