@@ -124,12 +124,7 @@ def growth_with_goals(solver: Solver, robot: Robot, seed: int = 0) -> Iterator[G
 
 
 def _growth(
-    solver: Solver,
-    robot: Robot,
-    goals: list[Goal],
-    across: Literal["joints", "goals"],
-    size: int,
-    seed: int,
+    solver: Solver, robot: Robot, goals: list[Goal], across: Literal["joints", "goals"], size: int, seed: int
 ) -> Iterator[Growth]:
     """Nothing where the method does not serve these goals on this robot."""
     rng = np.random.default_rng([seed, size])

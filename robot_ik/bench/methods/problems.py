@@ -60,7 +60,7 @@ class _Writer:
             carrier, local = self.carriers[at.body]
             ElementTree.SubElement(carrier, "site", {"name": name} | _pos_and_quat(local.compose(at.local)))
         keys = ElementTree.SubElement(self.root, "keyframe")
-        ElementTree.SubElement(keys, "key", name="home", qpos=_numbers(self.robot.qpos(self.robot.home)))
+        ElementTree.SubElement(keys, "key", name="home", qpos=numbers(self.robot.qpos(self.robot.home)))
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root, encoding="unicode") + "\n"
 
@@ -84,22 +84,23 @@ class _Writer:
             if kind == _FREE:
                 ElementTree.SubElement(carrier, "freejoint", name=name)
             else:
-                about = {"name": name, "type": "hinge", "axis": _numbers(model.jnt_axis[joint])}
+                about = {"name": name, "type": "hinge", "axis": numbers(model.jnt_axis[joint])}
                 if model.jnt_limited[joint]:
-                    about["range"] = _numbers(model.jnt_range[joint])
+                    about["range"] = numbers(model.jnt_range[joint])
                 ElementTree.SubElement(carrier, "joint", about)
             at = anchor.inverse()
         return carrier, at
 
 
 def _pos_and_quat(pose: Pose) -> dict[str, str]:
-    attributes = {"pos": _numbers(pose.position)}
+    attributes = {"pos": numbers(pose.position)}
     if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
-        attributes["quat"] = _numbers(pose.wxyz)
+        attributes["quat"] = numbers(pose.wxyz)
     return attributes
 
 
-def _numbers(values: Iterable[float]) -> str:
+def numbers(values: Iterable[float]) -> str:
+    """As XML has them."""
     return " ".join(repr(float(v)) for v in values)
 
 
@@ -109,6 +110,13 @@ def _numbers(values: Iterable[float]) -> str:
 
 #: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
 SLACK = 1e-9
+
+
+def apart(a: Array, b: Array) -> tuple[float, float]:
+    """Metres and radians between two poses (4, 4)."""
+    # The chord between the rotations: exact near zero, where an arc cosine is not.
+    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), 2.0 * math.asin(min(1.0, chord))
 
 
 class Judge:
@@ -130,10 +138,7 @@ class Judge:
 
     def miss(self, q: Array, target: Array) -> tuple[float, float]:
         """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
-        here = self.pose(q)
-        # The chord between the rotations: exact near zero, where an arc cosine is not.
-        chord = float(np.linalg.norm(here[:3, :3] - target[:3, :3])) / (2.0 * math.sqrt(2.0))
-        return float(np.linalg.norm(here[:3, 3] - target[:3, 3])), 2.0 * math.asin(min(1.0, chord))
+        return apart(self.pose(q), target)
 
     def inside(self, q: Array) -> bool:
         """Whether every active joint is inside the range that the model gives it."""
@@ -358,9 +363,8 @@ def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
 
 def _step(a: Array, b: Array) -> float:
     """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
-    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
-    angle = 2.0 * math.asin(min(1.0, chord))
-    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, angle / WARM_RADIANS)
+    metres, radians = apart(a, b)
+    return max(metres / WARM_METRES, radians / WARM_RADIANS)
 
 
 #: Every kind of problem set, by name.

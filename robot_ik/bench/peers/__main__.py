@@ -19,6 +19,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from robot_ik.bench.methods.problems import apart
 from robot_ik.bench.methods.results import JUMP, this_machine
 from robot_ik.bench.peers import worker
 from robot_ik.bench.peers.tasks import ARMS, FIGURE, Sites, write_task
@@ -91,13 +92,8 @@ def _mark(sites: Sites, q: Array, target: Array) -> tuple[bool, bool]:
         good = bool(np.linalg.norm(sites.positions(q) - target, axis=1).max() <= POINTS)
         return good, good
     there = sites.poses(q)[0]
-    metres = float(np.linalg.norm(there[:3, 3] - target[:3, 3]))
-    chord = float(np.linalg.norm(there[:3, :3] - target[:3, :3])) / (2.0 * np.sqrt(2.0))
-    radians = 2.0 * float(np.arcsin(min(1.0, chord)))
-    return (
-        metres <= SUCCESS[0] and radians <= SUCCESS[1],
-        metres <= EXACT[0] and radians <= EXACT[1],
-    )
+    metres, radians = apart(there, target)
+    return (metres <= SUCCESS[0] and radians <= SUCCESS[1], metres <= EXACT[0] and radians <= EXACT[1])
 
 
 def merged(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -207,25 +203,19 @@ def compare(
                     runs[name][robot].append(report)
                     about[name] |= {"versions": report["versions"], "settings": report["settings"]}
                     about[name]["calibration_us"].append(round(report["calibration_us"]))
-                    say(_line(name, robot, report))
-    libraries = {
-        name: about[name]
-        | {"robots": {robot: _cells(report) for robot, report in runs[name].items() if report}}
-        for name in names
-        if name not in missing and name not in failed
-    }
+                    sets = report["sets"].items()
+                    cells = (f"{k} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for k, c in sets)
+                    say(f"{name}, {robot}: {'; '.join(cells)}")
+    libraries = {name: about[name] for name in names if name not in missing and name not in failed}
+    for name, library in libraries.items():
+        library["robots"] = {
+            robot: {key: merged([one["sets"][key] for one in reports]) for key in reports[0]["sets"]}
+            for robot, reports in runs[name].items()
+            if reports
+        }
     asked = {"count": count, "rounds": rounds, "seconds": seconds, "seed": seed}
     machine = this_machine().model_dump(mode="json")
     return asked | {"machine": machine, "libraries": libraries, "missing": missing, "failed": failed}
-
-
-def _cells(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    return {key: merged([one["sets"][key] for one in runs]) for key in runs[0]["sets"]}
-
-
-def _line(name: str, robot: str, report: dict[str, Any]) -> str:
-    cells = (f"{key} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for key, c in report["sets"].items())
-    return f"{name}, {robot}: {'; '.join(cells)}"
 
 
 def say(text: str) -> None:

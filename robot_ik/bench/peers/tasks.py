@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, plain_mjcf
+from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, numbers, plain_mjcf
 from robot_ik.files import make_folder, plain, write_atomically
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -216,7 +215,7 @@ def urdf_of(model: mujoco.MjModel) -> str:
             robot, model.joint(joint).name, "revolute", name_of(int(model.body_parentid[body])),
             name_of(body), model.body_pos[body], model.body_quat[body],
         )  # fmt: skip
-        ElementTree.SubElement(made, "axis", xyz=_numbers(model.jnt_axis[joint]))
+        ElementTree.SubElement(made, "axis", xyz=numbers(model.jnt_axis[joint]))
         ElementTree.SubElement(
             made, "limit", lower=repr(float(lower)), upper=repr(float(upper)), effort="100", velocity="100"
         )
@@ -243,7 +242,7 @@ def _joint(
     made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(made, "parent", link=parent)
     ElementTree.SubElement(made, "child", link=child)
-    ElementTree.SubElement(made, "origin", xyz=_numbers(position), rpy=_numbers(roll_pitch_yaw(wxyz)))
+    ElementTree.SubElement(made, "origin", xyz=numbers(position), rpy=numbers(roll_pitch_yaw(wxyz)))
     return made
 
 
@@ -256,7 +255,3 @@ def roll_pitch_yaw(wxyz: Array) -> Array:
     if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # only the sum of roll and yaw counts
         return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])
     return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)

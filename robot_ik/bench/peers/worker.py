@@ -12,9 +12,9 @@ from __future__ import annotations
 import gc
 import importlib
 import importlib.metadata
-import importlib.util
 import json
 import os
+import runpy
 import sys
 import time
 from collections.abc import Callable
@@ -22,10 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_threads, "1")
+if __name__ == "__main__":
+    for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(_threads, "1")
 
-import numpy as np  # noqa: E402 - it reads those variables when it is loaded
+import numpy as np
 
 Array = Any  # of numpy's type; annotations that need no numpy.typing keep old environments in
 TWO_PI = 2.0 * np.pi
@@ -320,11 +321,7 @@ def library_of(name: str) -> type[Library]:
     if not where.endswith(".py"):
         found: type[Library] = getattr(importlib.import_module(where), kind)
         return found
-    spec = importlib.util.spec_from_file_location("contestant", where)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found = getattr(module, kind)
+    found = runpy.run_path(where)[kind]
     return found
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_ik.bench.theses.tracking import Gauge, Track, track
+from robot_ik.bench.theses.tracking import Track, track
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.jobs import Progress
@@ -162,7 +162,7 @@ def steps_of(name: str, track: Track) -> float:
 
 def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
     """Runs all cases and fills the report in."""
-    gauge = Gauge(progress, len(CASES) * sum(len(v.methods) for v in VARIANTS))
+    jobs, done = len(CASES) * sum(len(v.methods) for v in VARIANTS), 0
     for case in CASES:
         arm = make_arm(case.limited)
         witnesses = make_witnesses(arm, case, report.frames, report.seed)
@@ -171,12 +171,17 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
         for variant in VARIANTS:
             budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
             for name in variant.methods:
-                gauge.begin(f"case {case.number}: {name}, {variant.title}", report.frames)
+                phase = f"case {case.number}: {name}, {variant.title}"
+
+                def show(share: float, phase: str = phase, done: int = done) -> None:
+                    progress(phase, (done + share) / jobs)
+
                 goal = PositionGoal("tip", targets[0].position)
                 problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
                 solver = make_method(variant.name, name, problem)
-                found = track(problem, solver, targets, witnesses[0], gauge.tick)
+                found = track(problem, solver, targets, witnesses[0], show)
                 report.tracks[variant.name, name, case.number] = found
+                done += 1
     report.complete = True
     return report
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from robot_ik.geometry import Pose
-from robot_ik.jobs import Progress
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.solvers.base import Solver
@@ -43,37 +42,19 @@ class Track:
         return self.solved == self.frames
 
 
-class Gauge:
-    """How far so many jobs, one after the other, have come, as a share of all of them."""
-
-    def __init__(self, progress: Progress, jobs: int) -> None:
-        self._progress = progress
-        self._jobs = jobs
-        self._begun = 0
-        self._phase, self._frames, self._behind = "", 1, 0
-
-    def begin(self, phase: str, frames: int) -> None:
-        self._begun += 1
-        self._phase, self._frames, self._behind = phase, frames, 0
-        self.tick(0)
-
-    def tick(self, frames: int) -> None:
-        self._behind += frames
-        share = (self._begun - 1 + self._behind / self._frames) / self._jobs
-        self._progress(self._phase, share)
-
-
 def track(
     problem: Problem,
     solver: Solver,
     targets: Sequence[Pose],
     start: Array,
-    tick: Callable[[int], None] = lambda frames: None,
+    show: Callable[[float], None] = lambda share: None,
 ) -> Track:
-    """Follows ``targets`` from ``start`` (nq,) on; ``tick`` is called with how many frames have gone by."""
+    """Follows ``targets`` from ``start`` (nq,) on; ``show`` is called with the share that is done."""
+    count = len(targets)
+    show(0.0)
     if not solver.applies(problem):
-        tick(len(targets))
-        return Track(len(targets), refused=True)
+        show(1.0)
+        return Track(count, refused=True)
     problem.retarget(targets[0])
     solver.solve(problem, start)  # compiles what is not compiled yet: not to be counted
     goal, allowed = problem.goals[0], problem.tolerance
@@ -91,7 +72,6 @@ def track(
         elif lost is None:
             lost = k
         if (k + 1) % _LOOK == 0:
-            tick(_LOOK)
-    tick(len(targets) % _LOOK)
-    count = len(targets)
+            show((k + 1) / count)
+    show(1.0)
     return Track(count, solved, lost, 1e3 * seconds / count, iterations / count, restarts)
