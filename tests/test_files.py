@@ -281,7 +281,7 @@ ALLOWED = {
         "read_text",
     ): "the text of a robot that load_robot has just read",
     ("robot_ik/pose_prior.py", "np.load"): "without pickle; a broken file is a ConfigError",
-    ("robot_ik/bench/peers/results.py", "*"): "between processes of one bench, in a folder of its own",
+    ("robot_ik/bench/peers/__main__.py", "*"): "between processes of one bench, in a folder of its own",
     ("robot_ik/bench/peers/worker.py", "*"): "likewise; it runs without robot_ik",
     ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",
     ("robot_ik/cli/console.py", "open"): "/dev/null",

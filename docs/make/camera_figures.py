@@ -17,10 +17,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera import Quantity
+from robot_ik.bench.camera import ROWS, Quantity
 from robot_ik.bench.camera.accuracy import latency_errors
 from robot_ik.bench.camera.arm import compare_filters
-from robot_ik.cli.bench_camera import ALL_ROWS, measured, wanted
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
@@ -53,7 +52,7 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
             rows[name] = {"machine": machine, "seed": facts["seed"], **row}
     moving, _ = compare_filters(hands=6)
     return {
-        "rows": {row.name: rows[row.name] for row in ALL_ROWS if row.name in rows},
+        "rows": {row.name: rows[row.name] for row in ROWS if row.name in rows},
         "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
         "remedies": {name: [miss.rms, miss.worst] for name, miss in latency_errors().items()},
     }
@@ -67,7 +66,7 @@ def figures(row: Data) -> list[Quantity]:
 def camera(data: Data, others: Data) -> str:
     """Quantity, value and wanted of every figure under what it is of; then where and when."""
     lines, places = ["| quantity | measured | wanted |", "| --- | ---: | ---: |"], {}
-    for row in ALL_ROWS:
+    for row in ROWS:
         if row.name not in data["rows"]:
             lines.append(f"| **{row.about}** | not measured | |")
             continue
@@ -78,7 +77,7 @@ def camera(data: Data, others: Data) -> str:
             lines.append(f"| not measured: {facts['unmeasured']} | | |")
         for one in figures(facts):
             missed = " (missed)" if one.passed is False else ""
-            lines.append(f"| {one.quantity} | {measured(one)}{missed} | {wanted(one)} |")
+            lines.append(f"| {one.quantity} | {one.measured_text}{missed} | {one.wanted_text} |")
     for where, names in places.items():
         m = json.loads(where)
         place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
@@ -32,7 +33,7 @@ from robot_ik.figure.gait import walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.poses import BEND, REACH, find_pose
 from robot_ik.goals import PosePriorGoal
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.motion import Keyframes, KeyPoses
 from robot_ik.motion.keyframes import free_base
 from robot_ik.motion.pose_prior import fit_pose_prior, mirrored
@@ -243,7 +244,7 @@ def picture(robot: rik.Robot, prior: PosePrior, path: Path) -> None:
         row = []
         for position in SHOWN:
             q = led(robot, position, extra)
-            points = np.concatenate([surface(robot.model, robot.qpos(one)) for one in (robot.home, q)])
+            points = np.concatenate([surface_points(robot.model, robot.qpos(one)) for one in (robot.home, q)])
             optics = lens(*size)
             camera = fitted_camera(points, (-50.0, 8.0), optics)
             row.append(photograph(robot.model, robot.qpos(q), camera, optics, 0.0).image)

@@ -24,6 +24,7 @@ import robot_ik as rik
 from robot_ik.camera.boards.board import parse_board
 from robot_ik.camera.boards.patterns import CharucoPattern
 from robot_ik.camera.calibration.coverage import cover, coverage_picture
+from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.registration import BoardWatcher, Registrar
 from robot_ik.camera.sheets.page import rasterize
@@ -33,7 +34,7 @@ from robot_ik.geometry import rotation_exp
 from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 
 Image = NDArray[np.uint8]
 
@@ -97,8 +98,8 @@ def draw(scene: Scene) -> Image:
     robot = found.robot
     model, optics = with_ball(robot.path, ball), lens(*SIZE)
     poses = [robot.qpos(robot.home), robot.qpos(found.q)]
-    shapes = [surface(model, qpos) for qpos in poses]
-    floor = float(surface(robot.model, poses[0])[:, 2].min())
+    shapes = [surface_points(model, qpos) for qpos in poses]
+    floor = float(surface_points(robot.model, poses[0])[:, 2].min())
     camera = fitted_camera(np.concatenate(shapes), scene.view_deg, optics)
     photos = [photograph(model, qpos, camera, optics, floor) for qpos in poses]
     columns = np.flatnonzero(np.maximum(photos[0].coverage, photos[1].coverage).max(axis=0) > 0)

@@ -6,27 +6,29 @@ planned.
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import itertools
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench import figure_peer
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import bend, reach
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
 from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
 from robot_ik.figure.session import FigureSession, SetBall
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 NORM_DEG: Mapping[str, tuple[float, ...]] = {
     "hip": (35.8, 32.8, 22.5, 11.4, 1.6, -5.3, -0.9, 17.9, 32.0, 36.7, 35.5),
@@ -55,7 +57,6 @@ class MotionMeasure:
         force: Least and largest vertical force of the floor.
         outside_limits, too_fast: Frames with a joint beyond its limits, or beyond a speed limit.
         self_contact: Frames with a self-contact.
-        touching: Bodies that touch, and in how many frames.
         jump: Largest change of a joint's speed from frame to frame.
         speed: Fastest of some joints.
     """
@@ -71,7 +72,6 @@ class MotionMeasure:
     outside_limits: int
     too_fast: int
     self_contact: int
-    touching: Mapping[str, int]
     jump: float
     speed: Mapping[str, float]
 
@@ -138,7 +138,6 @@ def measure_motion(
     hinges = q[:, 7:]
     lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
     limit = figure.speeds[speeds]
-    touching, touched = _contacts(figure, q)
     shown = ("hip", "knee", "ankle", "shoulder", "elbow", "head")
     peak = {
         part: max(
@@ -155,7 +154,7 @@ def measure_motion(
         force=(float(weight[1:-1].min()), float(weight[1:-1].max())),
         outside_limits=int(((hinges < lower - 1e-6) | (hinges > upper + 1e-6)).any(axis=1).sum()),
         too_fast=int((np.abs(forward) > limit * (1 + 1e-6)).any(axis=1).sum()),
-        self_contact=touched, touching=touching, jump=float(change.max()) if change.size else 0.0, speed=peak,
+        self_contact=_self_contacts(figure, q), jump=float(change.max()) if change.size else 0.0, speed=peak,
     )  # fmt: skip
 
 
@@ -185,22 +184,14 @@ def _slip_and_drift(
     return slip, drift
 
 
-def _contacts(figure: Figure, q: Array) -> tuple[dict[str, int], int]:
-    model, data = figure.model, mujoco.MjData(figure.model)
-    found: dict[str, int] = {}
-    frames = 0
+def _self_contacts(figure: Figure, q: Array) -> int:
+    """In how many frames (n, nq) any two shapes of the model touch."""
+    model, data, frames = figure.model, mujoco.MjData(figure.model), 0
     for row in q:
         data.qpos[:] = row
         mujoco.mj_forward(model, data)
-        pairs = {
-            " and ".join(sorted(model.body(model.geom_bodyid[g]).name for g in data.contact[c].geom))
-            for c in range(data.ncon)
-            if data.contact[c].dist < 0
-        }
-        frames += bool(pairs)
-        for pair in pairs:
-            found[pair] = found.get(pair, 0) + 1
-    return found, frames
+        frames += bool((np.asarray(data.contact.dist) < 0).any())
+    return frames
 
 
 @dataclass(frozen=True)
@@ -281,30 +272,9 @@ def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
     return low
 
 
-def describe(measure: MotionMeasure) -> Sequence[str]:
-    """Lines of text."""
-    m = measure
-    fastest = ", ".join(f"{part} {speed:.1f}" for part, speed in m.speed.items())
-    return (
-        f"slip {m.slip:.3f} mm a frame, drift {m.drift:.4f} mm, penetration {m.penetration:.3f} mm",
-        f"zero-moment point inside {100 * m.inside:.1f} %, within 10 mm {100 * m.close:.1f} %, "
-        f"worst {m.worst:.0f} mm",
-        f"force {m.force[0]:.2f} to {m.force[1]:.2f} body weights; beyond limits {m.outside_limits} frames, "
-        f"too fast {m.too_fast}; self-contact in {m.self_contact} of {m.frames}",
-        f"rad/s: {fastest}; a joint's speed changes by {m.jump:.2f} rad/s a frame at most",
-    )
-
-
 @dataclass(frozen=True)
 class FigureRow:
-    """One figure beside its target.
-
-    Attributes:
-        motion, what: Of what, and what of it.
-        value, unit: As measured.
-        least, most: The target; infinite on an open side.
-        missing: Why it was not measured; empty where it was.
-    """
+    """One figure beside its target, infinite on an open side; ``missing``: why it was not measured."""
 
     motion: str
     what: str
@@ -445,18 +415,18 @@ def _peer_rows(figure: Figure) -> Iterator[FigureRow]:
     if figure.gaze is None:
         return
     prints = walk_prints(figure, prints_of(figure, figure.home), np.array([2.5, 0.0, 0.0]))
-    goals = figure_peer.goals_of(figure, walk(figure, figure.home, prints))
-    ours = figure_peer.by_figure(figure, goals)
+    goals = walk_goals(figure, walk(figure, figure.home, prints))
+    ours = by_figure(figure, goals)
     what = "the same goals, feet and centre of mass within"
-    yield FigureRow("peer", f"{what}, this solver", 1e3 * ours.miss, "mm", most=1e3 * figure_peer.MISS)
+    yield FigureRow("peer", f"{what}, this solver", 1e3 * ours.miss, "mm", most=1e3 * PEER_MISS)
     yield FigureRow("peer", "a frame, this solver", 1e6 * ours.seconds, "us", most=200)
-    if not figure_peer.has_mink():
+    if not has_mink():
         absent = "mink is not installed: pip install mink daqp"
         yield FigureRow("peer", "times as fast as mink", np.nan, least=5.0, missing=absent)
         return
-    mink = figure_peer.by_mink(figure, goals)
+    mink = by_mink(figure, goals)
     yield FigureRow("peer", f"{what}, mink", 1e3 * mink.miss, "mm")
-    yield FigureRow("peer", f"a frame, mink ({figure_peer.SOLVER}), steps", mink.steps)
+    yield FigureRow("peer", f"a frame, mink ({PEER_SOLVER}), steps", mink.steps)
     yield FigureRow("peer", "a frame, mink", 1e6 * mink.seconds, "us")
     yield FigureRow("peer", "times as fast as mink", mink.seconds / ours.seconds, least=5.0)
 
@@ -483,3 +453,153 @@ def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iter
     yield from measure_walks(abilities.figure)
     yield from measure_hands(abilities, count, seed)
     yield from measure_times(abilities)
+
+
+# ------------------------------------------------------------------------------------------
+# Frames of a walk with equal goals by the figure's solver and by mink: misses first, then time.
+#
+# Both get, frame by frame, the poses of the feet, the centre of mass over the floor, the pelvis (rotation and
+# height), the rotation of the chest, gaze and a posture, read off a solved walk, and begin where their frame
+# before ended.  mink weighs all rows; it steps until feet and centre of mass miss no more than ``PEER_MISS``.
+
+
+PEER_MISS = 1e-4
+"""Of feet and centre of mass, m and rad."""
+PEER_SOLVER, PEER_STEPS = "daqp", 20
+"""mink's QP solver, and most of its steps a frame."""
+COSTS = {
+    "feet": 100.0,
+    "center": 100.0,
+    "pelvis": 3.0,
+    "height": 20.0,
+    "chest": 3.0,
+    "gaze": 1.0,
+    "posture": 0.1,
+}
+"""mink's: square roots of weights that count as much as the figure's own."""
+_AHEAD = 3.0  # m: the point that the eyes follow
+
+
+@dataclass(frozen=True)
+class PeerFrames:
+    """What one solver did: seconds of processor time and steps a frame, mean; largest miss, m or rad."""
+
+    seconds: float
+    miss: float
+    steps: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrameGoals:
+    """(n, …) goals of the frames (n, nq) of a walk."""
+
+    q: Array
+    feet: dict[str, tuple[Array, Array]]
+    center: Array
+    pelvis: tuple[Array, Array]
+    chest: Array
+    gaze_target: Array
+
+
+def walk_goals(figure: Figure, walk: Walk) -> FrameGoals:
+    """Read off the frames of a walk."""
+    q = walk.frames.q
+    assert figure.gaze is not None
+    eyes, matrix = figure.poses(q, figure.gaze)
+    return FrameGoals(
+        q, {foot.frame: figure.poses(q, foot.frame) for foot in figure.feet.values()},
+        np.array([figure.center(row) for row in q]), figure.poses(q, figure.pelvis),
+        figure.poses(q, figure.trunk)[1], eyes + _AHEAD * matrix[:, :, 0],
+    )  # fmt: skip
+
+
+def by_figure(figure: Figure, goals: FrameGoals) -> PeerFrames:
+    """The figure's solver: feet and centre of mass are needed, the rest is weighed."""
+    rows = FrameRows(figure, len(goals.q))
+    for frame, (position, matrix) in goals.feet.items():
+        rows.position(frame, position)
+        rows.orientation(frame, matrix)
+    rows.center(goals.center, axes="xy")
+    rows.orientation(figure.pelvis, goals.pelvis[1], 60.0)
+    rows.orientation(figure.trunk, goals.chest, 60.0)
+    rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
+    assert figure.gaze is not None
+    rows.aim(figure.gaze, goals.gaze_target, 5.0, figure.neck or None)
+    stiffness = figure.stiffnesses({"*": 0.02, "*toe*": 1e3})
+
+    def solve() -> Frames:
+        return rows.solve(goals.q, stiffness, figure.home, speeds=None)
+
+    solve()
+    began = time.thread_time()
+    found = solve()
+    seconds = (time.thread_time() - began) / len(goals.q)
+    return PeerFrames(seconds, _worst_miss(figure, goals, found.q), float(found.steps.mean()))
+
+
+def has_mink() -> bool:
+    """Whether mink and its QP solver are installed: no part of this package needs them."""
+    return all(importlib.util.find_spec(name) is not None for name in ("mink", PEER_SOLVER))
+
+
+def by_mink(figure: Figure, goals: FrameGoals) -> PeerFrames:
+    """mink's tasks with the same goals."""
+    mink: Any = importlib.import_module("mink")
+    tasks, aims = _mink_tasks(mink, figure, goals)
+    configuration = mink.Configuration(figure.model)
+    configuration.update(figure.home)
+    limits, q, steps = [mink.ConfigurationLimit(figure.model)], np.empty_like(goals.q), 0
+    began = time.thread_time()
+    for k in range(len(q)):
+        for task, targets in zip(tasks, aims, strict=True):
+            task.set_target(targets[k])
+        for _ in range(PEER_STEPS):
+            velocity = mink.solve_ik(configuration, tasks, 1.0, PEER_SOLVER, damping=1e-6, limits=limits)
+            configuration.integrate_inplace(velocity, 1.0)
+            steps += 1
+            if max(float(np.abs(task.compute_error(configuration)).max()) for task in tasks[:3]) < PEER_MISS:
+                break
+        q[k] = configuration.q
+    seconds = (time.thread_time() - began) / len(q)
+    return PeerFrames(seconds, _worst_miss(figure, goals, q), steps / len(q))
+
+
+def _mink_tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], list[Any]]:
+    """Tasks, the needed ones first, and the targets of each, frame by frame."""
+    free = np.zeros(3)
+
+    def frame(name: str, position: Any, matrix: float) -> Any:
+        sites = {figure.model.site(k).name for k in range(figure.model.nsite)}
+        return mink.FrameTask(name, "site" if name in sites else "body", position, matrix)
+
+    def poses(position: Array, matrix: Array) -> list[Any]:
+        return [
+            mink.SE3.from_rotation_and_translation(mink.SO3.from_matrix(r), p)
+            for p, r in zip(position, matrix, strict=True)
+        ]
+
+    still = np.broadcast_to(free, goals.center.shape)
+    pairs: list[tuple[Any, Any]] = [
+        (frame(name, COSTS["feet"], COSTS["feet"]), poses(*pose)) for name, pose in goals.feet.items()
+    ]
+    pairs += [
+        (mink.ComTask([COSTS["center"], COSTS["center"], 0.0]), goals.center),
+        (frame(figure.pelvis, [0.0, 0.0, COSTS["height"]], COSTS["pelvis"]), poses(*goals.pelvis)),
+        (frame(figure.trunk, free, COSTS["chest"]), poses(still, goals.chest)),
+        (
+            mink.LookAtTask(figure.gaze, "site", axis=(1.0, 0.0, 0.0), cost=COSTS["gaze"]),
+            goals.gaze_target,
+        ),
+        (mink.PostureTask(figure.model, cost=COSTS["posture"]), goals.q),
+    ]
+    return [task for task, _ in pairs], [targets for _, targets in pairs]
+
+
+def _worst_miss(figure: Figure, goals: FrameGoals, q: Array) -> float:
+    """Largest miss of feet and centre of mass, by MuJoCo."""
+    worst = 0.0
+    for frame, (position, matrix) in goals.feet.items():
+        there, rotation = figure.poses(q, frame)
+        worst = max(worst, float(np.abs(there - position).max()), float(np.abs(rotation - matrix).max()))
+    center = np.array([figure.center(row) for row in q])
+    return max(worst, float(np.abs(center - goals.center)[:, :2].max()))

@@ -58,14 +58,7 @@ _PLACES = (-0.45, -0.3, 0.9), (-0.45, -0.27, 0.88)  # of the ball, in the PUMA's
 
 @dataclass(frozen=True)
 class PageRow:
-    """One figure beside its target.
-
-    Attributes:
-        what: What was measured.
-        value, unit: As measured; NaN: not, because of ``note``.
-        most: The target.
-        note: What is said of it.
-    """
+    """One figure beside its target; NaN: not measured, because of ``note``."""
 
     what: str
     value: float
@@ -75,17 +68,11 @@ class PageRow:
 
     @property
     def passed(self) -> bool:
-        """Whether it is within its target."""
         return self.value <= self.most
 
 
 def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text: None) -> Iterator[PageRow]:
-    """All rows, one after the other.
-
-    Args:
-        seconds: For which processor time and bytes are counted, each time.
-        say: Called with what is measured now.
-    """
+    """All rows, one after the other; ``seconds``: for which processor time and bytes are counted."""
     say("running four arms")
     with Session(Start(count=COUNT)) as session:
         while session.busy or not session.ready:

@@ -206,12 +206,10 @@ def make_request(options: ArOptions) -> ArRequest:
 
 def run_self_test(*, json: bool = False) -> int:
     """Measures and prints; 0 when all is within its limits, else 1."""
-    from robot_ik.bench.self_test import SelfTest
+    from robot_ik.bench.camera.accuracy import self_test
 
-    test = SelfTest()
     with console.progress() as bar:
-        rows = list(test.rows(console.shares_on(bar, "measuring")))
-    notice = test.notice
+        rows, notice = self_test(console.shares_on(bar, "measuring"))
     good = all(row.good for row in rows)
     if json:
         console.print_json(

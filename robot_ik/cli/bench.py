@@ -16,13 +16,13 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.files import write_atomically
-from robot_ik.jobs.results import results_folder
+from robot_ik.jobs.results import require_plots, results_folder
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from robot_ik.bench.methods.campaign import Campaign
     from robot_ik.bench.methods.results import Cell, Results
+    from robot_ik.bench.methods.runner import Campaign
     from robot_ik.solvers.base import Solver
 
 
@@ -74,15 +74,15 @@ class BenchOptions:
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
     import_mujoco()
-    from robot_ik.bench.methods.campaign import Campaign
-    from robot_ik.bench.methods.results import Results, Settings, need_matplotlib, this_machine
+    from robot_ik.bench.methods.results import Results, Settings, this_machine
+    from robot_ik.bench.methods.runner import Campaign
     from robot_ik.goals import Tolerance
     from robot_ik.robot import load_robot
 
     solvers, robots = _solvers(options), [load_robot(name) for name in dict.fromkeys(options.robots)]
     Tolerance(options.position_tolerance, options.angle_tolerance)  # refuses what is not positive
     if options.plots:
-        need_matplotlib()
+        require_plots("drawing the plots")
     settings = Settings(
         command=shlex.join(["robot-ik", *sys.argv[1:]]) if sys.argv[1:2] == ["bench"] else "robot-ik bench",
         count=options.count,

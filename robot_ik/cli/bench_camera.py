@@ -2,31 +2,21 @@
 
 from __future__ import annotations
 
-import json
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.bench.camera import ROWS, Effort, Quantity, Row
+from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Quantity, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import RobotIkError, unknown_name_text
-from robot_ik.files import claimed, plain, write_atomically
-
-if TYPE_CHECKING:
-    from rich.progress import Progress
-
-# Rows that a bench may not import, because they measure whole jobs.
-JOB_ROWS: tuple[Row, ...] = (
-    Row("zeros", "joint zero offsets, from 30 poses", "robot_ik.bench.camera.arm:joint_zero_offsets"),
-)
-ALL_ROWS = (*ROWS, *JOB_ROWS)
+from robot_ik.errors import unknown_name_text
+from robot_ik.files import claimed
+from robot_ik.jobs.results import save_json
 
 
 @dataclass(frozen=True)
@@ -56,43 +46,6 @@ class BenchCameraOptions:
     """Real pictures without markers, for false finds; with chessboards of 9 × 6 corners, for real corners."""
 
 
-@dataclass
-class MeasuredRows:
-    """What a run has found.
-
-    Attributes:
-        figures: By row.
-        seconds: That each row took.
-        unmeasured: Why a row has no figures, or not all.
-        complete: Whether the run came to its end.
-    """
-
-    figures: dict[str, list[Quantity]] = field(default_factory=dict)
-    seconds: dict[str, float] = field(default_factory=dict)
-    unmeasured: dict[str, str] = field(default_factory=dict)
-    complete: bool = False
-
-    @property
-    def passed(self) -> bool:
-        """Whether every row was measured and nothing missed what is wanted."""
-        figures = [one for figures in self.figures.values() for one in figures]
-        return not self.unmeasured and all(one.passed is not False for one in figures)
-
-    def facts(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "complete": self.complete,
-            "rows": {
-                name: {
-                    "seconds": round(self.seconds.get(name, 0.0), 1),
-                    "unmeasured": self.unmeasured.get(name),
-                    "figures": [f.facts() for f in figures],
-                }
-                for name, figures in self.figures.items()
-            },
-        }
-
-
 def run(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
     import_mujoco()
@@ -110,8 +63,7 @@ def run(options: BenchCameraOptions) -> int:
 def _measure_and_print(rows: Sequence[Row], effort: Effort, found: MeasuredRows, file: Path | None) -> int:
     try:
         with console.progress() as bar:
-            measure(rows, effort, found, bar)
-        found.complete = True
+            found.measure(rows, effort, console.shares_on(bar, "measuring"))
     finally:
         # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
         if found.figures:
@@ -127,7 +79,7 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     Raises:
         ConfigError: No such row, or none is left.
     """
-    known = {row.name: row for row in ALL_ROWS}
+    known = {row.name: row for row in ROWS}
     for option, given in (("--rows", names), ("--skip", skipped)):
         for name in given:
             if name not in known:
@@ -138,33 +90,17 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     return chosen
 
 
-def measure(rows: Sequence[Row], effort: Effort, found: MeasuredRows, bar: Progress) -> None:
-    """Fills ``found``, figure by figure."""
-    task = bar.add_task("measuring", total=len(rows), note="")
-    for row in rows:
-        bar.update(task, note=row.about)
-        figures = found.figures.setdefault(row.name, [])
-        began = time.monotonic()
-        try:
-            for figure in row.measure(effort):
-                figures.append(figure)
-                bar.update(task, note=f"{row.about}: {figure.quantity}")
-            if not figures:
-                found.unmeasured[row.name] = "it gave no figure"
-        except RobotIkError as error:
-            found.unmeasured[row.name] = str(error.args[0])
-        finally:
-            found.seconds[row.name] = time.monotonic() - began
-        bar.advance(task)
-
-
 def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
     """The table: quantity, value, wanted, verdict."""
     shown = console.table("row", "quantity", "measured", "wanted", "")
     for row in rows:
         for index, one in enumerate(found.figures.get(row.name, ())):
             shown.add_row(
-                row.name if index == 0 else "", one.quantity, measured(one), wanted(one), _verdict(one)
+                row.name if index == 0 else "",
+                one.quantity,
+                one.measured_text,
+                one.wanted_text,
+                _verdict(one),
             )
         if row.name in found.unmeasured:
             why = f"not measured: {found.unmeasured[row.name]}"
@@ -177,19 +113,6 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
         + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
         + ("" if found.complete else "; not all measured")
     )
-
-
-def measured(one: Quantity) -> str:
-    """A value with its unit: whole numbers as they are, others with three figures."""
-    value = f"{one.value:.0f}" if not one.unit and one.value == round(one.value) else f"{one.value:.3g}"
-    return f"{value} {one.unit}".strip()
-
-
-def wanted(one: Quantity) -> str:
-    """The bound with its sign and unit; empty where there is none."""
-    if one.wanted is None:
-        return ""
-    return f"{'≥' if one.at_least else '≤'} {one.wanted:g} {one.unit}".strip()
 
 
 def _verdict(one: Quantity) -> Text:
@@ -208,5 +131,5 @@ def _write(path: Path, found: MeasuredRows, effort: Effort) -> None:
         "seed": effort.seed,
         **found.facts(),
     }
-    write_atomically(path, json.dumps(plain(facts), indent=2, allow_nan=False, ensure_ascii=False) + "\n")
+    save_json(path, facts)
     console.say(f"figures: {path}", "dim")

@@ -7,6 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -218,17 +219,18 @@ def _searched_pictures(
 ) -> Iterator[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
+    from robot_ik.camera.tracker import MarkerFinder
     from robot_ik.errors import CameraError
-    from robot_ik.jobs.pictures import MarkerSearch, find_markers
+    from robot_ik.jobs.pictures import find_markers
 
     if not options.images:
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
     bodies = () if options.bodies is None else tuple(load_bodies(options.bodies).values())
-    search = MarkerSearch(options.dictionary, intrinsics, options.size, options.ids, bodies)
+    finder = partial(MarkerFinder, options.dictionary, intrinsics, options.size, options.ids, bodies)
     with console.progress() as bar:
         for name in options.images:
             task = bar.add_task(name, total=None, note="")
-            for row in find_markers(name, search, drawings):
+            for row in find_markers(name, finder, drawings):
                 bar.update(task, note=str(row.frame))
                 if row.image is not None and not row.values["markers"]:
                     blank.append(row.image)

@@ -77,11 +77,11 @@ class CameraVerifyOptions(ArmCameraOptions):
 def run(options: CameraVerifyOptions) -> int:
     """Runs the job; 0 when the arm, as it now is on file, is within the bound."""
     import_mujoco()
-    from robot_ik.jobs.arm_camera.verify import require_plots
+    from robot_ik.jobs.results import require_plots
 
     request = make_request(options)
     if options.picture:
-        require_plots()
+        require_plots("drawing the errors")
     samples = None if options.samples or options.dry_run else options.out
     picture = Path(options.picture) if options.picture and not options.dry_run else None
     if options.fit and options.arm:

@@ -91,10 +91,11 @@ def _a00(options: ExperimentsOptions) -> _Prepared:
 
 def _s12(options: ExperimentsOptions) -> _Prepared:
     from robot_ik.bench.theses.results import save_s12
-    from robot_ik.bench.theses.s12 import FRAMES, S12Report, require_plots, run_s12
+    from robot_ik.bench.theses.s12 import FRAMES, S12Report, run_s12
+    from robot_ik.jobs.results import require_plots
 
     if options.plot:
-        require_plots()
+        require_plots("drawing the table")
     report = S12Report(options.frames or FRAMES, options.seed)
     return (
         report,

@@ -176,7 +176,7 @@ def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
 
         with console.progress() as bar:
             progress = console.counted_on(bar, f"painting {options.record}")
-            record(robot, report.frames, options.record, (), progress, overwrite=options.overwrite)
+            record(robot, report.frames, options.record, progress, overwrite=options.overwrite)
     _print(report, options)
     return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
 
@@ -242,7 +242,8 @@ def _camera(options: FigureOptions) -> ArRequest:
 
 
 def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
-    from robot_ik.jobs.figure import marker_places, run_figure, run_marker
+    from robot_ik.jobs.ar.job import marker_places
+    from robot_ik.jobs.figure import run_figure, run_marker
 
     if options.path != "marker":
         return run_figure(abilities, _request(options))

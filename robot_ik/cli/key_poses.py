@@ -287,14 +287,15 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
 
 def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
     """Where recording begins."""
-    from robot_ik.jobs.posing import named_poses
     from robot_ik.motion import Keyframes
+    from robot_ik.motion.keyframes import qpos_addresses
 
     if options.frames:
         return Keyframes.load_csv(options.frames, robot).at(options.at)
     if not options.begin:
         return np.array(robot.home)
-    known = named_poses(robot, book)
+    places, keys = qpos_addresses(robot), [robot.model.key(k) for k in range(robot.model.nkey)]
+    known = {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
     if options.begin not in known:
         raise wrong(
             "--begin", f"there is no pose {options.begin!r}", ", ".join(known), _close(options.begin, known)
@@ -307,9 +308,16 @@ def _close(name: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else ""
 
 
+_FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
+
+
 def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
-    """The pose that brings frames to the positions of ``FRAME X Y Z`` arguments; None: out of reach."""
-    from robot_ik.jobs.posing import pose_reaching
+    """The pose near ``q`` (nq,) that brings frames to the positions of ``FRAME X Y Z`` arguments.
+
+    The other feet stay where they are.  None: out of reach.
+    """
+    from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
+    from robot_ik.inverse_kinematics import solve
 
     if not arguments or len(arguments) % 4:
         raise wrong("--reach", f"{len(arguments)} arguments", "FRAME X Y Z, once or more")
@@ -320,22 +328,31 @@ def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
         except ValueError:
             raise wrong("--reach", " ".join(arguments[first : first + 4]), "FRAME X Y Z, metres") from None
         positions[arguments[first]] = (x, y, z)
-    return pose_reaching(robot, q, positions)
+    goals: list[Goal] = [PositionGoal(frame, position) for frame, position in positions.items()]
+    feet = [frame for frame in robot.file.tools if frame.endswith(_FEET) and frame not in positions]
+    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
+    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
+    return np.array(found.q) if found.converged else None
 
 
 def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
-    """The pose with the joints of ``JOINT=DEGREES`` arguments."""
+    """The pose (nq,) with the joints of ``JOINT=DEGREES`` (of a slide: ``=METRES``) arguments."""
     from robot_ik.errors import UnknownJointError
-    from robot_ik.jobs.posing import with_joint
+    from robot_ik.kernels.tree import HINGE, SLIDE
 
+    q = np.array(q)
     for item in items:
         joint, _, text = item.partition("=")
         try:
-            q = with_joint(robot, q, joint, float(text))
-        except UnknownJointError:
-            raise
+            value = float(text)
         except ValueError:
-            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES") from None
+            value = np.nan
+        if np.isfinite(value) and joint not in robot.joints:
+            raise UnknownJointError(joint, robot.joints)
+        kind = robot.tree.kind[robot.joints.index(joint)] if np.isfinite(value) else None
+        if kind not in (HINGE, SLIDE):
+            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES")
+        q[robot.tree.qadr[robot.joints.index(joint)]] = np.radians(value) if kind == HINGE else value
     return q
 
 

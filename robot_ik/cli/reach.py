@@ -32,8 +32,8 @@ from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
-    from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal
-    from robot_ik.jobs.robot_setup import JointLimits
+    from robot_ik.jobs.reach import ReachReport, ReachRequest
+    from robot_ik.jobs.robot_setup import JointLimits, Rehearsal
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,9 @@ def run(options: ReachOptions) -> int:
     from robot_ik.jobs.results import results_folder
 
     if options.film:
-        from robot_ik.jobs.reach_files import require_films
+        from robot_ik.jobs.ar.output import require_films
 
-        require_films()
+        require_films("a film of the reach")
     # Before anything moves: a run whose results cannot be kept is not started.
     with (
         results_folder(options.out, "reach", FILES, overwrite=options.overwrite) as folder,
@@ -239,7 +239,7 @@ def _camera_pose(options: ReachOptions) -> Pose | None:
 
 
 def _rehearsal(options: RehearseOptions) -> Rehearsal:
-    from robot_ik.jobs.reach import Rehearsal
+    from robot_ik.jobs.robot_setup import Rehearsal
 
     numbers = options.marker_at
     if numbers and len(numbers) not in (3, 4):

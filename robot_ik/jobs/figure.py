@@ -11,39 +11,34 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+import cv2
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
+from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.decide import Box, Decider, Decision, Obstacle
+from robot_ik.figure.decide import Decider, Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
 from robot_ik.files import write_atomically
-from robot_ik.jobs.ar.job import (
-    ArReport,
-    ArRequest,
-    PictureProgress,
-    heights,
-    marker_from_base,
-    marker_places,
-    run_ar,
-)
+from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
+from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph, surface
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph, save_png
+from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 FRAMES_SCHEMA = 1
@@ -73,12 +68,8 @@ class FigureRequest:
 
     Attributes:
         balls: Where the ball is, one after the other; each is held until nothing goes on any more.
-        path: ``circle`` or ``random``: a ball that moves, in place of ``balls``.
-        seconds: How long it moves.
+        path: ``circle`` or ``random``: a ball that moves for so many ``seconds``, in place of ``balls``.
         stance: (x, y, heading) of the figure at first.
-        mode: ``active`` or ``passive``.
-        obstacles: What it may not walk through.
-        seed: Of random balls.
     """
 
     balls: tuple[tuple[float, float, float], ...] = ()
@@ -86,18 +77,14 @@ class FigureRequest:
     seconds: float = 12.0
     stance: tuple[float, float, float] = (0.0, 0.0, 0.0)
     mode: Literal["active", "passive"] = "active"
-    obstacles: tuple[Obstacle, ...] = ()
     seed: int = 0
 
 
 @dataclass
 class FigureReport:
-    """What was done.
+    """What was done; ``decisions`` each with the time it was made.
 
-    Attributes:
-        frames: All of them.
-        decisions: Each with the time it was made.
-        misses: Distance of hand and ball after each reach and bend, and at the apex of each jump, m.
+    ``misses``: distance of hand and ball after each reach and bend, and at the apex of each jump, m.
     """
 
     frames: list[FigureFrame] = field(default_factory=list)
@@ -106,7 +93,6 @@ class FigureReport:
 
     @property
     def worst(self) -> float:
-        """Largest miss, m."""
         return max((miss for _, miss in self.misses), default=0.0)
 
 
@@ -158,7 +144,7 @@ def moving_ball(
 
 def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureFrame]:
     """Frames of a request, one after the other."""
-    session = FigureSession(abilities, obstacles=request.obstacles, mode=request.mode, stance=request.stance)
+    session = FigureSession(abilities, mode=request.mode, stance=request.stance)
     if request.path:
         for k in range(int(request.seconds * RATE)):
             session.send(SetBall(moving_ball(request.path, k / RATE, request.seed, request.stance)))
@@ -194,16 +180,10 @@ def run_marker(
 class MarkerFigure:
     """A figure that acts on a marker in the pictures of a camera; also the motion of ``jobs.ar``."""
 
-    def __init__(
-        self, abilities: Abilities, request: FigureRequest, drawn: DrawnRobot | None = None,
-        frames: list[FigureFrame] | None = None,
-    ) -> None:  # fmt: skip
-        self._session = FigureSession(
-            abilities, obstacles=request.obstacles, mode=request.mode, stance=request.stance
-        )
+    def __init__(self, abilities: Abilities, request: FigureRequest, drawn: DrawnRobot | None = None) -> None:
+        self._session = FigureSession(abilities, mode=request.mode, stance=request.stance)
         self._drawn, self._shown = drawn, np.full(3, np.inf)
-        self.frames: list[FigureFrame] = [] if frames is None else frames
-        self.frames.clear()
+        self.frames: list[FigureFrame] = []
 
     def show(self, position: Array | None) -> None:
         """The ball at ``position`` (3,); where it was last for None."""
@@ -220,7 +200,7 @@ class MarkerFigure:
             yield self.frames[-1]
 
     def q(self, time: float, seen: Seen | None) -> Array:
-        """(nq,) at ``time``: see ``jobs.ar.motion.Motion``."""
+        """(nq,) at ``time``: see ``jobs.ar.motion.DrawnMotion``."""
         assert self._drawn is not None
         self.show(None if seen is None else marker_from_base(seen, self._drawn))
         for _ in self.until(time):
@@ -232,12 +212,14 @@ def draw_on_camera(
     abilities: Abilities, request: FigureRequest, camera: ArRequest, progress: PictureProgress
 ) -> tuple[ArReport, list[FigureFrame]]:
     """The figure drawn into the pictures of a camera, acting on a marker in them."""
-    frames: list[FigureFrame] = []
-    report = run_ar(
-        camera, progress, robot=abilities.figure.robot,
-        mover=lambda robot, drawn: MarkerFigure(abilities, request, drawn, frames),
-    )  # fmt: skip
-    return report, frames
+    made: list[MarkerFigure] = []
+
+    def mover(robot: Robot, drawn: DrawnRobot) -> DrawnMotion:
+        made.append(MarkerFigure(abilities, request, drawn))
+        return DrawnMotion(made[-1].q)
+
+    report = run_ar(camera, progress, robot=abilities.figure.robot, mover=mover)
+    return report, made[-1].frames
 
 
 def run_lion(lion: Lion, balls: Sequence[tuple[float, float, float]]) -> Iterator[FigureFrame]:
@@ -258,7 +240,10 @@ def run_lion(lion: Lion, balls: Sequence[tuple[float, float, float]]) -> Iterato
 
 
 def watch(
-    robot: Robot, hands: Mapping[str, str], frames: Iterator[FigureFrame], each: Callable[[FigureFrame], None]
+    robot: Robot,
+    hands: Mapping[str, str],
+    frames: Iterator[FigureFrame],
+    each: Callable[[FigureFrame], None] = lambda frame: None,
 ) -> FigureReport:
     """Runs through the frames; gives each away and keeps what the report needs.
 
@@ -273,12 +258,18 @@ def watch(
         each(frame)
         arm = frame.decision.arm
         if frame.action in ("reach", "bend", "jump") and arm is not None:
-            miss = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
+            miss = _miss(robot, hands, frame)
             nearest = miss if frame.action != "jump" else min(nearest, miss)
             if frame.phase >= 1.0:
                 report.misses.append((frame.action, nearest))
                 nearest = np.inf
     return report
+
+
+def _miss(robot: Robot, hands: Mapping[str, str], frame: FigureFrame) -> float:
+    """Distance, m, of ball and the hand that the decision names."""
+    hand = hands[frame.decision.arm or "right"]
+    return float(np.linalg.norm(robot.forward(frame.q, hand).position - frame.ball))
 
 
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:
@@ -288,38 +279,18 @@ def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -
     """
     model = figure.model
     out = io.StringIO()
-    digest = (
-        hashlib.sha256(figure.robot.path.read_bytes()).hexdigest()[:16] if figure.robot.path.is_file() else ""
-    )
+    path = figure.robot.path
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
     out.write(f"# robot_ik {__version__}, figure frames {FRAMES_SCHEMA}\n")
-    out.write(
-        f"# model {figure.robot.path.name} sha256 {digest}, rate {RATE:g} Hz, SI, rad, quaternions wxyz\n"
-    )
-    names = ["base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz"]
-    names += [model.joint(j).name for j in range(1, model.njnt)]
-    foot = [f"{side}_anchor_{axis}" for side in SIDES for axis in "xyz"]
+    out.write(f"# model {path.name} sha256 {digest}, rate {RATE:g} Hz, SI, rad, quaternions wxyz\n")
+    base = ["base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz"]
+    joints = [model.joint(j).name for j in range(1, model.njnt)]
+    feet = [f"{side}_anchor_{axis}" for side in SIDES for axis in "xyz"]
+    points = ("com_x", "com_y", "com_z", "zmp_plan_x", "zmp_plan_y", "target_x", "target_y", "target_z")
     writer = csv.writer(out, lineterminator="\n")
+    contacts = [f"{side}_contact" for side in SIDES]
     writer.writerow(
-        [
-            "t",
-            "action",
-            "phase",
-            *names,
-            "left_contact",
-            "right_contact",
-            *foot,
-            "com_x",
-            "com_y",
-            "com_z",
-            "zmp_plan_x",
-            "zmp_plan_y",
-            "target_x",
-            "target_y",
-            "target_z",
-            "hand",
-            "decision",
-            "seed",
-        ]
+        ["t", "action", "phase", *base, *joints, *contacts, *feet, *points, "hand", "decision", "seed"]
     )
     before = None
     for frame in frames:
@@ -367,12 +338,10 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
 
 
 class Painter:
-    """Paints frames: the figure on tiles, the ball, the obstacles; the camera follows."""
+    """Paints frames: the figure on tiles and the ball; the camera follows."""
 
-    def __init__(
-        self, robot: Robot, obstacles: Sequence[Obstacle] = (), size: tuple[int, int] = _FILM_SIZE
-    ) -> None:
-        self._model = _scene_model(robot, obstacles)
+    def __init__(self, robot: Robot, size: tuple[int, int] = _FILM_SIZE) -> None:
+        self._model = _scene_model(robot)
         self._tall, self._letters = heights(robot)[1], max(11, size[0] // 44)
         self._optics = CameraIntrinsics(
             *size, 1.35 * size[1], 1.35 * size[1], (size[0] - 1) / 2, (size[1] - 1) / 2
@@ -380,7 +349,6 @@ class Painter:
         self._at: Array | None = None
 
     def paint(self, frame: FigureFrame) -> Image:
-        """One picture, BGR."""
         to = np.array([frame.q[0], frame.q[1], 0.54 * self._tall])
         if np.isfinite(frame.ball).all():
             offset = frame.ball - to
@@ -413,21 +381,14 @@ def _lines(text: str, width: int, size: int) -> list[str]:
     return out
 
 
-def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
-    """The robot's model among tiles and obstacles, with a ball on three slides at the end of qpos."""
+def _scene_model(robot: Robot) -> mujoco.MjModel:
+    """The robot's model among tiles, with a ball on three slides at the end of qpos."""
     spec = mujoco.MjSpec.from_file(str(robot.path))
     for key in list(spec.keys):
         spec.delete(key)
     world, kinds = spec.worldbody, mujoco.mjtGeom
     for position, half, rgba in TILES:
         world.add_geom(type=kinds.mjGEOM_BOX, pos=position, size=half, rgba=rgba, contype=0, conaffinity=0)
-    for one in obstacles:
-        if isinstance(one, Box):
-            half = np.radians(one.heading_deg) / 2
-            world.add_geom(
-                type=kinds.mjGEOM_BOX, pos=one.center, size=one.half, quat=[np.cos(half), 0, 0, np.sin(half)],
-                rgba=[0.45, 0.55, 0.65, 1], contype=0, conaffinity=0,
-            )  # fmt: skip
     body = world.add_body(name="figure_ball")
     for axis in np.eye(3):
         body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
@@ -436,11 +397,11 @@ def _scene_model(robot: Robot, obstacles: Sequence[Obstacle]) -> mujoco.MjModel:
 
 
 def record(
-    robot: Robot, frames: Sequence[FigureFrame], out: Path, obstacles: Sequence[Obstacle],
+    robot: Robot, frames: Sequence[FigureFrame], out: Path,
     progress: PictureProgress = lambda done, whole: None, **more: Any,
 ) -> None:  # fmt: skip
     """A film, a GIF, a picture, or a folder of pictures (see ``jobs.ar_files``); 30 pictures a second."""
-    painter = Painter(robot, obstacles)
+    painter = Painter(robot)
     picked = frames[:: 4 if out.suffix.lower() == ".gif" else 2]
 
     def painted() -> Iterator[tuple[FigureFrame, Image]]:
@@ -470,22 +431,15 @@ _STRIP_WIDTH = 165
 
 
 def strip(
-    figure: Figure,
-    q: Array,
-    count: int,
-    view_deg: tuple[float, float],
-    *,
-    follow: bool = False,
+    figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
 ) -> Image:
     """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
-    import cv2
-
     optics = lens(2 * _STRIP_WIDTH, 560)
     picks = np.linspace(0, len(q) - 1, count).astype(int)
     moved = q[picks].copy()
     if follow:
         moved[:, :2] -= moved[:, :2].copy()
-    points = np.concatenate([*(surface(figure.model, row) for row in moved), np.zeros((1, 3))])
+    points = np.concatenate([*(surface_points(figure.model, row) for row in moved), np.zeros((1, 3))])
     camera = fitted_camera(points, view_deg, optics)
     tiles = [photograph(figure.model, row, camera, optics, 0.0).image for row in moved]
     whole = np.concatenate(tiles, axis=1)
@@ -506,27 +460,20 @@ def tour(
     abilities: Abilities, folder: Path, progress: Callable[[str], None] = lambda name: None
 ) -> list[Path]:
     """The docs' pictures: one for each decision, and film strips of walk, turn, bend and jump."""
-    import cv2
-
     figure, done = abilities.figure, []
 
     def save(name: str, image: Image) -> None:
         progress(name)
-        good, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-        assert good
-        write_atomically(folder / f"{name}.png", data.tobytes())
-        done.append(folder / f"{name}.png")
+        done.append(save_png(folder / f"{name}.png", image))
 
     runs = {}
     for action, ball in TOUR:
-        report = watch(
-            figure.robot, figure.hands, run_figure(abilities, FigureRequest((ball,))), lambda frame: None
-        )
+        report = watch(figure.robot, figure.hands, run_figure(abilities, FigureRequest((ball,))))
         runs[action] = [f for f in report.frames if f.action in (action, "stand") or action == "nothing"]
         shown = [f for f in report.frames if f.action == action] or report.frames
         pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
         if action == "jump":  # the palm at the ball
-            pick = min(shown, key=lambda frame: _hand_from_ball(figure, frame))
+            pick = min(shown, key=lambda frame: _miss(figure.robot, figure.hands, frame))
         save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
     only = lambda name: np.array([f.q for f in runs[name] if f.action == name])  # noqa: E731
     walked = only("walk")
@@ -535,15 +482,10 @@ def tour(
     save("strip-reach", strip(figure, only("reach"), 6, (-50.0, 8.0)))
     save("strip-jump", strip(figure, only("jump")[20:], 10, (-60.0, 4.0)))
     behind = FigureRequest(((-1.8, -0.3, 1.2),))
-    walk = watch(figure.robot, figure.hands, run_figure(abilities, behind), lambda frame: None)
+    walk = watch(figure.robot, figure.hands, run_figure(abilities, behind))
     steps = np.array([f.q for f in walk.frames if f.action == "walk"])
     save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
     return done
-
-
-def _hand_from_ball(figure: Figure, frame: FigureFrame) -> float:
-    hand = figure.hands[frame.decision.arm or "right"]
-    return float(np.linalg.norm(figure.robot.forward(frame.q, hand).position - frame.ball))
 
 
 def json_numbers(values: Sequence[float]) -> list[float | None]:
@@ -557,17 +499,9 @@ def decision_row(ball: Sequence[float], decision: Decision) -> dict[str, object]
 
 
 def decide_balls(
-    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float],
-    obstacles: Sequence[Obstacle] = (),
-) -> Iterator[dict[str, object]]:  # fmt: skip
+    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float]
+) -> Iterator[dict[str, object]]:
     """A decision for each ball, each on its own, without moving."""
-    decider = Decider(abilities, obstacles)
+    decider = Decider(abilities)
     for ball in balls:
         yield decision_row(ball, decider.decide(ball, stance))
-
-
-__all__ = [
-    "FigureReport", "FigureRequest", "Painter", "decide_balls", "draw_on_camera", "frames_table",
-    "json_numbers", "marker_places", "moving_ball", "read_balls", "record", "run_figure", "run_lion",
-    "run_marker", "strip", "tour", "watch",
-]  # fmt: skip

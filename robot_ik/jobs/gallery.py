@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.meshes import triangulate, visible_geoms
 from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
+from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
@@ -32,6 +32,7 @@ from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.robot_file import GalleryScene
 from robot_ik.solution import Solution
@@ -57,12 +58,9 @@ _FIT_STEPS = 40
 
 @dataclass(frozen=True)
 class Photo:
-    """A finished picture and what was needed to draw over it.
+    """A finished picture (h, w, 3) BGR, and what is needed to draw over it.
 
-    Attributes:
-        image: (h, w, 3) BGR.
-        coverage: (h, w) part of each pixel that shows the robot.
-        intrinsics, camera: The lens, and ``pose_world_camera``.
+    ``coverage`` (h, w) is the part of each pixel that shows the robot, ``camera`` is ``pose_world_camera``.
     """
 
     image: Image
@@ -77,26 +75,10 @@ def lens(width: int, height: int) -> CameraIntrinsics:
     return CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
 
 
-def surface(model: mujoco.MjModel, qpos: ArrayLike) -> Array:
-    """Vertices (n, 3) of all that is visible of a model, world."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = np.asarray(qpos, dtype=float)
-    mujoco.mj_kinematics(model, data)
-    parts = [np.zeros((0, 3))]
-    for g in visible_geoms(model):
-        mesh = triangulate(model, g)
-        if mesh is not None:
-            parts.append(mesh.vertices @ data.geom_xmat[g].reshape(3, 3).T + data.geom_xpos[g])
-    return np.concatenate(parts)
-
-
 def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: CameraIntrinsics) -> Pose:
-    """From where ``points`` (n, 3) just fill the picture: ``pose_world_camera``.
+    """``pose_world_camera`` from where ``points`` (n, 3), world, just fill the picture.
 
-    Args:
-        points: What has to be seen, world.
-        view_deg: Direction from which to look: azimuth from x towards y, and elevation.
-        intrinsics: The lens.
+    ``view_deg`` is the direction from which to look: azimuth from x towards y, and elevation.
     """
     azimuth, elevation = np.radians(view_deg)
     back = np.array(
@@ -121,22 +103,11 @@ def fitted_camera(points: Array, view_deg: tuple[float, float], intrinsics: Came
 def photograph(
     model: mujoco.MjModel, qpos: ArrayLike, camera: Pose, intrinsics: CameraIntrinsics, floor: float
 ) -> Photo:
-    """Takes one picture.
-
-    Args:
-        model: Any MuJoCo model without floor planes.
-        qpos: (model.nq,).
-        camera: ``pose_world_camera``.
-        intrinsics: The lens.
-        floor: Height of the floor, world, metres.
-    """
+    """Takes one picture of any MuJoCo model without floor planes, above a floor at that height, m."""
     field = ray_field(intrinsics)
-    subject = np.asarray(surface(model, qpos).mean(axis=0))
+    subject = np.asarray(surface_points(model, qpos).mean(axis=0))
     distance = float(np.linalg.norm(subject - camera.position))
-    lights = Lights.beside(camera, distance)
-    lights = Lights(
-        lights.lamp, lights.lamp_radius, lights.ceiling, lights.ceiling_radius, lights.window, _STRENGTH
-    )
+    lights = replace(Lights.beside(camera, distance), strength=_STRENGTH)
     view = SyntheticView(field, camera, lights, Caster(model), _seamless(field, camera, floor))
     view.robot.place(qpos)
     lit = _floor_light(view)
@@ -180,7 +151,6 @@ def _floor_light(view: SyntheticView) -> NDArray[np.float32]:
     return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Height of a picture, pixels; it may be this much wider than high before it is cropped to the robot.
@@ -197,15 +167,9 @@ _GREY = (120, 114, 110)
 
 @dataclass(frozen=True)
 class Portrait:
-    """One robot's two pictures.
+    """One robot's two pictures: at home and at work, with their captions.
 
-    Attributes:
-        robot: Who.
-        captions: Of the pictures: at home and at work.
-        photos: The same two, uncropped.
-        image: Both side by side with their captions, BGR.
-        solution: How the second pose was found.
-        pair: Both cropped pictures, for the sheet.
+    ``photos`` are uncropped, ``pair`` cropped for the sheet; ``image`` (BGR) has both with captions.
     """
 
     robot: Robot
@@ -216,16 +180,12 @@ class Portrait:
     pair: tuple[Image, Image]
 
 
-def pose_at_work(robot: Robot, scene: GalleryScene | None, floor: float, seed: int) -> Solution:
+def pose_at_work(robot: Robot, scene: GalleryScene, floor: float, seed: int) -> Solution:
     """Solves for what the robot does in its second picture.
 
-    Args:
-        robot: Who.
-        scene: What it does; None: it reaches for a random position above the floor.
-        floor: Height of the floor, world.
-        seed: Of the random position and of restarts.
+    Where the scene has no goals it reaches for a random position above the floor, whose height is ``floor``.
     """
-    if scene is None or not scene.goals:
+    if not scene.goals:
         return solve(robot, _random_goal(robot, floor, np.random.default_rng(seed)), seed=seed)
     goals: list[Goal] = [PoseGoal.at(frame, robot.forward(robot.home, frame)) for frame in scene.keep]
     for frame, numbers in scene.goals.items():
@@ -239,37 +199,31 @@ def pose_at_work(robot: Robot, scene: GalleryScene | None, floor: float, seed: i
 def _random_goal(robot: Robot, floor: float, rng: np.random.Generator) -> Goal:
     q = robot.sample(rng)
     for _ in range(_TRIES):
-        if float(surface(robot.model, robot.qpos(q))[:, 2].min()) >= floor - 1e-3:
+        if float(surface_points(robot.model, robot.qpos(q))[:, 2].min()) >= floor - 1e-3:
             break
         q = robot.sample(rng)
     return PositionGoal(None, robot.forward(q).position)
 
 
 def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portrait:
-    """Draws one robot at home and at work, seen from the same viewpoint.
-
-    Args:
-        robot: Whom.
-        seed: Of the pose at work.
-        height: Of a picture, pixels; ``HEIGHT`` when not given.
+    """Draws one robot at home and at work, seen from the same viewpoint; ``height`` of a picture in pixels.
 
     Raises:
         ModelError: The model has nothing that can be seen.
     """
-    scene, height = robot.file.gallery, height or HEIGHT
-    at_home = surface(robot.model, robot.qpos(robot.home))
+    scene, height = robot.file.gallery or GalleryScene(), height or HEIGHT
+    at_home = surface_points(robot.model, robot.qpos(robot.home))
     if not len(at_home):
         raise ModelError(f"{robot.path} has no visible geom to draw", path=robot.path)
     floor = float(at_home[:, 2].min())
     solution = pose_at_work(robot, scene, floor, seed)
-    at_work = surface(robot.model, robot.qpos(solution.q))
+    at_work = surface_points(robot.model, robot.qpos(solution.q))
     optics = lens(round(_WIDEST * height), height)
-    view = scene.view_deg if scene is not None else GalleryScene().view_deg
-    camera = fitted_camera(np.concatenate([at_home, at_work]), view, optics)
+    camera = fitted_camera(np.concatenate([at_home, at_work]), scene.view_deg, optics)
     photos = [photograph(robot.model, robot.qpos(q), camera, optics, floor) for q in (robot.home, solution.q)]
-    work = Photo(_with_goals(photos[1], solution), photos[1].coverage, photos[1].intrinsics, photos[1].camera)
+    work = replace(photos[1], image=_with_goals(photos[1], solution))
     home = robot.file.home if isinstance(robot.file.home, str) else "home"
-    captions = (home, scene.about if scene is not None else GalleryScene().about)
+    captions = (home, scene.about)
     pair = (_cropped(photos[0]), _cropped(work))
     image = _card(robot, captions, pair)
     return Portrait(robot, captions, (photos[0], work), image, solution, pair)
@@ -373,16 +327,9 @@ def _strip(row: Sequence[Portrait], height: int) -> Image:
 def draw_gallery(
     robots: Sequence[Robot], folder: Path, seed: int = 0, progress: Callable[[str, int], None] | None = None
 ) -> tuple[list[Portrait], list[Path]]:
-    """Draws every robot into ``folder``/NAME.png, and all on one sheet, gallery.png.
+    """Draws every robot into ``folder``/NAME.png, and all on gallery.png: the portraits and the files.
 
-    Args:
-        robots: Whom.
-        folder: Where the files go.
-        seed: Of the poses at work.
-        progress: Called with a robot's name and its number before it is drawn.
-
-    Returns:
-        The portraits and the files, the sheet last.
+    ``progress`` is given a robot's name and its number before it is drawn.
 
     Raises:
         OutputError: A file cannot be written.
@@ -392,12 +339,17 @@ def draw_gallery(
         if progress is not None:
             progress(robot.name, k)
         portraits.append(draw_robot(robot, seed))
-        written.append(_save(folder / f"{robot.name}.png", portraits[-1].image))
-    written.append(_save(folder / "gallery.png", contact_sheet(portraits)))
+        written.append(save_png(folder / f"{robot.name}.png", portraits[-1].image))
+    written.append(save_png(folder / "gallery.png", contact_sheet(portraits)))
     return portraits, written
 
 
-def _save(path: Path, image: Image) -> Path:
+def save_png(path: Path, image: Image) -> Path:
+    """Writes a picture, as small as PNG makes it.
+
+    Raises:
+        OutputError: It cannot be written.
+    """
     ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not ok:
         raise OutputError(f"cannot make a PNG of {path.name}")

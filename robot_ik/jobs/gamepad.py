@@ -1,7 +1,6 @@
 """A gamepad leads an arm: how far its sticks are pushed is how fast joints, or the hand, go.
 
-Read by SDL (pygame-ce, extra ``gamepad``), which knows the layouts of some hundred gamepads and needs neither
-a window nor a display here.
+Read by SDL (pygame-ce, extra ``gamepad``), which knows the layouts of some hundred gamepads.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 
 from robot_ik.errors import HardwareError, MissingExtraError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.teleop import Angles, Jog
+from robot_ik.jobs.teleop import Angles, JogOperator
 from robot_ik.ports import Array
 
 DEAD_ZONE = 0.15
@@ -34,8 +33,7 @@ class PadState:
     Attributes:
         left, right: Sticks: to the right and forwards, -1 to 1.
         triggers: Left and right, 0 to 1.
-        pressed: Names of the buttons that are down: ``a b x y``, ``back start``, ``left_shoulder
-            right_shoulder``, ``up down``.
+        pressed: Buttons that are down: ``a b x y back start left_shoulder right_shoulder up down``.
     """
 
     left: tuple[float, float] = (0.0, 0.0)
@@ -56,21 +54,11 @@ def _live(pushed: Array) -> Array:
     return np.asarray(np.sign(pushed) * share**2)
 
 
-class Gamepad:
+class Gamepad(JogOperator):
     """An ``Operator``: sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
 
-    B stops and holds, Y changes between joints and hand, up and down move the gripper, Start ends.
-
-    Args:
-        config: Of the follower.
-        read: Gives its state; raises ``HardwareError`` where it is gone.
-        recover: Waits for it for so many seconds.
-        stop: Called at B: everything stops and holds.
-        hand: Whether it moves the hand to begin with; else joints.
-
-    Attributes:
-        jog: What it moves.
-        over: The person wants to end.
+    B stops and holds (``stop``), Y changes between joints and hand, up and down move the gripper, Start ends
+    (``over``).  ``read`` raises ``HardwareError`` where the gamepad is gone; ``recover`` waits for it, s.
     """
 
     def __init__(
@@ -82,16 +70,15 @@ class Gamepad:
         stop: Callable[[], object] = lambda: None,
         hand: bool = True,
     ) -> None:
-        self._read, self._wait, self._stop = read, recover, stop
-        self.jog = Jog(config, hand)
+        super().__init__(config, stop, hand)
+        self._read, self._wait = read, recover
         self._grippers = [k for k, joint in enumerate(self.jog.joints) if joint.name not in config.names]
         self._down: frozenset[str] = frozenset()
         self._last: float | None = None
-        self.over = False
 
     def engage(self, follower: Angles) -> None:
         self._last = None
-        self.jog.engage(follower)
+        super().engage(follower)
 
     def command(self, now: float) -> Angles:
         state = self._read()
@@ -122,9 +109,6 @@ class Gamepad:
         if share and number < len(self.jog.joints):
             joint = self.jog.joints[number]
             self.jog.move_joint(number, share * (_ANGULAR_SPEED if joint.unit == "deg" else _SPEED))
-
-    def feel(self, follower: Angles) -> None:
-        pass
 
     def recover(self, timeout: float) -> None:
         self._wait(timeout)
@@ -162,7 +146,6 @@ class PadDevice:
 
     @property
     def name(self) -> str:
-        """As its maker calls it."""
         return str(self._pad.name)
 
     def _find(self) -> bool:
@@ -173,11 +156,7 @@ class PadDevice:
         return self._pad is not None
 
     def read(self) -> PadState:
-        """What is pushed and pressed now.
-
-        Raises:
-            HardwareError: It is gone.
-        """
+        """What is pushed and pressed now; HardwareError: it is gone."""
         pygame, pad = self._pygame, self._pad
         pygame.event.pump()
         if pad is None or not pad.attached():
@@ -186,19 +165,8 @@ class PadDevice:
         def axis(name: str) -> float:
             return max(-1.0, float(pad.get_axis(getattr(pygame, f"CONTROLLER_AXIS_{name}"))) / _FULL)
 
-        buttons = (
-            "A",
-            "B",
-            "X",
-            "Y",
-            "BACK",
-            "START",
-            "LEFTSHOULDER",
-            "RIGHTSHOULDER",
-            "DPAD_UP",
-            "DPAD_DOWN",
-        )
-        down = {one for one in buttons if pad.get_button(getattr(pygame, f"CONTROLLER_BUTTON_{one}"))}
+        buttons = "A B X Y BACK START LEFTSHOULDER RIGHTSHOULDER DPAD_UP DPAD_DOWN"
+        down = {one for one in buttons.split() if pad.get_button(getattr(pygame, f"CONTROLLER_BUTTON_{one}"))}
         names = {one.lower().removeprefix("dpad_").replace("shoulder", "_shoulder") for one in down}
         return PadState(
             (axis("LEFTX"), -axis("LEFTY")), (axis("RIGHTX"), -axis("RIGHTY")),
@@ -206,11 +174,7 @@ class PadDevice:
         )  # fmt: skip
 
     def recover(self, timeout: float) -> None:
-        """Waits until one is connected again.
-
-        Raises:
-            HardwareError: None was within ``timeout`` s.
-        """
+        """Waits until one is connected again; HardwareError: none was within ``timeout`` s."""
         end = time.monotonic() + timeout
         while not self._find():
             if time.monotonic() > end:
@@ -218,7 +182,6 @@ class PadDevice:
             time.sleep(_POLL)
 
     def close(self) -> None:
-        """Lets go of it."""
         self._pad = None
         self._controllers.quit()
         self._pygame.display.quit()

@@ -54,13 +54,8 @@ def require_limp(arm: Arm) -> None:
         )
 
 
-def calibrate_by_hand(
-    arm: Arm,
-    person: Person,
-    pose: Mapping[str, float],
-    limits: Limits,
-) -> Calibration:
-    """Ranges, zeros and directions of an arm, as a person shows them.
+def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limits: Limits) -> Calibration:
+    """Ranges, zeros and directions of an arm without torque, as a person shows them.
 
     Args:
         arm: Connected, torque off.
@@ -127,12 +122,7 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
 
 
 def calibration_from_lerobot(arm: Arm, path: Path, limits: Limits) -> Calibration:
-    """LeRobot's calibration instead of a hand's; what its file does not say comes from servos and model.
-
-    Args:
-        arm: Connected.
-        path: LeRobot's JSON file.
-        limits: Joint -> limits of the model, rad (m).
+    """LeRobot's calibration instead of a hand's; what its file does not say comes from servos and ``limits``.
 
     Raises:
         ConfigError: Unreadable, or not of this arm.

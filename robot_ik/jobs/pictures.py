@@ -13,7 +13,6 @@ import numpy as np
 from robot_ik.camera import sources
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
-from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
 from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -42,41 +41,14 @@ def frames_of(source: FrameSource) -> Iterator[Frame | CameraNotFoundError]:
 # ------------------------------------------------------------------------------------------ markers
 
 
-@dataclass(frozen=True)
-class MarkerSearch:
-    """What is looked for.
-
-    Attributes:
-        dictionary: As OpenCV names it.
-        intrinsics: Of the camera; None: corners without poses.
-        size: Side of the black squares, m.
-        ids: Only these; empty: all.
-        bodies: Whose poses are wanted, too.
-    """
-
-    dictionary: str
-    intrinsics: CameraIntrinsics | None = None
-    size: float | None = None
-    ids: tuple[int, ...] = ()
-    bodies: tuple[MarkerBody, ...] = ()
-
-    def finder(self, *, film: bool = False) -> MarkerFinder:
-        """One for a film, whose pictures follow each other, or for single pictures."""
-        asked = (self.dictionary, self.intrinsics, self.size, self.ids, self.bodies)
-        return MarkerFinder(*asked, film=film)
-
-
 @dataclass(frozen=True, eq=False)
 class PictureMarkers:
-    """One picture: which it is, its size, and what is in it.
+    """One picture: its file, its number in the film or folder, and what is in it.
 
     Attributes:
-        file, frame: Its file, and its number in the film or folder.
         size: Width and height, px; None where it could not be read.
         values: Markers and bodies, as JSON holds them.
-        image: The picture itself; None where it could not be searched.
-        error: Why it could not be searched.
-        in_film: It is one of a film.
+        image: The picture itself; None where it could not be searched, because of ``error``.
     """
 
     file: str
@@ -88,7 +60,6 @@ class PictureMarkers:
     in_film: bool = False
 
     def as_values(self) -> dict[str, Any]:
-        """For JSON."""
         found: dict[str, Any] = {"file": self.file, "frame": self.frame}
         if self.size is not None:
             found |= {"width": self.size[0], "height": self.size[1]}
@@ -113,17 +84,18 @@ class DrawingFolder:
 
 
 def find_markers(
-    name: str, search: MarkerSearch, drawings: DrawingFolder | None = None
+    name: str, make_finder: Callable[..., MarkerFinder], drawings: DrawingFolder | None = None
 ) -> Iterator[PictureMarkers]:
     """What is in the pictures of a file, folder, film or camera; a live camera gives one.
 
+    ``make_finder`` makes what searches single pictures or, with ``film=True``, those of a film.
     A picture that cannot be read or searched has an ``error`` and nothing in it; of a film, where all
     pictures have one size, it is the last.
     """
-    finder = search.finder()
+    finder = make_finder()
     for file, number, frame, in_film in _pictures(name):
         if in_film and number == 0:
-            finder = search.finder(film=True)
+            finder = make_finder(film=True)
         nothing: dict[str, Any] = {"markers": [], "bodies": []}
         if isinstance(frame, CameraError):
             yield PictureMarkers(file, number, None, nothing, error=frame)
@@ -137,7 +109,7 @@ def find_markers(
             continue
         yield PictureMarkers(file, number, frame.size, as_values(observation), frame.image, in_film=in_film)
         if drawings is not None:
-            drawings.save(file, number if in_film else None, drawn(observation, search.intrinsics))
+            drawings.save(file, number if in_film else None, drawn(observation, finder.intrinsics))
 
 
 def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:
@@ -170,15 +142,9 @@ def board_views(
     progress: Callable[[int], None] = lambda searched: None,
     left_out: Callable[[str], None] = lambda why: None,
 ) -> tuple[list[BoardView], int]:
-    """The views of a board in the next pictures of a source, and how many pictures were searched.
+    """The views of a board in the next ``most`` pictures of a source, and how many were searched.
 
-    Args:
-        source: Of pictures.
-        board: Searched for.
-        intrinsics: Of the camera.
-        most: Pictures that are searched.
-        progress: Is given how many have been searched.
-        left_out: Is given why a file cannot be used.
+    ``progress`` is given how many have been searched, ``left_out`` why a file cannot be used.
     """
     views: list[BoardView] = []
     searched = 0
@@ -212,9 +178,7 @@ def board_misses(views: Sequence[BoardView], pose: Pose, intrinsics: CameraIntri
 class ViewFolder:
     """Keeps the views of live cameras as pictures, so that nothing that was shown is lost.
 
-    Args:
-        out: The calibration file; the folder is beside it.
-        sources: Of the pictures; a folder that is one of them is added to.
+    The folder is beside ``out``, the calibration file; one that is among the ``sources`` is added to.
     """
 
     def __init__(self, out: Path, sources: Sequence[str]) -> None:
@@ -222,7 +186,6 @@ class ViewFolder:
         self.folder, self.count = Path(), 0
 
     def keep(self, frame: Frame) -> None:
-        """Adds a picture."""
         if not self.count:
             self.folder = make_folder(self._free_folder())
         numbers = [int(file.stem[4:]) for file in self.folder.glob("view*.png") if file.stem[4:].isdigit()]
@@ -250,13 +213,8 @@ def gather_views(
 ) -> None:
     """Adds the views of a source: all of a picture or folder; of what moves, those that show something new.
 
-    Args:
-        name: Picture, folder, film, a camera's index or URL.
-        gatherer: Takes the views.
-        folder: Keeps those of a live camera.
-        count: Views after which a moving source may end, where nothing is missing.
-        size: Picture size to ask of a camera, px.
-        say: Is given what happens, for a person at the camera.
+    A moving source may end after ``count`` views where nothing is missing; ``folder`` keeps those of a live
+    camera, ``size`` is asked of it, and ``say`` is given what happens, for the person at it.
     """
     with sources.open_source(name, size=size) as source:
         if isinstance(source, FolderSource):

@@ -1,7 +1,6 @@
 """Compiles in a process of its own while this one looks through the camera.
 
-Compiling takes longer than all the rest of a first run together, and Python compiles one thing at a time.
-What the other process has compiled is taken from the cache; should it fail, nothing is lost but time.
+What that has compiled is taken from the cache; should it fail, nothing is lost but time.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import contextlib
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from types import TracebackType
 from typing import Self
 
 import numpy as np
@@ -47,13 +45,7 @@ def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
 
 
 class Precompilation:
-    """Starts a Python program that compiles something, if that is still to be done; ``wait`` before its use.
-
-    Args:
-        kernels: Where one of them has been compiled, nothing is to be done.
-        what: They are, in the line that reports it.
-        arguments: Of Python.
-    """
+    """A program that compiles ``what``, unless one of ``kernels`` has been; ``wait`` before its use."""
 
     def __init__(self, kernels: Sequence[Callable[..., None]], what: str, *arguments: str) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -86,9 +78,7 @@ class Precompilation:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait()
@@ -101,8 +91,7 @@ class Precompilation:
 def compile_overlay() -> None:
     """Fits a marker to computed corners and to an empty picture, and draws a robot beside it.
 
-    That is all of the compiled code in the order in which it is needed, but for the refinement of corners:
-    whoever started this compiles that meanwhile.
+    That is all of the compiled code in the order in which it is needed, but for the refinement of corners.
     """
     lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
     camera = look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.marker_goals import LostPolicy
@@ -23,13 +22,13 @@ from robot_ik.errors import (
     RobotIkError,
     TrajectoryError,
 )
-from robot_ik.execution import Execution, FollowReport, execute
+from robot_ik.execution import Execution, FollowReport, execute, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.jobs import JobReport, Progress
+from robot_ik.jobs import Progress
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.recording import open_recording
-from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import (
     EXACT,
@@ -45,70 +44,37 @@ from robot_ik.jobs.verdict import (
 from robot_ik.jobs.vision import SeenTarget, Vision, open_vision
 from robot_ik.motion.line import line_move
 from robot_ik.motion.trajectory import Trajectory, joint_move
+from robot_ik.ports import Array
 from robot_ik.problem import Problem
+from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
+from robot_ik.solution import Solution
 from robot_ik.solvers import make_solver
-from robot_ik.testbed.frontends.window import Solid
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-    from robot_ik.solution import Solution
-
+from robot_ik.testbed.frontends.window import Solid, WindowSink
 
 # ------------------------------------------------------------------------------------------
-# What a reach shall do, and what shall go wrong on purpose.
+# What a reach shall do.
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
-
-    Attributes:
-        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
-        stuck: Joints whose shaft does not move.
-        cover_gripper: Hide the gripper's markers in the second picture.
-        blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
-    """
-
-    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
-    stuck: tuple[str, ...] = ()
-    cover_gripper: bool = False
-    blank_marker: bool = False
-    marker_at: tuple[float, float, float, float] | None = None
-
-
-@dataclass(frozen=True)
-class ReachRequest:
+class ReachRequest(ArmRequest):
     """What ``run_reach`` shall do; every default is the embedded demonstration.
 
     Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
         solver: Name of a method; empty: the robot's own, else ``auto``.
         goal: Instead of a marker.
-        frame: What shall get there; None: the robot's tool.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file of a real camera.
         pose_world_camera: Where a real camera stands; None: where the scene's stands.
         marker_id, marker_size, dictionary: The target; None: the scene's.
-        bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        speed: Share of the joints' speed limits.
-        line: Move the tool on a straight line.
         follow: Seconds to go on following the marker; 0: not at all.
-        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many seconds without
-            the marker while following.
+        when_lost, lost_after: What to do (``hold``, ``park`` at home, ``stop``) after so many s without it.
         lead: Seconds to predict the marker beyond each tick.
-        view: Mirror the motion in a window.
         record: File of all commands and measurements, .csv or .mcap.
-        seed: Of restarts and of the synthetic camera's noise.
-        rehearsal: What shall go wrong.
     """
 
-    robot: str = "puma560"
     solver: str = ""
     goal: Goal | None = None
-    frame: str | None = None
     camera: str = "synthetic"
     intrinsics: Path | None = None
     pose_world_camera: Pose | None = None
@@ -116,17 +82,12 @@ class ReachRequest:
     marker_size: float | None = None
     dictionary: str | None = None
     bus: str = "pty"
-    arm_file: Path | None = None
-    speed: float = 1.0
     line: bool = False
     follow: float = 0.0
     when_lost: LostPolicy = "hold"
     lost_after: float = 2.0
     lead: float = 0.0
-    view: bool = False
     record: Path | None = None
-    seed: int = 0
-    rehearsal: Rehearsal = Rehearsal()
 
 
 # ------------------------------------------------------------------------------------------
@@ -138,20 +99,22 @@ SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
 @dataclass(eq=False)
-class ReachReport(JobReport):
+class ReachReport:
     """What happened, as far as it got; fields stay None where it did not get.
 
     Attributes:
         robot: With the limits that were used.
         frame: What was to reach the goal.
-        seen: The target marker in the first picture.
-        goal, target: What was wanted; its pose in the world.
+        seen: The target marker in the first picture; None: the goal was given.
+        q_start: (nq,) where the arm with torque stood before it moved.
+        microseconds: Of a solve with loaded kernels.
+        q_end: (nq,) where the servos say that the arm is.
         tolerance: What the solution's miss may be; part of ``bound``.
         behind: While following: how far the tool was from the goal of the moment, median and largest, metres.
         problem: Why it ended early: an error that means "not achieved".
-        goal_sigma: How well ``target`` is known beside what the arm was sent to; zeros where both are one.
         read_back, by_camera: The two judgements.
         blind: Why no camera looked at the arm; empty: one looked.
+        before, after: The camera's pictures.
     """
 
     request: ReachRequest
@@ -161,7 +124,6 @@ class ReachReport(JobReport):
     vision: Vision | None
     seen: SeenTarget | None = None
     goal: Goal | None = None
-    target: Pose | None = None
     solution: Solution | None = None
     microseconds: float | None = None
     trajectory: Trajectory | None = None
@@ -174,12 +136,16 @@ class ReachReport(JobReport):
     bound: Bound | None = None
     read_back: Judgement | None = None
     by_camera: Judgement | None = None
-    goal_sigma: Bound = EXACT
     blind: str = ""
     before: Any = None
     after: Any = None
     problem: RobotIkError | None = None
     counters: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def target(self) -> Pose | None:
+        """The goal's pose in the world."""
+        return None if self.goal is None else self.goal.target
 
     @property
     def decision(self) -> Verdict:
@@ -198,7 +164,6 @@ class ReachReport(JobReport):
 
     @property
     def reached(self) -> bool:
-        """Whether it arrived."""
         return self.decision.reached
 
     @property
@@ -221,8 +186,6 @@ class ReachReport(JobReport):
         )
 
 
-Array = NDArray[np.float64]
-
 # Errors that mean "tried, not achieved": they end up in the report.
 _NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorFaultError)
 # How long the servos may take to arrive after the last command.
@@ -234,15 +197,9 @@ def run_reach(
     progress: Progress = lambda phase, share: None,
     done: Callable[[ReachReport], None] = lambda report: None,
 ) -> ReachReport:
-    """Looks, solves, moves, looks again.
+    """Looks, solves, moves, looks again; not reaching the goal is a result (``reached``, ``problem``).
 
-    Args:
-        request: What to do.
-        progress: Called with the phase ("looking", "solving", "moving", …) and the share of it that is done.
-        done: Given the report when the arm has been left; with a window, before its user closes that.
-
-    Returns:
-        A report; not reaching the goal is a result (``report.reached``, ``report.problem``).
+    ``done`` is given the report when the arm has been left; with a window, before its user closes that.
 
     Raises:
         RobotIkError: Wrong input or environment; nothing was sent to a servo, or the arm was left as its
@@ -261,12 +218,12 @@ def run_reach(
         setup = prepare_robot(request)
         if request.record is not None:
             setup.record(stack.enter_context(open_recording(request.record, setup.robot.joints)))
-        vision = open_vision(request, setup, setup.frame, stack)
+        vision = open_vision(request, setup, stack)
         window = _window(request, setup, vision, stack)
         report = ReachReport(request, setup.robot, setup.frame, setup, vision)
         with setup.connected():
             try:
-                _run_phases(report, _ReachPhases(request, setup, vision, window, method, progress), compiling)
+                _Reach(report, window, method, progress).run(compiling)
             except _NOT_ACHIEVED as problem:
                 report.problem = problem
             report.counters = setup.counters()
@@ -276,36 +233,11 @@ def run_reach(
     return report
 
 
-def _run_phases(report: ReachReport, phases: _ReachPhases, compiling: Precompilation) -> None:
-    """One phase after the other; the report keeps those that ended, whatever becomes of the next."""
-    try:
-        found = report.keep(phases.find_goal())
-    finally:
-        if phases.vision is not None:
-            report.before = phases.vision.last_image
-    compiling.wait()
-    if phases.window is not None:
-        phases.window.show_goal(found.target)
-    solved = report.keep(phases.solve(found))
-    report.tolerance = phases.accept(found, solved)
-    phases.setup.enable_torque()
-    report.keep(phases.move(report.keep(phases.plan(found, solved))))
-    if phases.request.follow > 0.0:
-        report.keep(phases.follow())
-        found = report.keep(phases.find_goal_again())
-        # Two measurements of the marker: the one that was followed last, no better than this, and this one.
-        report.goal_sigma = phases.known(found).combined(phases.known(found))
-    arrived = report.keep(phases.read_back(found, report.tolerance, report.goal_sigma))
-    report.keep(phases.judge_by_camera(found, arrived, report.goal_sigma))
-
-
 def _window(
     request: ReachRequest, setup: RobotSetup, vision: Vision | None, stack: contextlib.ExitStack
 ) -> Any:
     if not request.view:
         return None
-    from robot_ik.testbed.frontends.window import WindowSink
-
     scene = window_scene(setup.robot, setup.frame, None if vision is None else vision.scene)
     view: dict[str, Any] = {"solids": scene_solids(scene)}
     if scene is not None:
@@ -316,76 +248,10 @@ def _window(
 
 
 @dataclass(frozen=True, eq=False)
-class ReachGoal:
-    """What is wanted.
+class _Reach:
+    """The phases of a reach; each fills in its part of the report."""
 
-    Attributes:
-        goal, target: The goal, and its pose in the world.
-        seen: The marker that says so; None: the goal was given.
-    """
-
-    goal: Goal
-    target: Pose
-    seen: SeenTarget | None
-
-
-@dataclass(frozen=True, eq=False)
-class Solved:
-    """Joint angles for it, from ``q_start`` (nq,); ``microseconds`` are of a solve that is loaded."""
-
-    q_start: Array
-    solution: Solution
-    microseconds: float
-
-
-@dataclass(frozen=True, eq=False)
-class Planned:
-    """The way there from ``q_start`` (nq,), where the arm with torque stands."""
-
-    q_start: Array
-    trajectory: Trajectory
-
-
-@dataclass(frozen=True, eq=False)
-class Moved:
-    """What became of the way."""
-
-    execution: Execution
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """What became of following; ``behind`` as in ``ReachReport``."""
-
-    following: FollowReport
-    behind: tuple[float, float] | None
-
-
-@dataclass(frozen=True, eq=False)
-class Arrived:
-    """Where the servos say that the arm is, (nq,), and what follows from that."""
-
-    q_end: Array
-    bound: Bound
-    read_back: Judgement
-
-
-@dataclass(frozen=True, eq=False)
-class SeenArrived:
-    """What the camera says; ``blind``: why it says nothing."""
-
-    by_camera: Judgement | None = None
-    after: Any = None
-    blind: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class _ReachPhases:
-    """What a reach does, one thing after the other, and what all of it needs."""
-
-    request: ReachRequest
-    setup: RobotSetup
-    vision: Vision | None
+    report: ReachReport
     window: Any
     method: str
     progress: Progress
@@ -393,39 +259,65 @@ class _ReachPhases:
     @property
     def camera(self) -> Vision:
         """The camera, which there is wherever no goal was given."""
-        assert self.vision is not None
-        return self.vision
+        assert self.report.vision is not None
+        return self.report.vision
 
-    def find_goal(self) -> ReachGoal:
-        """Finds the goal, by eye or as given."""
-        goal = self.request.goal
+    def run(self, compiling: Precompilation) -> None:
+        """One phase after the other; what ended is in the report, whatever becomes of the next."""
+        report = self.report
+        try:
+            goal = self.find_goal()
+        finally:
+            if report.vision is not None:
+                report.before = report.vision.last_image
+        compiling.wait()
+        if self.window is not None:
+            self.window.show_goal(goal.target)
+        solution = self.solve(goal)
+        report.tolerance = self.accept(solution)
+        report.setup.enable_torque()
+        self.move(self.plan(goal, solution))
+        goal_sigma = EXACT
+        if report.request.follow > 0.0:
+            self.follow()
+            # What counts is where the marker is now: measured as well as what was followed last.
+            goal = self.keep_seen(self.camera.find_target_again())
+            goal_sigma = self.known().combined(self.known())
+        bound = self.judge_read_back(goal, goal_sigma)
+        self.judge_by_camera(goal, bound, goal_sigma)
+
+    def find_goal(self) -> Goal:
+        """The goal as given, or of the marker that is seen."""
+        goal, vision = self.report.request.goal, self.report.vision
         if goal is not None:
-            if self.vision is not None:
-                self.vision.picture()
-            return ReachGoal(goal, goal.target, None)
+            if vision is not None:
+                vision.picture()
+            self.report.goal = goal
+            return goal
         self.progress("looking", 0.0)
         seen = self.camera.find_target()
-        if self.request.follow > 0.0:
+        if self.report.request.follow > 0.0:
             self.camera.get_ready_to_follow()
-        return ReachGoal(seen.goal, seen.goal.target, seen)
+        return self.keep_seen(seen)
 
-    def find_goal_again(self) -> ReachGoal:
-        """What counts after following is where the marker is now."""
-        seen = self.camera.find_target_again()
-        return ReachGoal(seen.goal, seen.goal.target, seen)
+    def keep_seen(self, seen: SeenTarget) -> Goal:
+        """The goal of a marker, which the report keeps."""
+        self.report.seen, self.report.goal = seen, seen.goal
+        return seen.goal
 
-    def solve(self, found: ReachGoal) -> Solved:
+    def solve(self, goal: Goal) -> Solution:
         """Finds joint angles for the goal.  Nothing moves."""
-        q = self.setup.q.copy()
+        report = self.report
+        report.q_start = q = report.setup.q.copy()
         self.progress("solving", 0.0)
         solver = make_solver(self.method)
-        robot, seed = self.setup.robot, self.request.seed
-        problem = Problem(robot, found.goal, tolerance=SOLVE_TOLERANCE, seed=seed)
-        solution = solver.solve(problem, q)
+        problem = Problem(report.robot, goal, tolerance=SOLVE_TOLERANCE, seed=report.request.seed)
+        report.solution = solver.solve(problem, q)
         # The first solve of a process loads or compiles the kernel; the same again shows what a solve costs.
-        return Solved(q, solution, 1e6 * solver.solve(problem, q).seconds)
+        report.microseconds = 1e6 * solver.solve(problem, q).seconds
+        return report.solution
 
-    def accept(self, found: ReachGoal, solved: Solved) -> Tolerance:
+    def accept(self, solution: Solution) -> Tolerance:
         """What the solution's miss may be: the tolerance, or as much as is not known of a seen goal.
 
         An arm that moves in a plane cannot go to a marker that is seen some micrometres beside that plane.
@@ -433,107 +325,102 @@ class _ReachPhases:
         Raises:
             NotConvergedError: It misses both.
         """
-        if found.seen is not None and not solved.solution.converged:
-            known, miss = self.known(found), solved.solution.miss
+        if self.report.seen is not None and not solution.converged:
+            known, miss = self.known(), solution.miss
             if miss.position <= SIGMAS * known.position and miss.angle <= SIGMAS * known.angle:
                 return Tolerance(
                     position=max(SOLVE_TOLERANCE.position, SIGMAS * known.position),
                     angle=max(SOLVE_TOLERANCE.angle, SIGMAS * known.angle),
                 )
-        solved.solution.require()
+        solution.require()
         return SOLVE_TOLERANCE
 
-    def known(self, found: ReachGoal) -> Bound:
+    def known(self) -> Bound:
         """Standard deviation of a seen goal, as the last picture of the marker says it."""
-        assert found.seen is not None
-        return found.seen.uncertainty(self.camera.scene.pose_marker_tool.position)
+        assert self.report.seen is not None
+        return self.report.seen.uncertainty(self.camera.scene.pose_marker_tool.position)
 
-    def plan(self, found: ReachGoal, solved: Solved) -> Planned:
-        """The way from where the arm stands now."""
-        setup, robot, frame, goal = self.setup, self.setup.robot, self.setup.frame, found.goal
-        start, end = setup.q.copy(), solved.solution.q
-        caps: dict[str, Any] = {
-            "velocity": setup.velocity,
-            "acceleration": setup.acceleration,
-            "rate": setup.rate,
-            "speed": self.request.speed,
-        }
-        if not self.request.line:
-            return Planned(start, joint_move(robot, start, end, **caps))
-        target = found.target
-        if not goal.has_angle:  # a position says nothing of the rotation on the way: the tool keeps its own
-            target = Pose(target.position, robot.forward(start, frame).wxyz)
-        elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
-            target = Pose(target.position, robot.forward(end, frame).wxyz)
-        return Planned(start, line_move(robot, start, target, frame=frame, **caps))
+    def plan(self, goal: Goal, solution: Solution) -> Trajectory:
+        """The way from where the arm with torque stands now."""
+        report, setup = self.report, self.report.setup
+        report.q_start = start = setup.q.copy()
+        caps = setup.caps(report.request.speed)
+        if report.request.line:
+            target = goal.target
+            if (
+                not goal.has_angle
+            ):  # a position says nothing of the rotation on the way: the tool keeps its own
+                target = Pose(target.position, report.robot.forward(start, report.frame).wxyz)
+            elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
+                target = Pose(target.position, report.robot.forward(solution.q, report.frame).wxyz)
+            report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
+        else:
+            report.trajectory = joint_move(report.robot, start, solution.q, **caps)
+        return report.trajectory
 
-    def move(self, planned: Planned) -> Moved:
+    def move(self, trajectory: Trajectory) -> None:
         """Sends it, and gives the servos time to arrive."""
-        count = max(1, len(planned.trajectory))
+        setup, count = self.report.setup, max(1, len(trajectory))
 
         def show(tick: Any) -> None:
             self.show(tick.commanded if tick.measured is None else tick.measured, tick.time)
             self.progress("moving", min(1.0, tick.index / count))
 
-        settle = _SETTLE_SECONDS if self.setup.source is not None else 0.0
-        return Moved(
-            execute(
-                planned.trajectory, self.setup.sinks, source=self.setup.source, clock=self.setup.clock,
-                on_tick=show, settle=settle,
-            )
-        )  # fmt: skip
+        settle = _SETTLE_SECONDS if setup.arm is not None else 0.0
+        self.report.execution = execute(
+            trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle
+        )
 
     def show(self, q: Array, time: float) -> None:
-        """The arm at ``q`` (nq,) in scene and window."""
-        self.setup.scene.send(q, time)
+        """The arm at ``q`` (nq,), for camera and window."""
+        self.report.setup.shown = q.copy()
         if self.window is not None:
-            self.window.send(self.setup.scene.q, time)
+            self.window.send(q, time)
 
-    def follow(self) -> Followed:
+    def follow(self) -> None:
         """Goes on after the marker for the time that was asked for."""
-        from robot_ik.execution import follow
-
-        request, setup, robot = self.request, self.setup, self.setup.robot
+        report, request, setup = self.report, self.report.request, self.report.setup
         behind: list[float] = []
 
         def show(tick: Any) -> None:
             q = tick.q if tick.measured is None else tick.measured
             self.show(q, tick.time)
             if isinstance(tick.goal, PoseGoal | PositionGoal):  # not while parking
-                position = robot.forward(q, setup.frame).position
+                position = report.robot.forward(q, report.frame).position
                 behind.append(float(np.linalg.norm(position - tick.goal.target.position)))
             self.progress("following", min(1.0, tick.time / request.follow))
 
         with self.camera.following(setup.clock, request.follow) as goals:
-            following = follow(
-                goals, robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
+            report.following = follow(
+                goals, report.robot, self.method, setup.sinks, rate=setup.rate, clock=setup.clock,
                 duration=request.follow, start=setup.commanded, tolerance=SOLVE_TOLERANCE,
-                speed=request.speed, source=setup.source, on_tick=show,
+                speed=request.speed, source=setup.arm, on_tick=show,
             )  # fmt: skip
-        setup.settle(_SETTLE_SECONDS)
-        return Followed(following, (float(np.median(behind)), max(behind)) if behind else None)
+        setup.repeat(_SETTLE_SECONDS)
+        report.behind = (float(np.median(behind)), max(behind)) if behind else None
 
-    def read_back(self, found: ReachGoal, tolerance: Tolerance, goal_sigma: Bound) -> Arrived:
-        """Judges by the servos' own account."""
-        robot, frame, q = self.setup.robot, self.setup.frame, self.setup.q.copy()
-        bound = quantisation(robot, q, self.setup.resolution, frame, tolerance)
-        judged = judge_read_back(robot, q, found.goal, found.target, frame, bound, goal_sigma)
-        return Arrived(q, bound, judged)
+    def judge_read_back(self, goal: Goal, goal_sigma: Bound) -> Bound:
+        """Judges by the servos' own account; what they explain."""
+        report, robot, q = self.report, self.report.robot, self.report.setup.q.copy()
+        bound = quantisation(robot, q, report.setup.resolution, report.frame, report.tolerance)
+        report.q_end, report.bound = q, bound
+        report.read_back = judge_read_back(robot, q, goal, report.frame, bound, goal_sigma)
+        return bound
 
-    def judge_by_camera(self, found: ReachGoal, arrived: Arrived, goal_sigma: Bound) -> SeenArrived:
+    def judge_by_camera(self, goal: Goal, bound: Bound, goal_sigma: Bound) -> None:
         """The camera's view of the gripper."""
         self.progress("looking again", 0.0)
-        vision = self.vision
-        if vision is None or not vision.sees_arm:
-            return SeenArrived(blind="no camera watched the arm" if vision is None else vision.why_blind)
+        report, vision = self.report, self.report.vision
+        if vision is None or vision.why_blind:
+            report.blind = "no camera watched the arm" if vision is None else vision.why_blind
+            return
         body = vision.find_gripper()
-        if body is None:
-            return SeenArrived(after=vision.last_image)
-        judged = judge_by_camera(
-            body, vision.pose_world_camera, vision.pose_body_tool(self.setup.scene.q), found.goal,
-            found.target, arrived.bound, goal_sigma,
-        )  # fmt: skip
-        return SeenArrived(judged, vision.last_image)
+        report.after = vision.last_image
+        if body is not None:
+            report.by_camera = judge_by_camera(
+                body, vision.pose_world_camera, vision.pose_body_tool(report.setup.shown), goal, bound,
+                goal_sigma,
+            )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import io
-import json
 import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from robot_ik.camera.drawing.overlay import (
@@ -23,13 +20,15 @@ from robot_ik.camera.drawing.overlay import (
     draw_marker_outline,
     draw_robot,
 )
+from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.errors import MissingExtraError, apart
-from robot_ik.files import plain, timestamp, write_atomically
+from robot_ik.errors import apart
+from robot_ik.files import timestamp, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
+from robot_ik.jobs.results import save_json
 from robot_ik.jobs.verdict import Judgement
 
 #: Version of summary.json; raised when a field changes its meaning.
@@ -49,16 +48,12 @@ def save_reach(report: ReachReport, folder: Path) -> list[Path]:
     written = []
     picture = reach_picture(report)
     if picture is not None:
-        ok, data = cv2.imencode(".png", picture)
-        assert ok
-        write_atomically(folder / "reach.png", data.tobytes())
+        write_image(folder / "reach.png", picture)
         written.append(folder / "reach.png")
     if report.execution is not None:
         write_atomically(folder / "trajectory.csv", _table(report))
         written.append(folder / "trajectory.csv")
-    text = json.dumps(plain(reach_summary(report)), indent=2, allow_nan=False, ensure_ascii=False)
-    write_atomically(folder / "summary.json", text + "\n")
-    return [*written, folder / "summary.json"]
+    return [*written, save_json(folder / "summary.json", reach_summary(report))]
 
 
 def reach_picture(report: ReachReport) -> Any:
@@ -250,12 +245,6 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
 
 def _pose(pose: Pose) -> dict[str, Any]:
     return {"position": pose.position, "wxyz": pose.wxyz}
-
-
-def require_films() -> None:
-    """Raises ``MissingExtraError`` where no film can be written."""
-    if importlib.util.find_spec("av") is None:
-        raise MissingExtraError("av", "video", "a film of the reach")
 
 
 def save_film(report: ReachReport, path: Path) -> Path | None:

@@ -28,15 +28,9 @@ _GOAL = ("goal_x", "goal_y", "goal_z", "goal_qw", "goal_qx", "goal_qy", "goal_qz
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """One row of a recording.
+    """One row of a recording: s since it began, (n,) rad (m of slides), a goal in the world, what happened.
 
-    Attributes:
-        now: s since the recording began.
-        commanded: (n,) rad, m of slides.
-        measured: (n,) likewise.
-        goal: World.
-        text: What happened, in words.
-        robot: Of several side by side, which.
+    ``robot``: of several side by side, which.
     """
 
     now: float
@@ -67,12 +61,7 @@ class Recording(ABC):
 
 
 class TableRecording(Recording):
-    """A CSV file: a row a moment; what is not known stays empty.
-
-    Args:
-        path: Replaced where it exists.
-        joints: n names.
-    """
+    """A CSV file: a row a moment; what is not known stays empty."""
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
         self._file = _opened(path, "w")
@@ -88,7 +77,6 @@ class TableRecording(Recording):
         self._rows.writerow([repr(float(moment.now)), moment.robot, *sides[0], *sides[1], *aim, moment.text])
 
     def close(self) -> None:
-        """Finishes the file."""
         self._file.close()
 
 
@@ -129,10 +117,6 @@ class McapRecording(Recording):
 
     Of several robots side by side each has its topics below ``/robot_1`` and so on.
 
-    Args:
-        path: Replaced where it exists.
-        joints: n names.
-
     Raises:
         MissingExtraError: The extra ``record`` is not installed.
     """
@@ -154,35 +138,22 @@ class McapRecording(Recording):
         place = f"/robot_{moment.robot}" if moment.robot else ""
         for topic, q in (("joint_commands", moment.commanded), ("joint_states", moment.measured)):
             if q is not None:
-                state = {
-                    "header": head,
-                    "name": self._joints,
-                    "position": q.tolist(),
-                    "velocity": [],
-                    "effort": [],
-                }
-                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", state, stamp)
+                state = {"name": self._joints, "position": q.tolist(), "velocity": [], "effort": []}
+                self._put(f"{place}/{topic}", "sensor_msgs/msg/JointState", {"header": head, **state}, stamp)
         if (goal := moment.goal) is not None:
-            x, y, z = (float(value) for value in goal.position)
-            w, i, j, k = (float(value) for value in goal.wxyz)
-            pose = {"position": {"x": x, "y": y, "z": z}, "orientation": {"x": i, "y": j, "z": k, "w": w}}
+            position = dict(zip("xyz", goal.position.tolist(), strict=True))
+            orientation = dict(zip("wxyz", goal.wxyz.tolist(), strict=True))
+            pose = {"position": position, "orientation": orientation}
             self._put(f"{place}/goal", "geometry_msgs/msg/PoseStamped", {"header": head, "pose": pose}, stamp)
         if moment.text:
-            row = {
-                "stamp": when,
-                "level": _INFO,
-                "name": "robot_ik",
-                "msg": moment.text,
-                "file": "",
-                "function": "",
-            }
-            self._put("/rosout", "rcl_interfaces/msg/Log", row | {"line": 0}, stamp)
+            empty = {"file": "", "function": "", "line": 0}
+            row = {"stamp": when, "level": _INFO, "name": "robot_ik", "msg": moment.text, **empty}
+            self._put("/rosout", "rcl_interfaces/msg/Log", row, stamp)
 
     def _put(self, topic: str, kind: str, message: dict[str, Any], stamp: int) -> None:
         self._writer.write_message(topic, self._schemas[kind], message, log_time=stamp, publish_time=stamp)
 
     def close(self) -> None:
-        """Finishes the file."""
         if not self._file.closed:
             self._writer.finish()
             self._file.close()
@@ -211,14 +182,9 @@ def open_recording(path: Path, joints: Sequence[str]) -> Recording:
 
 
 class RecordingSink:
-    """A ``JointSink`` that writes what was commanded, and what an arm measured last.
+    """A ``JointSink`` that writes what was commanded, and what an arm ``measured`` last, joint -> rad.
 
     Put it behind the arm among the sinks: then the measurement is that of the same cycle.
-
-    Args:
-        recording: Where to.
-        joints: Names of the n columns of q.
-        measured: Gives joint -> rad as last measured; None: nothing is measured.
     """
 
     def __init__(self, recording: Recording, joints: Sequence[str], measured: Any = None) -> None:
@@ -226,7 +192,6 @@ class RecordingSink:
         self._begin: float | None = None
 
     def send(self, q: Array, now: float) -> None:
-        """One row."""
         self._begin = now if self._begin is None else self._begin
         here = None
         if self._measured is not None:

@@ -1,14 +1,22 @@
-"""The folder of a job's results: found free before the work begins, one run's alone until it ends."""
+"""A job's results: their folder, one run's alone from before the work begins until it ends; plots."""
 
 from __future__ import annotations
 
 import contextlib
 import datetime
 import fnmatch
+import importlib.util
+import io
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from robot_ik.files import claimed_folder, folder_for_results
+from robot_ik.errors import MissingExtraError
+from robot_ik.files import claimed_folder, folder_for_results, plain, write_atomically
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def run_folder(job: str) -> Path:
@@ -26,12 +34,8 @@ def run_folder(job: str) -> Path:
 def results_folder(out: str | Path, job: str, own: Sequence[str], *, overwrite: bool) -> Iterator[Path]:
     """The folder for one run, as asked or ``runs/<time>-<job>``; taken back where it stays empty.
 
-    Args:
-        out: As asked; empty: a new one.
-        job: Its name.
-        own: Patterns of the names of its files.
-        overwrite: They may be replaced.  Those of before that the run does not write are removed when it has
-            written others, so that two runs do not mix; what is not its own stays.
+    Files of names like ``own`` may be replaced to ``overwrite``.  Those of before that the run does not write
+    are removed when it has written others, so that two runs do not mix; what is not its own stays.
 
     Raises:
         OutputError: The folder holds something, another run writes to it, or it cannot be written to.
@@ -69,3 +73,23 @@ def _stamp(path: Path) -> tuple[int, int]:
     """Changes whenever a file is written whole: its inode and time."""
     found = path.stat()
     return found.st_ino, found.st_mtime_ns
+
+
+def save_json(path: Path, values: Any) -> Path:
+    """Writes what a job has found, whole or not at all; OutputError: it cannot be written."""
+    text = json.dumps(plain(values), indent=2, allow_nan=False, ensure_ascii=False)
+    write_atomically(path, text + "\n")
+    return path
+
+
+def require_plots(purpose: str) -> None:
+    """Raises ``MissingExtraError`` unless matplotlib is installed; asked before any long work."""
+    if importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtraError("matplotlib", "plots", purpose)
+
+
+def png_of(figure: Figure) -> bytes:
+    """A figure of matplotlib as a PNG file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return stream.getvalue()

@@ -1,31 +1,27 @@
-"""The arm's side of a job: robot, servos, clock, and the scene that the joint angles read back drive."""
+"""The arm's side of a job: robot, servos, clock, and the joint angles read back."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
-from robot_ik.ports import Clock, JointSink, JointSource, RealClock, VirtualClock
+from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.reach import ReachRequest, Rehearsal
 
 
-Array = NDArray[np.float64]
 _log = logging.getLogger(__name__)
 
 _RATE_HZ = 100.0
@@ -33,36 +29,47 @@ _RATE_HZ = 100.0
 _HEADROOM = 1.3
 
 
-class KinematicScene:
-    """A MuJoCo scene that shows joint angles: qpos is written and ``mj_forward`` run; ``data.time`` stays 0.
+@dataclass(frozen=True)
+class Rehearsal:
+    """What shall go wrong, to see that it is noticed; for simulated servos and the synthetic camera.
 
     Attributes:
-        q: (nq,) what is shown.
-        data: MuJoCo's, of the robot's model.
+        zero_offset_deg: Joint -> degrees by which its servo's shaft is ahead of what its registers say.
+        stuck: Joints whose shaft does not move.
+        cover_gripper: Hide the gripper's markers in the second picture.
+        blank_marker: Leave the target's paper white.
+        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
     """
 
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-        self.data = mujoco.MjData(robot.model)
-        self.q = robot.home.copy()
-        self.send(self.q, 0.0)
-
-    def send(self, q: Array, now: float) -> None:
-        """Shows ``q`` (nq,)."""
-        self.q = np.array(q, dtype=float)
-        self.data.qpos[:] = self._robot.qpos(self.q)
-        mujoco.mj_forward(self._robot.model, self.data)
+    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
+    stuck: tuple[str, ...] = ()
+    cover_gripper: bool = False
+    blank_marker: bool = False
+    marker_at: tuple[float, float, float, float] | None = None
 
 
-class LastCommand:
-    """Remembers what was sent last: a ``JointSink``."""
+@dataclass(frozen=True)
+class ArmRequest:
+    """An arm on a bus.
 
-    def __init__(self, q: Array) -> None:
-        self.q = q.copy()
+    Attributes:
+        robot: Catalogue name, or path of an MJCF or URDF file.
+        frame: What shall be moved; None: the tool, or what carries the scene's markers.
+        bus: ``pty``, ``sim``, ``none`` or a serial port.
+        arm_file: None: the one beside the model, else a generic one.
+        speed: Share of the joints' speed limits.
+        seed: Of planning, restarts and simulated noise.
+        view: Mirror the motion in a window.
+    """
 
-    def send(self, q: Array, now: float) -> None:
-        """Takes ``q`` (nq,)."""
-        self.q = np.array(q, dtype=float)
+    robot: str = "puma560"
+    frame: str | None = None
+    bus: str = "sim"
+    arm_file: Path | None = None
+    speed: float = 1.0
+    seed: int = 0
+    view: bool = False
+    rehearsal: Rehearsal = Rehearsal()
 
 
 @dataclass(frozen=True)
@@ -76,35 +83,34 @@ class JointLimits:
     used: tuple[float, float]
 
 
+@dataclass(eq=False)
 class RobotSetup:
     """A robot and, with a bus, its servos.
 
     Attributes:
         robot: Inside the intersection of model, servo mode and joint map.
         frame: What shall be moved.
-        dof: How many joints move it.
         limits: How that intersection came about.
-        recorder: Writes what is commanded and measured; empty: nothing does.
         config, arm: None without a bus.
         clock: Of the run; virtual where nothing real waits.
-        scene: Driven by what is read back (by what is commanded, without a bus).
+        dof: How many joints move the frame.
+        shown: (nq,) what was read back last (what was commanded, without a bus): for pictures and windows.
+        recorder: Writes what is commanded and measured; empty: nothing does.
+        commanded: (nq,) what was sent last.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        limits: list[JointLimits],
-        config: ArmConfig | None,
-        arm: Arm | None,
-        clock: Clock,
-    ) -> None:
-        self.robot, self.limits, self.config, self.arm, self.clock = robot, limits, config, arm, clock
-        self.frame = frame
-        self.dof = len(joints_that_move(robot, frame))
-        self.scene = KinematicScene(robot)
-        self._command = LastCommand(robot.home)
+    robot: Robot
+    frame: str
+    limits: list[JointLimits]
+    config: ArmConfig | None
+    arm: Arm | None
+    clock: Clock
+
+    def __post_init__(self) -> None:
+        self.dof = len(joints_that_move(self.robot, self.frame))
         self.recorder: list[JointSink] = []
+        self.commanded: Array = self.robot.home.copy()
+        self.shown = self.commanded
 
     def record(self, recording: Recording) -> None:
         """From here on every command is written, with what the servos measured last."""
@@ -112,53 +118,43 @@ class RobotSetup:
         self.recorder = [RecordingSink(recording, self.robot.joints, measured)]
 
     @property
-    def source(self) -> JointSource | None:
-        """Who measures the joints; None without a bus."""
-        return self.arm
-
-    @property
     def sinks(self) -> list[JointSink]:
-        """Who takes commands."""
-        return [*([] if self.arm is None else [self.arm]), self._command, *self.recorder]
+        """Who takes commands; the setup itself keeps the last one."""
+        return [*([] if self.arm is None else [self.arm]), self, *self.recorder]
 
-    @property
-    def commanded(self) -> Array:
-        """(nq,) what was sent last."""
-        return self._command.q
+    def send(self, q: Array, now: float) -> None:
+        """Keeps ``q`` (nq,) as what was sent last."""
+        self.commanded = np.array(q, dtype=float)
 
     @property
     def q(self) -> Array:
         """(nq,) where the joints are: measured, or as commanded without a bus."""
         if self.arm is None:
-            return self._command.q
+            return self.commanded
         from robot_ik.hardware.arm import ArmState
 
         if self.arm.state is ArmState.DISCONNECTED:
-            return self._command.q
-        q = self.arm.read().q
-        self.scene.send(q, 0.0)
-        return q
+            return self.commanded
+        self.shown = self.arm.read().q.copy()
+        return self.shown
 
     def true_q(self) -> Array:
         """(nq,) where a camera would see the joints: with virtual servos their shafts, faults included."""
         if self.arm is not None and self.arm.virtual_bus is not None and self.config is not None:
             return np.asarray(self.arm.virtual_bus.true_angles(self.config))
-        return self.scene.q
+        return self.shown
 
     @property
     def resolution(self) -> Array:
         """(nv,) rad per servo tick; zeros without servos."""
         return np.zeros(self.robot.nv) if self.config is None else np.asarray(self.config.resolution)
 
-    @property
-    def velocity(self) -> Array | None:
-        """(nv,) cap of the arm file, rad/s; None without one."""
-        return None if self.config is None else self.config.velocity
-
-    @property
-    def acceleration(self) -> Array | None:
-        """(nv,) cap of the arm file, rad/s²; None without one."""
-        return None if self.config is None else self.config.acceleration
+    def caps(self, speed: float) -> dict[str, Any]:
+        """Speed limits, as ``joint_move`` and ``line_move`` take them: a share of the arm file's."""
+        shared = {"rate": self.rate, "speed": speed}
+        if self.config is None:
+            return shared
+        return {"velocity": self.config.velocity, "acceleration": self.config.acceleration, **shared}
 
     @property
     def rate(self) -> float:
@@ -172,23 +168,34 @@ class RobotSetup:
             yield
             return
         with self.arm:
-            self._command.q = self.q.copy()
+            self.stand()
             yield
+
+    def stand(self) -> None:
+        """From here on the arm counts as sent to where it is."""
+        self.commanded = self.q.copy()
 
     def enable_torque(self) -> None:
         """Torque on, where the arm stands."""
         if self.arm is not None:
             self.arm.enable()
-            self._command.q = self.q.copy()
+            self.stand()
 
-    def settle(self, seconds: float) -> None:
-        """Repeats the last command, so that servos can arrive."""
+    def repeat(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
+        """Sends the last command again and again, for ``seconds`` or ``until`` it says so."""
         if self.arm is None:
             return
-        begin = self.clock.now()
-        for k in range(int(np.ceil(seconds * self.rate))):
-            self.clock.sleep_until(begin + k / self.rate)
-            self.arm.send(self.commanded, self.clock.now())
+        clock, period = self.clock, 1.0 / self.rate
+        begin, tick = clock.now(), 1
+        while tick * period <= seconds + 1e-9:
+            clock.sleep_until(begin + tick * period)
+            now = clock.now()
+            for sink in self.sinks:
+                sink.send(self.commanded, now)
+            if until():
+                return
+            tick = max(tick + 1, int((now - begin) / period))
+        clock.sleep_until(begin + seconds)
 
     def counters(self) -> dict[str, int]:
         """Totals of the bus; empty without one."""
@@ -198,47 +205,50 @@ class RobotSetup:
         return found
 
 
-def prepare_robot(request: ReachRequest) -> RobotSetup:
+def prepare_robot(request: ArmRequest) -> RobotSetup:
     """Robot and arm of a request; nothing is opened yet.
 
     Raises:
         ModelError, ConfigError: Robot or arm file is wrong, or they do not belong together.
     """
-    robot = load_robot(request.robot)
+    robot, rehearsal = load_robot(request.robot), request.rehearsal
     frame = robot.frame(request.frame).name
     if request.bus == "none":
-        _refuse_servo_faults(request.rehearsal)
+        _refuse_servo_faults(rehearsal)
         clock: Clock = RealClock() if request.view else VirtualClock()
         robot = _only_what_moves(robot, request.robot, frame)
-        limits = [JointLimits(n, unit, r, None, r) for n, unit, r in _ranges(robot)]
-        return RobotSetup(robot, frame, limits, None, None, clock)
+        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
-    before = {name: limits for name, _, limits in _ranges(robot)}
     limited = robot.with_limits(config.lower, config.upper)
-    limits = [
-        JointLimits(joint.name, unit, before[joint.name], joint.limits, used)
-        for joint, (_, unit, used) in zip(config.joints, _ranges(limited), strict=True)
-    ]
-    row = bus_row(request.bus)
-    if not row.virtual:
-        _refuse_servo_faults(request.rehearsal)
-        check_model(config, before)
-        arm = open_arm(config, request.bus)
-        return RobotSetup(limited, frame, limits, config, arm, arm.clock)
-    rehearsal = request.rehearsal
-    faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
-    faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
-    clock = row.clock()
-    servos = VirtualBus.from_config(config, clock, limited.home)
-    servos.inject(*faults)
-    return RobotSetup(
-        limited, frame, limits, config, open_arm(config, request.bus, virtual_bus=servos), clock
-    )
+    limits = _joint_limits(robot, limited, config)
+    row, servos = bus_row(request.bus), None
+    if row.virtual:
+        faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
+        faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
+        servos = VirtualBus.from_config(config, row.clock(), limited.home)
+        servos.inject(*faults)
+    else:
+        _refuse_servo_faults(rehearsal)
+        check_model(config, {limit.joint: limit.model for limit in limits})
+    arm = open_arm(config, request.bus, virtual_bus=servos)
+    return RobotSetup(limited, frame, limits, config, arm, arm.clock)
+
+
+def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
+    """Of the model, of the servos, and of both together."""
+    servos = {} if config is None else {joint.name: joint.limits for joint in config.joints}
+    return [
+        JointLimits(
+            joint, "m" if kind == SLIDE else "rad", (float(robot.lower[k]), float(robot.upper[k])),
+            servos.get(joint), (float(limited.lower[k]), float(limited.upper[k])),
+        )
+        for joint, kind, k in zip(robot.joints, robot.tree.kind, robot.tree.vadr, strict=True)
+    ]  # fmt: skip
 
 
 def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
@@ -279,12 +289,13 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 
-def _ranges(robot: Robot) -> list[tuple[str, str, tuple[float, float]]]:
-    tree = robot.tree
-    return [
-        (joint, "m" if kind == SLIDE else "rad", (float(robot.lower[at]), float(robot.upper[at])))
-        for joint, kind, at in zip(robot.joints, tree.kind, tree.vadr, strict=True)
-    ]
+def require_joints(robot: Robot, config: ArmConfig, path: Path) -> None:
+    """Raises ``ConfigError`` where an arm file has joints that the robot has not."""
+    if strangers := [joint for joint in config.names if joint not in robot.joints]:
+        raise ConfigError(
+            f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
+            file=path, key="joints", allowed=", ".join(robot.joints),
+        )  # fmt: skip
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:
@@ -308,12 +319,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
     if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
         with contextlib.suppress(UnknownJointError):
             robot = load_robot(name, joints=config.names)
-    strangers = [joint for joint in config.names if joint not in robot.joints]
-    if strangers:
-        raise ConfigError(
-            f"the model has no joint {', '.join(map(repr, strangers))}",
-            file=path, key="joints", allowed=", ".join(robot.joints),
-        )  # fmt: skip
+    require_joints(robot, config, path)
     if len(config.joints) < len(robot.joints):
         robot = load_robot(name, joints=config.names)
     by_name = {joint.name: joint for joint in config.joints}

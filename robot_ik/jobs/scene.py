@@ -1,14 +1,14 @@
 """What stands round the robot in `robot-ik reach`: table, printed markers, camera.
 
-A robot's ``robot.toml`` says so under ``[reach]``; for any other model a scene is generated from its own
-kinematics: a goal that it can reach, a marker in front of that, and a camera that sees both.
+From ``[reach]`` of a ``robot.toml``, else generated: a goal within reach, a marker before it, a camera for
+both.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
 
 import cv2
 import mujoco
@@ -20,12 +20,8 @@ from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, lo
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
 
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
@@ -80,34 +76,21 @@ class Scene:
 
     def synthetic(self, robot: Robot) -> SyntheticScene:
         """The same for the synthetic camera."""
-        target = SyntheticMarker(
-            self.marker_id, self.marker_size, self.pose_world_marker, dictionary=self.dictionary
+        marker = partial(SyntheticMarker, dictionary=self.dictionary)
+        # Wider paper would stick out and hide the edge of the marker round the corner.
+        carried = partial(marker, frame=self.cube_frame, margin=self.cube_margin)
+        markers = (
+            marker(self.marker_id, self.marker_size, self.pose_world_marker),
+            *(carried(id, side, self.cube_offset.compose(pose)) for id, (side, pose) in self.cube.items()),
         )
-        carried = tuple(
-            # Wider paper would stick out and hide the edge of the marker round the corner.
-            SyntheticMarker(
-                id,
-                side,
-                self.cube_offset.compose(pose),
-                frame=self.cube_frame,
-                dictionary=self.dictionary,
-                margin=self.cube_margin,
-            )
-            for id, (side, pose) in self.cube.items()
-        )
-        return SyntheticScene(
-            robot, self.intrinsics, self.pose_world_camera, (target, *carried), table=self.table
-        )
+        return SyntheticScene(robot, self.intrinsics, self.pose_world_camera, markers, table=self.table)
 
 
 def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) -> Scene:
     """The scene of ``robot.toml``, or one generated from the kinematics of ``frame`` (default: the tool).
 
-    Args:
-        robot: Whose scene.
-        frame: What shall reach the marker.
-        upright: Generated only: the marker lies flat below the goal, however the tool is turned there; for
-            arms that are asked for a position alone.
+    Generated and ``upright``, the marker lies flat below the goal, however the tool is turned there: for arms
+    that are asked for a position alone.
 
     Raises:
         CameraError: No camera pose shows a goal.
@@ -192,11 +175,15 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
     for attempt in range(_TRIES):
         # From a quarter of the range towards all of it, should nothing near home do.
         share = 0.25 + 0.75 * attempt / _TRIES
-        q = robot.clip(_between(robot, robot.home, robot.sample(rng), share))
+        q = robot.sample(rng)
+        if robot.nq == robot.nv:  # else no vector space: ball and free joints go all of the way
+            q = robot.home + share * (q - robot.home)
+        q = robot.clip(q)
         tool = robot.forward(q, frame)
         if not 0.05 * reach < tool.distance(home)[0]:
             continue
-        marker = _marker_for(tool, scene, upright)
+        below = Pose(tool.position - [0.0, 0.0, scene.hover])  # enough where the position is
+        marker = below if upright else tool.compose(scene.pose_marker_tool.inverse())
         placed = replace(scene, pose_world_marker=marker)
         placed = replace(placed, table=_ground(robot, placed, q, reach))
         ground = 0.0 if placed.table is None else placed.table.height
@@ -219,13 +206,6 @@ def _best_view(robot: Robot, frame: str, scene: Scene, reach: float, upright: bo
     return best
 
 
-def _marker_for(tool: Pose, scene: Scene, upright: bool) -> Pose:
-    """Where the marker lies whose goal is ``tool``, or the position of ``tool`` where that is enough."""
-    if upright:
-        return Pose(tool.position - [0.0, 0.0, scene.hover])
-    return tool.compose(scene.pose_marker_tool.inverse())
-
-
 def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> SceneTable | None:
     """A table top below marker and tool where the floor, at height 0, would hide them."""
     cube = _cube_pose(robot, scene, q_goal)
@@ -233,11 +213,6 @@ def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> SceneTab
     lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
     return None if height > 0.0 else SceneTable(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
-
-
-def _between(robot: Robot, a: Array, b: Array, share: float) -> Array:
-    """A configuration on the way from a to b; b itself where q is no vector space (ball and free joints)."""
-    return a + share * (b - a) if robot.nq == robot.nv else b
 
 
 def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:
@@ -313,15 +288,17 @@ def _facing(
         pixels = scene.intrinsics.project(scene.pose_world_camera.inverse().apply(points))
         if not ((pixels > 20).all() and (pixels < [width - 20, height - 20]).all()):
             continue
-        if all(_clear(robot.model, data, eye, point) for point in points):
+        if in_view(robot.model, data, eye, points, 1e-4):
             found.append(cosine)
     return sorted(found, reverse=True)
 
 
-def _clear(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, point: Array) -> bool:
-    """Whether no geom stands between ``eye`` and ``point``."""
-    ray = point - eye
-    length = float(np.linalg.norm(ray))
+def in_view(model: mujoco.MjModel, data: mujoco.MjData, eye: Array, points: Array, slack: float) -> bool:
+    """Whether no geom stands between ``eye`` and points (n, 3), up to ``slack`` metres before them."""
     geom = np.zeros(1, dtype=np.int32)
-    hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
-    return bool(hit < 0 or hit > length - 1e-4)
+    for ray in points - eye:
+        length = float(np.linalg.norm(ray))
+        hit = mujoco.mj_ray(model, data, eye, ray / length, None, 1, -1, geom, None)
+        if 0.0 <= hit < length - slack:
+            return False
+    return True

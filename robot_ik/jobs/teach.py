@@ -42,9 +42,6 @@ ARRIVED = math.radians(2.0)
 class TaughtMotion:
     """Positions of an arm that a hand guides, sample by sample; what was read stays after Ctrl-C.
 
-    Args:
-        arm: Connected, torque off.
-
     Raises:
         ArmStateError: Torque is on.
     """
@@ -138,10 +135,7 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
 def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajectory, float]:
     """A recording as the arm can repeat it, and how much longer it takes than it was recorded.
 
-    Args:
-        path: Of ``save_motion``.
-        config: The arm.
-        speed: Share of the recorded speed, above 0 and up to 1.
+    ``speed`` is a share of the recorded one, above 0 and up to 1.
 
     Raises:
         ConfigError: It cannot be read, is of other joints, or leaves the limits.
@@ -165,11 +159,8 @@ def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajecto
 class PlayReport:
     """How a recording was repeated; a slide's travel is compared as its pinion's rotation.
 
-    Attributes:
-        late: The joint with the largest tracking error.
-        tracking_error: Its, rad (m of a slide).
-        worst: The joint that ended farthest from where it was sent.
-        final_error: By how much, rad (m of a slide).
+    The joint with the largest tracking error, and the one that ended farthest from where it was sent, with
+    both errors, rad (m of a slide).
     """
 
     late: JointMap
@@ -196,13 +187,9 @@ def play_motion(
     sinks: Sequence[JointSink] = (),
     busy: Callable[[str, float], AbstractContextManager[None]] = _unshown,
 ) -> PlayReport:
-    """Goes slowly to where a motion begins, then plays it.
+    """Goes slowly to where a motion of ``load_playable`` begins, then plays it; torque is switched on.
 
-    Args:
-        arm: Connected; its torque is switched on.
-        motion: Of ``load_playable``.
-        sinks: Get every command as well.
-        busy: Shows what goes on, and for how many seconds, while inside.
+    ``sinks`` get every command as well; ``busy`` shows what goes on, and for how many seconds, while inside.
 
     Raises:
         HardwareError: A servo failed.

@@ -1,9 +1,8 @@
 """Teleoperation: an arm, or the keys of a terminal, lead; another arm follows within its limits.
 
 Joint to joint a leader's angle goes to the follower's joint of the same name, each range onto the other's.
-Hand to hand the follower's hand repeats what the leader's has done since they were engaged, by inverse
-kinematics, so the arms may differ.  Engaging never jumps.  A leader that is lost commands nothing: then the
-follower's own ``on_stale`` decides, and when the leader is back they are engaged anew.
+Hand to hand the follower's hand repeats what the leader's has done since they were engaged.  Engaging never
+jumps.  A leader that is lost commands nothing: then the follower's own ``on_stale`` decides.
 """
 
 from __future__ import annotations
@@ -48,11 +47,7 @@ class Operator(Protocol):
         ...
 
     def command(self, now: float) -> Angles:
-        """Joint -> rad (m of a slide) at ``now``, s.
-
-        Raises:
-            HardwareError: It is lost.
-        """
+        """Joint -> rad (m of a slide) at ``now``, s; HardwareError: it is lost."""
         ...
 
     def feel(self, follower: Angles) -> None:
@@ -60,23 +55,14 @@ class Operator(Protocol):
         ...
 
     def recover(self, timeout: float) -> None:
-        """Back after it was lost.
-
-        Raises:
-            HardwareError: It did not come back within ``timeout`` s.
-        """
+        """Back after it was lost; HardwareError: not within ``timeout`` s."""
         ...
 
 
 class JointCoupling:
     """Angles of a leader as those of a follower: by name, each range onto the other's.
 
-    Args:
-        leader: Its arm file.
-        follower: Likewise.
-
-    Attributes:
-        names: Joints that both have, those of grippers too.
+    ``names`` are the joints that both have, those of grippers too.
 
     Raises:
         ConfigError: They share no joint.
@@ -96,11 +82,9 @@ class JointCoupling:
         self._ranges = {joint.name: (joint.limits, other.joint(joint.name).limits) for joint, other in both}
 
     def follower(self, leader: Angles) -> dict[str, float]:
-        """Where the follower's joints should be."""
         return {n: _onto(leader[n], *self._ranges[n]) for n in self.names}
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        """Where the leader's joints are when the follower is here."""
         return {n: _onto(follower[n], *self._ranges[n][::-1]) for n in self.names}
 
 
@@ -111,15 +95,7 @@ def _onto(value: float, one: tuple[float, float], other: tuple[float, float]) ->
 
 
 class Hand:
-    """The hand of a follower, led by inverse kinematics from the last command on.
-
-    Args:
-        config: Of the follower.
-        robot: Its model.
-
-    Attributes:
-        pose: Where the hand was last commanded to be.
-    """
+    """The hand of a follower, led by inverse kinematics from the last command (``pose``) on."""
 
     def __init__(self, config: ArmConfig, robot: Robot) -> None:
         self.names = config.names
@@ -133,7 +109,6 @@ class Hand:
         self.pose = self._robot.forward(self._q)
 
     def engage(self, angles: Angles) -> None:
-        """Stands at these angles, joint -> rad."""
         self._q = self._robot.home.copy()
         self._q[self._order] = [angles[name] for name in self.names]
         self._q = self._robot.clip(self._q)
@@ -142,10 +117,8 @@ class Hand:
     def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
         """Joint -> rad that bring the hand there, or as near as it comes.
 
-        Args:
-            pose: Where to.
-            exactly: There, or not at all: steps that add up must neither drift, nor rotate the hand at the
-                end of its reach.
+        ``exactly``: there, or not at all; steps that add up must neither drift, nor rotate the hand at the
+        end of its reach.
         """
         whole = self._robot.nv >= _WHOLE
         goals: list[Goal] = [PoseGoal.at(None, pose)]
@@ -174,7 +147,7 @@ class LeaderArm:
         follower: Arm file of what follows.
         by: ``joints`` or ``hand``.
         scale: Hand to hand: metres of the follower for one of the leader.
-        force: Share of its currents with which the leader is pushed to where the follower is; 0: not at all.
+        force: Share of its currents by which the leader is pushed to where the follower is; 0: none.
 
     Raises:
         ConfigError: They share no joint, or these servos cannot be pushed gently.
@@ -268,16 +241,9 @@ _FINEST, _COARSEST = 0.1, 4.0
 
 
 class Jog:
-    """Joints, or the hand in the axes of the world, moved step by step; never beyond a joint's limits.
+    """Joints, or the ``hand`` in the axes of the world, moved step by step; never beyond a joint's limits.
 
-    Args:
-        config: Of the follower.
-        hand: Whether steps move the hand to begin with; else joints.
-
-    Attributes:
-        hand: Whether steps move the hand; else joints.
-        angles: Joint -> rad (m of a slide) that is commanded.
-        joints: The follower's, grippers last.
+    ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last.
     """
 
     def __init__(self, config: ArmConfig, hand: bool) -> None:
@@ -287,7 +253,6 @@ class Jog:
         self.hand = hand
 
     def engage(self, follower: Angles) -> None:
-        """Goes on from where the follower is."""
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
         self._hand.engage(self.angles)
 
@@ -311,20 +276,27 @@ class Jog:
         self.angles |= self._hand.go(pose, exactly=True)
 
 
-class KeyboardJog:
+class JogOperator:
+    """An ``Operator`` that jogs: ``jog`` is what it moves, ``over`` whether the person wants to end."""
+
+    def __init__(self, config: ArmConfig, stop: Callable[[], object], hand: bool) -> None:
+        self.jog, self._stop, self.over = Jog(config, hand), stop, False
+
+    def engage(self, follower: Angles) -> None:
+        self.jog.engage(follower)
+
+    def feel(self, follower: Angles) -> None:
+        pass
+
+    def recover(self, timeout: float) -> None:
+        pass
+
+
+class KeyboardJog(JogOperator):
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
-    A terminal says when a key goes down and not how long it stays: each press is one step.
-
-    Args:
-        config: Of the follower.
-        pressed: Gives the keys since it was last asked.
-        stop: Called at the space bar: everything stops and holds.
-        hand: Whether keys move the hand to begin with; else joints.
-
-    Attributes:
-        jog: What they move.
-        over: The person wants to end.
+    A terminal says when a key goes down and not how long it stays: each press is one step.  ``pressed`` gives
+    the keys since it was last asked; ``stop`` is called at the space bar.
     """
 
     def __init__(
@@ -335,24 +307,13 @@ class KeyboardJog:
         stop: Callable[[], object] = lambda: None,
         hand: bool = False,
     ) -> None:
-        self._pressed, self._stop = pressed, stop
-        self.jog = Jog(config, hand)
-        self._size = 1.0
-        self.over = False
-
-    def engage(self, follower: Angles) -> None:
-        self.jog.engage(follower)
+        super().__init__(config, stop, hand)
+        self._pressed, self._size = pressed, 1.0
 
     def command(self, now: float) -> Angles:
         for key in self._pressed():
             self._press(key.lower())
         return dict(self.jog.angles)
-
-    def feel(self, follower: Angles) -> None:
-        pass
-
-    def recover(self, timeout: float) -> None:
-        pass
 
     def _press(self, key: str) -> None:
         if key == STOP:
@@ -376,13 +337,7 @@ class KeyboardJog:
 
 
 class Blend:
-    """From where the follower stands into what it is led to: what lies between dies away, from rest to rest.
-
-    Args:
-        here: Joint -> where it is; ``there``: where it is led to.
-        config: Its caps decide how long that takes.
-        now: s.
-    """
+    """From where the follower stands into what it is led to: what lies between dies away, at rest first."""
 
     def __init__(self, here: Angles, there: Angles, config: ArmConfig, now: float) -> None:
         self._apart = {name: here[name] - there[name] for name in there}
@@ -398,7 +353,6 @@ class Blend:
         self._begin, self.seconds = now, max([0.0, *times])
 
     def __call__(self, there: Angles, now: float) -> dict[str, float]:
-        """What to command."""
         s = 1.0 if self.seconds <= 0.0 else min(1.0, (now - self._begin) / self.seconds)
         left = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
         return {name: value + left * self._apart.get(name, 0.0) for name, value in there.items()}
@@ -413,10 +367,7 @@ class TeleopReport:
     """What happened.
 
     Attributes:
-        ticks: Commands sent.
-        engaged: How often leader and follower were engaged.
-        lost: How often the leader was lost.
-        seconds: How long it ran.
+        engaged, lost: How often leader and follower were engaged, and the leader was lost.
         lag: Largest distance of a follower's joint from what it was led to, once engaged, rad or m.
         delay: Median seconds from reading the leader to the follower's packet.
         end: Why it ended, as text.
@@ -454,14 +405,14 @@ def teleoperate(
     over: Callable[[], bool] = lambda: False,
     on_tick: Callable[[TeleopTick], None] = lambda tick: None,
 ) -> TeleopReport:
-    """Leads the follower until it is over; the caller leaves the arms.
+    """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
     Args:
         operator: Who leads.
-        follower: Connected; it is enabled here.
-        seconds: How long; None: until ``over``.
+        follower: Who follows.
+        seconds: How long; None: until ``over``, which is asked once a tick.
         patience: s to wait for a leader that was lost.
-        over: Asked once a tick.
+        over: See ``seconds``.
         on_tick: Called after each tick; must be quick.
 
     Raises:
@@ -475,9 +426,11 @@ def teleoperate(
     while not over() and (seconds is None or clock.now() - begin < seconds):
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
         report.ticks += 1
-        here = _where(follower) if blend is None else {}
+        if blend is None:
+            follower.read()
         try:
             if blend is None:
+                here = follower.positions()
                 operator.engage(here)
                 blend = Blend(here, operator.command(now), follower.config, now)
                 report.engaged += 1
@@ -503,11 +456,6 @@ def teleoperate(
     report.delay = float(np.median(report.delays)) if report.delays else 0.0
     report.end = "it was ended" if over() else "the time was over"
     return report
-
-
-def _where(arm: Arm) -> dict[str, float]:
-    arm.read()
-    return arm.positions()
 
 
 def _wait_for(operator: Operator, follower: Arm, patience: float) -> None:
@@ -537,13 +485,8 @@ def open_pair(
 ) -> tuple[Arm | None, Arm]:
     """Both arms, disconnected; simulated ones in one process share a clock.
 
-    Args:
-        leader: None: the keyboard leads.
-        follower: Arm file.
-        leader_bus: As ``--bus`` takes it.
-        follower_bus: Likewise.
-        on_exit: How the follower is left; empty: as its file says.
-        starts: (n,) rad where simulated servos stand at first, of leader and follower.
+    ``leader`` None: the keyboard leads.  ``on_exit`` is how the follower is left, empty: as its file says;
+    ``starts`` (n,) rad where simulated servos of leader and follower stand at first.
     """
     in_process = follower_bus == "sim" and (leader is None or leader_bus == "sim")
     clock: Clock = VirtualClock() if in_process else RealClock()

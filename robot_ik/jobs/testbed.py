@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -20,8 +19,12 @@ from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.tracker import MarkerTracker, Sighting, drawn
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
+from robot_ik.hardware import bus_row, open_arm
+from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
+from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -31,28 +34,16 @@ from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
 
-if TYPE_CHECKING:
-    from robot_ik.hardware.config import ArmConfig
-
 Image = NDArray[np.uint8]
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
-    """The servo arm of a robot on a bus, connected; torque stays as it is.
-
-    Args:
-        name: The robot: a name of the catalogue or a path.
-        arm_file: The arm file; None: the one beside the model.
-        bus: As ``--bus`` takes it.
-        on_exit: How the arm is left; empty: as its file says.
+    """The servo arm of a robot (name or path) on a bus, connected; torque stays as it is.
 
     Raises:
         ConfigError: There is no arm file, or it is another robot's.
         HardwareError: As ``Arm.connect``.
     """
-    from robot_ik.hardware import bus_row, open_arm
-    from robot_ik.hardware.virtual.bus import VirtualBus
-
     robot = load_robot(name)
     config = _arm_config(robot, arm_file)
     row = bus_row(bus)
@@ -68,8 +59,6 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
 
 def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
     """The arm file's, with the joints that the robot has."""
-    from robot_ik.hardware.config import ArmConfig
-
     path = arm_file or robot.arm_file
     if path is None:
         raise ConfigError(
@@ -78,23 +67,14 @@ def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
             allowed="--arm FILE, or a robot that has one: tabletop_puma, koch_v11, omx_f, wx250s, vx300s",
         )  # fmt: skip
     config = ArmConfig.load(path)
-    missing = [joint for joint in config.names if joint not in robot.joints]
-    if missing:
-        raise ConfigError(
-            f"{robot.name} has no joint {', '.join(map(repr, missing))}",
-            file=path, key="joints", allowed=", ".join(robot.joints),
-        )  # fmt: skip
+    require_joints(robot, config, path)
     return config
 
 
 class CameraTab:
     """The synthetic camera of a robot's scene, for the page: a picture of robot 1 with what is seen in it.
 
-    Markers are detected in the picture alone, as a real camera's are; what the synthetic one knows is not
-    asked.
-
-    Args:
-        session: Whose first instance is seen.
+    Markers are detected in the picture alone; what the synthetic camera knows is not asked.
     """
 
     def __init__(self, session: Session) -> None:
@@ -167,7 +147,7 @@ def film(
     overwrite: bool = False,
     on_tick: Callable[[View, int], None] = lambda view, count: None,
 ) -> View:
-    """Runs a command log without a screen, and films it.
+    """Runs a command log without a screen, and films it; gives the last view.
 
     Args:
         log: What happens.
@@ -181,13 +161,9 @@ def film(
         overwrite: Whether files may be replaced.
         on_tick: Called after each tick with the view and the number of ticks in all.
 
-    Returns:
-        The last view.
-
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
         OutputError: Something cannot be written.
-        RobotIkError: As ``Session``.
     """
     wanted = round(seconds * log.start.rate) if seconds else log.ticks
     if not wanted:
@@ -216,16 +192,12 @@ def film(
                     joints = session.robot.joints
                     rows = stack.enter_context(open_recording(record, joints))
                 if rows is not None and session.robot.joints == joints:  # one recording is of one robot
-                    _write(rows, view)
+                    for k, one in enumerate(view.instances):
+                        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
+                        moment = Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot)
+                        rows.write(moment)
             on_tick(view, wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     assert view is not None
     return view
-
-
-def _write(rows: Recording, view: View) -> None:
-    """Angles of each robot, and the ball."""
-    for k, one in enumerate(view.instances):
-        text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
-        rows.write(Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot))

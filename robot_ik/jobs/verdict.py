@@ -9,20 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from robot_ik.camera.marker_goals import sigmas_at
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal
-
-if TYPE_CHECKING:
-    from robot_ik.goals import Tolerance
-    from robot_ik.robot import Robot
-
-Array = NDArray[np.float64]
+from robot_ik.goals import Goal, Tolerance
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
 
 # However uncertain the camera, a larger miss than this is no success.
 LARGEST_MISS = 0.005  # metres
@@ -55,13 +50,10 @@ EXACT = Bound(0.0, 0.0)
 
 @dataclass(frozen=True)
 class Judgement:
-    """A measured miss and what was allowed.
+    """A measured miss and what was allowed, metres and radians; 0 for the part that the goal leaves free.
 
-    Attributes:
-        position, angle: Metres, radians; 0 for the part that the goal leaves free.
-        allowed: The bound.
-        sigma: Standard deviation of the measurement, metres and radians; zeros where it is exact.
-        pose: Where the tool was measured, world.
+    ``sigma`` is the standard deviation of the measurement, zeros where it is exact; ``pose``: where the tool
+    was measured, in the world.
     """
 
     position: float
@@ -72,7 +64,6 @@ class Judgement:
 
     @property
     def passed(self) -> bool:
-        """Whether the miss is within the bound."""
         return bool(self.position <= self.allowed.position and self.angle <= self.allowed.angle)
 
 
@@ -80,14 +71,8 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
     """How far the tool may be off although every servo is right to a tick.
 
     Half a tick of each joint for rounding the command, half for rounding what is read back, all in the
-    worst direction at once: Σ ‖J_j‖ · tick_j, plus the tolerance of the solve.
-
-    Args:
-        robot: At ``q`` (nq,).
-        q: See ``robot``.
-        resolution: (nv,) rad per tick of each joint; zeros without servos.
-        frame: The tool.
-        tolerance: Of the solve.
+    worst direction at once: Σ ‖J_j‖ · tick_j at ``q`` (nq,), plus the tolerance of the solve.
+    ``resolution`` (nv,) are rad per tick of each joint, zeros without servos.
     """
     jacobian = robot.jacobian(q, frame)
     return Bound(
@@ -96,27 +81,16 @@ def quantisation(robot: Robot, q: Array, resolution: Array, frame: str, toleranc
     )
 
 
-def distance(pose: Pose, goal: Goal, target: Pose) -> tuple[float, float]:
-    """Metres and radians from ``pose`` to the goal's target; 0 for the part it leaves free."""
-    return goal.off(pose, target)
-
-
 def judge_read_back(
-    robot: Robot, q: Array, goal: Goal, target: Pose, frame: str, bound: Bound, goal_sigma: Bound = EXACT
+    robot: Robot, q: Array, goal: Goal, frame: str, bound: Bound, goal_sigma: Bound = EXACT
 ) -> Judgement:
-    """The miss at the joint angles read back (nq,), by MuJoCo's own forward pass.
+    """The miss of ``frame`` at the joint angles read back (nq,), by MuJoCo's own forward pass.
 
-    Args:
-        robot: At ``q`` (nq,).
-        q: See ``robot``.
-        goal: What was wanted, at ``target`` in the world.
-        target: See ``goal``.
-        frame: The tool.
-        bound: From ``quantisation``.
-        goal_sigma: How well ``target`` is known, beside where the arm was sent; zeros where both are one.
+    ``bound`` comes from ``quantisation``; ``goal_sigma`` says how well the goal is known beside where the arm
+    was sent, zeros where both are one.
     """
     pose = robot.measure(q, frame)
-    metres, radians = distance(pose, goal, target)
+    metres, radians = goal.off(pose, goal.target)
     return Judgement(metres, radians, bound.widened(goal_sigma), goal_sigma, pose)
 
 
@@ -125,52 +99,23 @@ def judge_by_camera(
     pose_world_camera: Pose,
     pose_body_tool: Pose,
     goal: Goal,
-    target: Pose,
     bound: Bound,
     goal_sigma: Bound = EXACT,
 ) -> Judgement:
-    """The miss as a camera sees it: the tool carries markers.
+    """The miss as a camera sees it: the tool carries the marker body that was ``seen``.
 
-    Allowed is three standard deviations of the measurement plus the quantisation of the servos, and never
-    more than 5 mm and 1 degree.
-
-    Args:
-        seen: The marker body in the picture.
-        pose_world_camera: Where the camera is.
-        pose_body_tool: The tool seen from the marker body.
-        goal: What was wanted, at ``target`` in the world.
-        target: See ``goal``.
-        bound: From ``quantisation``.
-        goal_sigma: As in ``judge_read_back``.
+    Allowed is three standard deviations of the measurement plus the quantisation of the servos (``bound``),
+    and never more than 5 mm and 1 degree; ``goal_sigma`` as in ``judge_read_back``.
     """
     pose = pose_world_camera.compose(seen.pose_camera_body).compose(pose_body_tool)
-    metres, radians = distance(pose, goal, target)
+    metres, radians = goal.off(pose, goal.target)
     lever = seen.pose_camera_body.rotation @ pose_body_tool.position
-    sigma = sigma_at(seen.covariance, lever).combined(goal_sigma)
+    sigma = Bound(*sigmas_at(seen.covariance, lever)).combined(goal_sigma)
     allowed = Bound(
         min(LARGEST_MISS, SIGMAS * sigma.position + bound.position),
         min(LARGEST_ANGLE, SIGMAS * sigma.angle + bound.angle),
     )
     return Judgement(metres, radians, allowed, sigma, pose)
-
-
-def sigma_at(covariance: Array, lever: Array) -> Bound:
-    """Standard deviation in the worst direction, at a point ``lever`` (3,) away from a body's origin.
-
-    A small rotation ω of the body moves that point by ω × lever.
-
-    Args:
-        covariance: (6, 6) of the body's pose, translation over rotation, along camera axes.
-        lever: Along camera axes too.
-    """
-    x, y, z = lever
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    jacobian = np.hstack([np.eye(3), -cross])
-    at_point = jacobian @ covariance @ jacobian.T
-    return Bound(
-        float(np.sqrt(np.linalg.eigvalsh(at_point)[-1])),
-        float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1])),
-    )
 
 
 @dataclass(frozen=True)

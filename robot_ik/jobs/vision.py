@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.marker_goals import SYNTHETIC_RATE_HZ, Delays, LatestGoals, MarkerGoalSource, WhenLost
+from robot_ik.camera.marker_goals import (
+    SYNTHETIC_RATE_HZ,
+    Delays,
+    LatestGoals,
+    MarkerGoalSource,
+    WhenLost,
+    sigmas_at,
+)
 from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import ClosingSource, Frame, FrameSource, ImageSource, open_source
@@ -23,8 +29,8 @@ from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTim
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
 from robot_ik.jobs.scene import Scene, scene_for
-from robot_ik.jobs.verdict import Bound, sigma_at
-from robot_ik.ports import Clock
+from robot_ik.jobs.verdict import Bound
+from robot_ik.ports import Array, Clock
 
 if TYPE_CHECKING:
     from robot_ik.jobs.reach import ReachRequest
@@ -49,22 +55,18 @@ class WithoutTruth(ClosingSource):
 
     @property
     def live(self) -> bool:
-        """As the source is."""
         return self._source.live
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing more would come."""
         return bool(getattr(self._source, "exhausted", False))
 
     def read(self) -> Frame:
-        """The next picture, without truth."""
         frame = self._source.read()
         self.truth, self.image = frame.truth, frame.image
         return frame.without_truth()
 
     def close(self) -> None:
-        """Closes the source."""
         self._source.close()
 
 
@@ -86,8 +88,6 @@ class WanderingMarker:
         return self.home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
 
 
-Array = NDArray[np.float64]
-
 # How often a camera or a film is asked again before a marker counts as not there.
 _LIVE_TRIES = 20
 _SYNTHETIC_TRIES = 2
@@ -100,13 +100,9 @@ _WANDER = 0.4
 
 @dataclass(frozen=True)
 class SeenTarget:
-    """The target marker in one picture.
+    """The target marker in one picture: the tool's goal in front of it, and where it was seen.
 
-    Attributes:
-        goal: The tool in front of it.
-        observation: Of the marker, camera frame.
-        pose_world_marker: In the world.
-        true_pose: Where it really is, world; None where it is unknown (every real camera).
+    ``true_pose`` is where it really is, world; None where it is unknown (every real camera).
     """
 
     goal: PoseGoal | PositionGoal
@@ -117,62 +113,57 @@ class SeenTarget:
     def uncertainty(self, point: Array) -> Bound:
         """Standard deviation of a point ``point`` (3,), seen from the marker, in the worst direction."""
         pose = self.observation.pose
-        return sigma_at(self.observation.covariance, pose.rotation @ point)
+        return Bound(*sigmas_at(self.observation.covariance, pose.rotation @ point))
 
 
+@dataclass(eq=False)
 class Vision:
     """A camera and what it is for in a reach.
 
     Attributes:
         pose_world_camera: Where it stands.
-        live: It can look again; False where its pictures are recorded.
-        sees_arm: Its pictures show the arm, so it can judge; ``why_blind`` says why not.
-        last_image: The last picture taken.
+        why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
+        synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
+        seed: Of the synthetic camera's noise.
+        when_lost, lead: For following.
+        cover_gripper: From the first picture of the gripper on its markers are hidden (a rehearsal).
         delays: After following: from grab to goal, and the age of the picture at each tick.
         path: From following on: where the synthetic marker truly is, by time; None where it is unknown.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        source: FrameSource,
-        intrinsics: CameraIntrinsics,
-        pose_world_camera: Pose,
-        setup: RobotSetup,
-        frame: str,
-        *,
-        why_blind: str = "",
-        synthetic: SyntheticSource | None = None,
-        seed: int = 0,
-        when_lost: WhenLost = WhenLost(),  # noqa: B008 - frozen
-        lead: float = 0.0,
-    ) -> None:
-        self._when_lost, self._lead = when_lost, lead
-        self.delays: tuple[Delays, Delays] | None = None
-        self.path: WanderingMarker | None = None
-        self.scene, self.intrinsics, self.pose_world_camera = scene, intrinsics, pose_world_camera
-        self.live = source.live
+    scene: Scene
+    source: FrameSource
+    intrinsics: CameraIntrinsics
+    pose_world_camera: Pose
+    setup: RobotSetup
+    _: KW_ONLY
+    why_blind: str = ""
+    synthetic: SyntheticSource | None = None
+    seed: int = 0
+    when_lost: WhenLost = WhenLost()  # noqa: RUF009 - frozen
+    lead: float = 0.0
+    cover_gripper: bool = False
+    delays: tuple[Delays, Delays] | None = field(default=None, init=False)
+    path: WanderingMarker | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
-        self._rate = SYNTHETIC_RATE_HZ if synthetic is not None else getattr(source, "rate_hz", None)
-        self._seed = seed
-        self.sees_arm, self.why_blind = not why_blind, why_blind
-        self._setup, self._frame, self._synthetic = setup, frame, synthetic
-        self._source = WithoutTruth(source)
-        sides = {id: side for id, (side, _) in scene.cube.items()}
-        self._cubes = MarkerTracker(intrinsics, scene.dictionary, sides)
+        self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
+        self._source = WithoutTruth(self.source)
+        sides = {id: side for id, (side, _) in self.scene.cube.items()}
+        self._cubes = MarkerTracker(self.intrinsics, self.scene.dictionary, sides)
         self._goals = self.goal_source(self._source)
         self._followed: SeenTarget | None = None
         self._moving: SyntheticSource | None = None
-        self._cover_gripper = False
+
+    @property
+    def live(self) -> bool:
+        """Whether it can look again; not where its pictures are recorded."""
+        return self.source.live
 
     @property
     def last_image(self) -> Any:
-        """The last picture, BGR, or None."""
         return self._source.image
-
-    def cover_gripper_later(self) -> None:
-        """From the first picture of the gripper on, its markers are hidden (a rehearsal)."""
-        self._cover_gripper = True
 
     def picture(self) -> Any:
         """Takes a picture and looks for nothing."""
@@ -184,11 +175,11 @@ class Vision:
         Raises:
             MarkerNotFoundError: Not there, or not told apart from its mirror image; says what is there.
         """
-        tries = _SYNTHETIC_TRIES if self._synthetic is not None else _LIVE_TRIES
+        tries = _SYNTHETIC_TRIES if self.synthetic is not None else _LIVE_TRIES
         # A recording is searched to its end: there is no hurry, and nothing else to see.
         while tries > 0 or not self.live:
             try:
-                goal = self._goals.poll(self._setup.clock.now())
+                goal = self._goals.poll(self.setup.clock.now())
             except FrameTimeoutError:
                 break
             last = self._goals.last
@@ -211,78 +202,68 @@ class Vision:
 
     def find_gripper(self) -> BodyObservation | None:
         """The gripper's markers in a new picture; None when none is in view."""
-        if self._cover_gripper and self._synthetic is not None:
-            self._synthetic.scene = self._synthetic.scene.cover(*self.scene.cube)
+        if self.cover_gripper and self.synthetic is not None:
+            self.synthetic.scene = self.synthetic.scene.cover(*self.scene.cube)
         return self._cubes.observe_body(self._source.read(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
-        robot = self._setup.robot
+        robot = self.setup.robot
         body = robot.forward(q, self.scene.cube_frame).compose(self.scene.cube_offset)
-        return body.inverse().compose(robot.forward(q, self._frame))
+        return body.inverse().compose(robot.forward(q, self.setup.frame))
 
     def get_ready_to_follow(self) -> None:
         """Does what would keep an arm with torque waiting: the first picture of a scene takes longest."""
-        if self._synthetic is None or self._moving is not None:
+        if self.synthetic is None or self._moving is not None:
             return
         self._moving = SyntheticSource(
-            self._synthetic.scene,
-            self._setup.true_q,
-            seed=self._seed,
-            clock=self._setup.clock,
-            quality="fast",
+            self.synthetic.scene, self.setup.true_q, seed=self.seed, clock=self.setup.clock, quality="fast"
         )
         self._moving.read()
 
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
-        if self._synthetic is None:
-            aimed = _Aimed(self, self._source)
-            with LatestGoals(aimed, clock, self._rate) as latest:
-                yield latest
-            self._followed, self.delays = aimed.seen, aimed.delays
-            return
-        shown = self._synthetic.scene
-        home = next(m.pose for m in shown.markers if m.id == self.scene.marker_id)
-        assert isinstance(home, Pose)
-        self.get_ready_to_follow()
-        moving = self._moving
-        assert moving is not None
-        begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
-        self.path = path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
-        moving.scene = shown.with_marker(self.scene.marker_id, pose=path)
-        aimed = _Aimed(self, WithoutTruth(moving))
-        with LatestGoals(aimed, clock, self._rate) as latest:
+        source, home = self._source, None
+        if self.synthetic is not None:
+            shown = self.synthetic.scene
+            home = next(m.pose for m in shown.markers if m.id == self.scene.marker_id)
+            assert isinstance(home, Pose)
+            self.get_ready_to_follow()
+            assert self._moving is not None
+            begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
+            self.path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
+            self._moving.scene = shown.with_marker(self.scene.marker_id, pose=self.path)
+            source = WithoutTruth(self._moving)
+        goals = self.goal_source(source, follow=True)
+        with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
-        self.delays = aimed.delays
-        self._synthetic.scene = shown.with_marker(self.scene.marker_id, pose=path(clock.now()))
+        self.delays = goals.made.summary(), goals.used.summary()
+        if self.synthetic is None:
+            self._followed = goals.seen
+        elif self.path is not None:
+            pose = self.path(clock.now())
+            self.synthetic.scene = self.synthetic.scene.with_marker(self.scene.marker_id, pose=pose)
 
-    def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> MarkerGoalSource:
+    def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> _ArmGoals:
         """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
-        return MarkerGoalSource(
+        scene = self.scene
+        sizes = {scene.marker_id: scene.marker_size}
+        goals = _ArmGoals(
             source,
-            self._tracker(follow),
+            MarkerTracker(self.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
             self.pose_world_camera,
-            self.scene.marker_id,
-            self.scene.pose_marker_tool,
-            self._frame,
+            scene.marker_id,
+            scene.pose_marker_tool,
+            self.setup.frame,
             motion=FilterOptions() if follow else None,
             predict=follow and self.live,
-            lead=self._lead if follow else 0.0,
-            when_lost=self._when_lost if follow else WhenLost(),
-            clock=self._setup.clock,
+            lead=self.lead if follow else 0.0,
+            when_lost=self.when_lost if follow else WhenLost(),
+            clock=self.setup.clock,
         )
-
-    def _tracker(self, window: bool) -> MarkerTracker:
-        scene = self.scene
-        return MarkerTracker(
-            self.intrinsics,
-            scene.dictionary,
-            {scene.marker_id: scene.marker_size},
-            [scene.marker_id],
-            window=window,
-        )
+        goals.vision = self if follow else None
+        return goals
 
     def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> SeenTarget:
         """What an observation means for this arm."""
@@ -292,11 +273,11 @@ class Vision:
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
-        if not isinstance(goal, PoseGoal) or self._setup.dof >= POSE_DOF:
+        if not isinstance(goal, PoseGoal) or self.setup.dof >= POSE_DOF:
             return goal
-        if self._setup.dof >= AXIS_DOF:
+        if self.setup.dof >= AXIS_DOF:
             return replace(goal, free_axis="z")
-        return PositionGoal(self._frame, goal.position, weight=goal.position_weight)
+        return PositionGoal(self.setup.frame, goal.position, weight=goal.position_weight)
 
     def _not_found(self) -> MarkerNotFoundError:
         wanted = f"marker {self.scene.marker_id} of {self.scene.dictionary}"
@@ -315,52 +296,36 @@ class Vision:
         )
 
 
-class _Aimed:
-    """Goals for following one arm; remembers what was seen last."""
+class _ArmGoals(MarkerGoalSource):
+    """Goals as the arm of a ``vision`` can have them; remembers what was seen last."""
 
-    def __init__(self, vision: Vision, source: WithoutTruth) -> None:
-        self._vision, self._source = vision, source
-        self._goals = vision.goal_source(source, follow=True)
-        self.seen: SeenTarget | None = None
-
-    @property
-    def delays(self) -> tuple[Delays, Delays]:
-        """From grab to goal, and the age of the picture at each tick."""
-        return self._goals.made.summary(), self._goals.used.summary()
+    vision: Vision | None = None
+    seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
-        """Looks at the next picture."""
-        self._goals.observe(now, wait=wait)
-        goal, last = self._goals.measured, self._goals.last
-        if goal is not None and isinstance(last, MarkerObservation):
-            self.seen = self._vision.seen(goal, last, self._source.truth)
+        super().observe(now, wait=wait)
+        if self.vision is not None and self.measured is not None and isinstance(self.last, MarkerObservation):
+            self.seen = self.vision.seen(self.measured, self.last, getattr(self.source, "truth", None))
 
     def goal_at(self, now: float) -> Any:
-        """The goal at ``now``, or None."""
-        return self._vision.for_arm(self._goals.goal_at(now))
-
-    def poll(self, now: float) -> Any:
-        """Looks, and gives the goal at ``now``, or None."""
-        self.observe(now)
-        return self.goal_at(now)
+        goal = super().goal_at(now)
+        return goal if self.vision is None else self.vision.for_arm(goal)
 
 
 # ------------------------------------------------------------------------------------------
 # Opens the camera that a request asks for, with its calibration.
 
 
-def open_vision(
-    request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack
-) -> Vision | None:
+def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> Vision | None:
     """Opens the camera of a request; None when a goal was given and no camera can watch.
 
     Raises:
         CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
     """
     if request.camera != "synthetic":
-        return None if request.goal is not None else _real_vision(request, setup, frame, stack)
+        return None if request.goal is not None else _real_vision(request, setup, stack)
     try:
-        scene = _scene(request, setup, frame)
+        scene = _scene(request, setup)
     except CameraError:
         if request.goal is None:
             raise
@@ -371,17 +336,15 @@ def open_vision(
     source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
     stack.enter_context(source)
     metal = setup.arm is not None and setup.arm.virtual_bus is None
-    vision = Vision(
-        scene, source, scene.intrinsics, scene.pose_world_camera, setup, frame, synthetic=source,
+    return Vision(
+        scene, source, scene.intrinsics, scene.pose_world_camera, setup, synthetic=source,
         why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
         when_lost=_when_lost(request, setup), lead=request.lead,
+        cover_gripper=request.rehearsal.cover_gripper,
     )  # fmt: skip
-    if request.rehearsal.cover_gripper:
-        vision.cover_gripper_later()
-    return vision
 
 
-def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: contextlib.ExitStack) -> Vision:
+def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> Vision:
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
         raise ConfigError(
@@ -395,7 +358,7 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: co
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
     source, intrinsics = open_calibrated(request.camera, calibration, stack)
-    scene = _scene(request, setup, frame)
+    scene = _scene(request, setup)
     if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
@@ -410,7 +373,7 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, frame: str, stack: co
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"
     return Vision(
-        scene, source, intrinsics, pose, setup, frame, why_blind=why,
+        scene, source, intrinsics, pose, setup, why_blind=why,
         when_lost=_when_lost(request, setup), lead=request.lead,
     )  # fmt: skip
 
@@ -420,16 +383,11 @@ def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
     return WhenLost(request.when_lost, request.lost_after, park)
 
 
-def _scene(request: ReachRequest, setup: RobotSetup, frame: str) -> Scene:
+def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
     """The robot's scene, with what the request says about the target marker."""
-    scene = scene_for(setup.robot, frame, upright=setup.dof < AXIS_DOF)
-    changes: dict[str, Any] = {}
-    if request.marker_id is not None:
-        changes["marker_id"] = request.marker_id
-    if request.marker_size is not None:
-        changes["marker_size"] = request.marker_size
-    if request.dictionary is not None:
-        changes["dictionary"] = request.dictionary
+    scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
+    asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
+    changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     if request.rehearsal.marker_at is not None:
         x, y, z, yaw = request.rehearsal.marker_at
         if not np.isfinite(request.rehearsal.marker_at).all():
@@ -442,11 +400,7 @@ def _scene(request: ReachRequest, setup: RobotSetup, frame: str) -> Scene:
 
 
 def calibration_of(camera: str, intrinsics: Path | None) -> Path:
-    """The file, for a camera that shall measure.
-
-    Raises:
-        CalibrationError: None was given.
-    """
+    """The file, for a camera that shall measure; CalibrationError: none was given."""
     if intrinsics is None:
         raise CalibrationError(
             f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
@@ -464,14 +418,9 @@ def open_calibrated(
     size: tuple[int, int] | None = None,
     scaled: bool = False,
 ) -> tuple[FrameSource, CameraIntrinsics]:
-    """A camera that can measure.
+    """A camera that can measure, asked for pictures of ``size``; ``stack`` closes it.
 
-    Args:
-        camera: What ``open_source`` opens.
-        intrinsics: Its calibration file.
-        stack: Closes it.
-        size: (width, height) to ask of it.
-        scaled: Whether a calibration for the same picture at another size will do.
+    ``scaled``: a calibration for the same picture at another size will do.
 
     Raises:
         CalibrationError: There is no calibration, or it is for other pictures.

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench import self_test
-from robot_ik.bench.camera.accuracy import Misses
+from robot_ik.bench.camera import accuracy
+from robot_ik.bench.camera.accuracy import Misses, SelfTestRow
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
@@ -106,10 +106,8 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
 def test_the_self_test_judges(
     rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [self_test.SelfTestRow("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
-    monkeypatch.setattr(self_test.SelfTest, "rows", lambda self, progress: rows)
-    monkeypatch.setattr(self_test.SelfTest, "notice", "no OpenGL here", raising=False)
-    monkeypatch.setattr(self_test.SelfTest, "__init__", lambda self: None)
+    rows = [SelfTestRow("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
+    monkeypatch.setattr(accuracy, "self_test", lambda progress: (rows, "no OpenGL here"))
     assert main(["ar", "--self-test"]) == code
     said = capsys.readouterr()
     assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err

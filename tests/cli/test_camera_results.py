@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.bench.camera import MeasuredRows
 from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
-from robot_ik.cli import bench_camera
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed
 from robot_ik.geometry import Pose
@@ -66,7 +66,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
         (verify, "run_verify"),
         (job, "load_robot"),
         (sheets, "make_sheet_page"),
-        (bench_camera, "measure"),
+        (MeasuredRows, "measure"),
     ):
         monkeypatch.setattr(module, name, began)
 

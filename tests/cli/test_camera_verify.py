@@ -62,7 +62,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             robot, config, VerifySamples(samples, *known, False, HIDDEN), tuple(samples.q), (3,)
         )
         if not dry_run:
-            report.keep(verify.compare(report.known, robot, 9, fit=request.fit))
+            report.compare(9, fit=request.fit)
         return report
 
     monkeypatch.setattr(verify, "run_verify", run)

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 
 import pytest
 
+from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.jobs.script import shipped
-from robot_ik.jobs.script.state import RunState
 
 WAIT = 'schema = 1\nname = "wait a little"\n[[steps]]\ndo = "wait"\nseconds = 0.2\n'
 FAIL = WAIT + '[[steps]]\ndo = "expect"\nstate = "fault"\n[[steps]]\ndo = "hold"\n'
@@ -80,11 +80,11 @@ def test_wrong_input_is_2(arguments: list[str], said: str, script: Path, robot_i
 def test_interrupted_is_130_and_leaves_its_report(
     tmp_path: Path, script: Path, robot_ik: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(self: RunState, *rest: Any) -> None:
+    def interrupted(self: RobotSetup, *rest: Any) -> None:
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(5.0)
 
-    monkeypatch.setattr(RunState, "repeat", interrupted)
+    monkeypatch.setattr(RobotSetup, "repeat", interrupted)
     script.write_text(FAIL)
     run = robot_ik("run", script, "--json", tmp_path / "r.json")
     assert run.code == 130 and run.err == "interrupted\n"

@@ -156,7 +156,7 @@ def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilit
     assert not card[-2:].any()  # the card ends inside the picture
     words = " ".join(painter.caption(frame).split("\n"))
     assert words == f"{frame.action} {frame.decision.reason}"
-    record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif", ())
+    record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif")
     with Pictures.open(tmp_path / "film.gif") as film:
         assert film.size == (480, 360)
 

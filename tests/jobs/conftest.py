@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from robot_ik.jobs import vision
-from robot_ik.jobs.reach import ReachReport, ReachRequest, Rehearsal, run_reach
+from robot_ik.jobs.reach import ReachReport, ReachRequest, run_reach
+from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.script import ScriptReport, ScriptRequest, parse_script, run_script
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.jobs import gallery
@@ -22,7 +23,6 @@ from robot_ik.jobs.gallery import (
     fitted_camera,
     lens,
     pose_at_work,
-    surface,
 )
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
@@ -52,15 +52,15 @@ def test_every_robot_does_what_its_picture_says(name: str) -> None:
     robot = load_robot(name)
     scene = robot.file.gallery
     assert scene is not None and scene.goals, "a robot that ships has a scene of its own"
-    floor = float(surface(robot.model, robot.qpos(robot.home))[:, 2].min())
+    floor = float(surface_points(robot.model, robot.qpos(robot.home))[:, 2].min())
     solution = pose_at_work(robot, scene, floor, seed=0)
     assert solution.converged, solution
-    at_work = surface(robot.model, robot.qpos(solution.q))
+    at_work = surface_points(robot.model, robot.qpos(solution.q))
     assert at_work[:, 2].min() > floor - 0.01, "through the floor"
     for frame in scene.keep:  # by MuJoCo's own forward pass
         metres, radians = robot.measure(solution.q, frame).distance(robot.measure(robot.home, frame))
         assert metres < 1e-4 and radians < 1e-3
-    moved = np.abs(at_work - surface(robot.model, robot.qpos(robot.home))).max()
+    moved = np.abs(at_work - surface_points(robot.model, robot.qpos(robot.home))).max()
     assert moved > 0.1 * np.ptp(at_work, axis=0).max(), "two pictures of the same"
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from robot_ik.errors import ConfigError, UnsupportedJointError
-from robot_ik.jobs.reach import ReachRequest, Rehearsal
-from robot_ik.jobs.robot_setup import KinematicScene, joints_that_move, prepare_robot
+from robot_ik.jobs.reach import ReachRequest
+from robot_ik.jobs.robot_setup import Rehearsal, joints_that_move, prepare_robot
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
 
@@ -36,7 +36,7 @@ def test_the_narrower_limit_counts(tmp_path: Path) -> None:
 def test_without_a_bus_the_models_limits_stay() -> None:
     setup = prepare_robot(ReachRequest(bus="none"))
     assert all(limit.used == limit.model and limit.servo is None for limit in setup.limits)
-    assert setup.source is None and isinstance(setup.clock, VirtualClock)
+    assert setup.arm is None and isinstance(setup.clock, VirtualClock)
     assert not setup.resolution.any()
 
 
@@ -78,17 +78,6 @@ def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> 
 def test_faults_are_for_simulated_servos(bus: str) -> None:
     with pytest.raises(ConfigError, match="simulated"):
         prepare_robot(ReachRequest(bus=bus, rehearsal=Rehearsal(stuck=("joint1",))))
-
-
-def test_the_scene_shows_angles_and_no_time_passes() -> None:
-    robot = load_robot("puma560")
-    scene = KinematicScene(robot)
-    for seed in range(3):
-        q = robot.sample(np.random.default_rng(seed))
-        scene.send(q, 5.0 + seed)
-        place = scene.data.site("gripper").xpos
-        np.testing.assert_allclose(place, robot.forward(q, "gripper").position, atol=1e-12)
-    assert scene.data.time == 0.0
 
 
 def test_torque_is_on_from_enable_torque_to_the_end_whatever_ends_it() -> None:

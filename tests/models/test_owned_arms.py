@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, Rehearsal, run_reach
+from robot_ik.jobs.reach import ReachRequest, run_reach
+from robot_ik.jobs.robot_setup import Rehearsal
 
 Array = NDArray[np.float64]
 

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from robot_ik.errors import RobotIkError
+from robot_ik.jobs import Progress
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One measured number.
+    """One measured number, and what is ``wanted`` of it: the most, or the least; None where nothing is.
 
-    Attributes:
-        quantity: What was measured, as text, with its unit in ``unit``.
-        value: What came out.
-        unit: mm, °, px, ms, …
-        wanted: The bound; None where none was set.
-        at_least: Whether ``wanted`` is the least rather than the most.
-        timed: Whether it depends on the machine and what else it does.
+    ``timed``: it depends on the machine and what else it does.
     """
 
     quantity: str
@@ -37,19 +33,25 @@ class Quantity:
             return None
         return self.value >= self.wanted if self.at_least else self.value <= self.wanted
 
-    def facts(self) -> dict[str, Any]:
-        """For JSON."""
-        return {**asdict(self), "passed": self.passed}
+    @property
+    def measured_text(self) -> str:
+        """Value and unit: whole numbers as they are, others with three figures."""
+        whole = not self.unit and self.value == round(self.value)
+        return f"{self.value:.0f}" if whole else f"{self.value:.3g} {self.unit}".strip()
+
+    @property
+    def wanted_text(self) -> str:
+        """The bound with its sign and unit; empty where there is none."""
+        if self.wanted is None:
+            return ""
+        return f"{'≥' if self.at_least else '≤'} {self.wanted:g} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured.
+    """How much is measured: to be ``quick``, a tenth of the pictures, for a first impression.
 
-    Attributes:
-        quick: A tenth of the pictures: for a first impression, not for the record.
-        seed: Of everything random.
-        photographs: A folder of real ones without markers; empty: none.
+    ``photographs``: a folder of real ones without markers; empty: none.
     """
 
     quick: bool = False
@@ -70,24 +72,14 @@ Measure = Callable[[Effort], Iterator[Quantity]]
 
 @dataclass(frozen=True)
 class Row:
-    """One row of the table.
-
-    Attributes:
-        name: What it is called on the command line.
-        about: What it does, as text.
-        function: ``module:function``, imported when it is measured.
-    """
+    """One row of the table; ``function`` is ``module:function``, imported when it is measured."""
 
     name: str
     about: str
     function: str
 
     def measure(self, effort: Effort) -> Iterator[Quantity]:
-        """Measures; figures come as they are ready.
-
-        Raises:
-            NotMeasuredError: Something that it needs is not here.
-        """
+        """Measures; figures come as they are ready.  NotMeasuredError: something it needs is not here."""
         module, _, name = self.function.partition(":")
         measure: Measure = getattr(importlib.import_module(module), name)
         yield from measure(effort)
@@ -108,11 +100,7 @@ ROWS: tuple[Row, ...] = (
     Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),
     Row("calibration", "intrinsics from 20 views of a board", _HERE + "accuracy:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "accuracy:handeye"),
-    Row(
-        "offsets",
-        "joint zeros from 30 pictures of a board in the hand",
-        _HERE + "arm:offsets",
-    ),
+    Row("offsets", "joint zeros from 30 pictures of a board in the hand", _HERE + "arm:offsets"),
     Row(
         "honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:consistency"
     ),
@@ -122,4 +110,60 @@ ROWS: tuple[Row, ...] = (
     Row("loop", "picture to goal, solution and overlay", _HERE + "speed:loop"),
     Row("delay", "from the grab of a picture to its goal", _HERE + "speed:delay"),
     Row("first", "the first command, without camera and display", _HERE + "photographs:first_command"),
+    Row("zeros", "joint zero offsets, from 30 poses", _HERE + "arm:joint_zero_offsets"),
 )
+
+
+@dataclass
+class MeasuredRows:
+    """What a run has found.
+
+    Attributes:
+        figures: By row.
+        seconds: That each row took.
+        unmeasured: Why a row has no figures, or not all.
+        complete: Whether the run came to its end.
+    """
+
+    figures: dict[str, list[Quantity]] = field(default_factory=dict)
+    seconds: dict[str, float] = field(default_factory=dict)
+    unmeasured: dict[str, str] = field(default_factory=dict)
+    complete: bool = False
+
+    def measure(self, rows: Sequence[Row], effort: Effort, progress: Progress) -> None:
+        """Adds row by row, figure by figure."""
+        for k, row in enumerate(rows):
+            progress(row.about, k / len(rows))
+            figures = self.figures.setdefault(row.name, [])
+            began = time.monotonic()
+            try:
+                for figure in row.measure(effort):
+                    figures.append(figure)
+                    progress(f"{row.about}: {figure.quantity}", k / len(rows))
+                if not figures:
+                    self.unmeasured[row.name] = "it gave no figure"
+            except RobotIkError as error:
+                self.unmeasured[row.name] = str(error.args[0])
+            finally:
+                self.seconds[row.name] = time.monotonic() - began
+        self.complete = True
+
+    @property
+    def passed(self) -> bool:
+        """Whether every row was measured and nothing missed what is wanted."""
+        figures = [one for figures in self.figures.values() for one in figures]
+        return not self.unmeasured and all(one.passed is not False for one in figures)
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "complete": self.complete,
+            "rows": {
+                name: {
+                    "seconds": round(self.seconds.get(name, 0.0), 1),
+                    "unmeasured": self.unmeasured.get(name),
+                    "figures": [asdict(one) | {"passed": one.passed} for one in figures],
+                }
+                for name, figures in self.figures.items()
+            },
+        }

@@ -37,8 +37,9 @@ from robot_ik.camera.synthetic.datasets import (
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.jobs import Progress
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 DICTIONARY = "DICT_4X4_50"
@@ -62,6 +63,11 @@ def frame_of(image: Image, number: int = 0, time: float = 0.0) -> Frame:
 def rms(values: Array | list[float]) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def factor(ratio: float) -> float:
+    """The same above 1, whichever is larger."""
+    return max(ratio, 1.0 / ratio)
 
 
 def _seen(
@@ -169,16 +175,10 @@ def occlusion(effort: Effort) -> Iterator[Quantity]:
     yield from _board_figures(pairs, (1.0, 0.3, None), "at 0.6 m, half hidden")
 
 
-class _Clutter(ClosingSource):
+def _cluttered(seed: int, count: int) -> Iterator[Frame]:
     """Pictures full of squares of random bits: everything a marker has but the code."""
-
-    live = False
-
-    def __init__(self, seed: int) -> None:
-        self._rng, self._number = np.random.default_rng([seed, 7]), 0
-
-    def read(self) -> Frame:
-        rng = self._rng
+    rng = np.random.default_rng([seed, 7])
+    for number in range(count):
         image = rng.integers(90, 200, (480, 640)).astype(np.uint8)
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), 3), dtype=np.uint8)
         for _ in range(_SQUARES):
@@ -189,21 +189,19 @@ class _Clutter(ClosingSource):
             height, width = tile.shape
             y, x = rng.integers(0, 480 - height), rng.integers(0, 640 - width)
             image[y : y + height, x : x + width] = tile
-        self._number += 1
-        return frame_of(image, self._number, 0.05 * self._number)
+        yield frame_of(image, number, 0.05 * number)
 
 
 def clutter(effort: Effort) -> Iterator[Quantity]:
     """Goals, and finds of any id, in 150 cluttered pictures without a marker."""
-    tracker, source = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE), _Clutter(effort.seed)
+    tracker = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE)
     finds, false, count = 0, 0, effort.count(_CLUTTERED)
-    for number in range(count):
-        frame = source.read()
+    for frame in _cluttered(effort.seed, count):
         seen = tracker.observe(frame)
         finds += len(seen)
         for marker_id in {observation.id for observation in seen}:
             one = MarkerGoalSource(_SingleFrameSource(frame), tracker, Pose(), marker_id, Pose())
-            false += one.poll(0.05 * number) is not None
+            false += one.poll(frame.time) is not None
     yield Quantity(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
     yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
 
@@ -231,20 +229,12 @@ STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
 _RADIUS_PX, _ROOM_PX = 8.0, 44
 # Where a robot on the board may be: metres beside it and above it.
 _BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
-_DICTIONARY = "DICT_4X4_50"
-_BOARD = MarkerBoard(grid_body(2, 2, 0.05, 0.012).markers, _DICTIONARY)
+_BOARD = MarkerBoard(grid_body(2, 2, STANDARD_SIZE, _GAP).markers, DICTIONARY)
 
 
 @dataclass(frozen=True)
 class Misses:
-    """Distances between where things are and where they belong, pixels.
-
-    Attributes:
-        rms: Root mean square; ``worst`` the largest; ``bias`` the larger part of the mean.
-        worst: See ``rms``.
-        bias: See ``rms``.
-        count: How many were measured.
-    """
+    """Distances between where things are and where they belong, pixels; ``bias``: larger part of the mean."""
 
     rms: float
     worst: float
@@ -270,7 +260,7 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
     """Centres of drawn spheres against those that OpenCV projects.
 
     Spheres of 8 px radius at random depths all over the picture; the middle of what is drawn of each is
-    compared with the middle of its outline, the circle at which rays of sight touch it, projected by
+    compared with that of its outline, the circle at which rays of sight touch it, projected by
     ``cv2.projectPoints``.
     """
     rng = np.random.default_rng(seed)
@@ -363,8 +353,8 @@ def _in_view(pixels: Array) -> NDArray[np.bool_]:
 
 def _photograph(pose: Pose, rng: np.random.Generator, number: int, at: float) -> Frame:
     markers = {id: (side, pose.compose(local)) for id, (side, local) in _BOARD.layout.items()}
-    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=_DICTIONARY, margin=0.12, sensor=WEBCAM)
-    return Frame(np.ascontiguousarray(np.repeat(image[:, :, None], 3, axis=2)), at, number)
+    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=DICTIONARY, margin=0.12, sensor=WEBCAM)
+    return frame_of(image, number, at)
 
 
 def hand_motion(t: float) -> Pose:
@@ -458,6 +448,8 @@ class _RecordedWatcher(BoardWatcher):
 
 # What is wanted of drawn spheres (RMS, worst, px) without and with a lens.
 _WANTED = {"pinhole": (STRAIGHT, 0.05, 0.15), "with distortion": (BENT, 0.08, 0.20)}
+# Of a robot on a board, by its distance, m.
+_OVERLAY_WANTED, _OVERLAY_DISTANCES = (0.3, 1.0), (0.7, 1.0)
 # The boards: squares of 30 mm with markers of 22 mm; 9 × 6 inner corners of squares of 25 mm.
 _PATTERNS: dict[str, Pattern] = {
     "ChArUco 8×6": CharucoPattern(8, 6, 0.030, 0.022),
@@ -496,11 +488,11 @@ def _identity(artist: Artist, effort: Effort) -> Iterator[Quantity]:
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for distance in (0.7, 1.0):
+    for distance in _OVERLAY_DISTANCES:
         misses = overlay_error(distance, effort.count(60), seed=effort.seed)
         what = f"overlay on a 2×2 board at {distance} m"
-        yield Quantity(f"{what}, RMS", misses.rms, "px", 0.3)
-        yield Quantity(f"{what}, worst", misses.worst, "px", 1.0)
+        yield Quantity(f"{what}, RMS", misses.rms, "px", _OVERLAY_WANTED[0])
+        yield Quantity(f"{what}, worst", misses.worst, "px", _OVERLAY_WANTED[1])
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:
@@ -536,5 +528,44 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
     yield Quantity("camera on the hand, position, RMS", 1e3 * rms(error[:, 0]), "mm", 1.5)
     yield Quantity("camera on the hand, orientation, RMS", float(np.degrees(rms(error[:, 1]))), "°", 0.25)
     for k, what in enumerate(("position", "orientation")):
-        ratio = rms(error[:, k]) / rms(sigma[:, k])
-        yield Quantity(f"stated {what} off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
+        ratio = factor(rms(error[:, k]) / rms(sigma[:, k]))
+        yield Quantity(f"stated {what} off by a factor of", ratio, "", 2.0)
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik ar --self-test``: the drawings' rows in brief.
+
+
+@dataclass(frozen=True)
+class SelfTestRow:
+    """One figure of the self-test; ``limits`` of RMS and worst, None: it is reported, not judged."""
+
+    what: str
+    misses: Misses
+    limits: tuple[float, float] | None
+
+    @property
+    def good(self) -> bool:
+        misses, limits = self.misses, self.limits
+        return limits is None or (misses.rms <= limits[0] and misses.worst <= limits[1])
+
+
+def self_test(progress: Progress) -> tuple[list[SelfTestRow], str]:
+    """All figures, and one line where OpenGL is missing; empty: it is there."""
+    rows, notice = [], ""
+    for k, name in enumerate(("painter", "ray", "gl")):
+        progress(name, 2 * k / 9)
+        artist, missing = make_artist(name)
+        notice = missing or notice
+        for kind, (lens, *limits) in {} if missing else _WANTED.items():
+            misses = projection_identity(artist, lens)
+            rows.append(SelfTestRow(f"{name}: spheres, {kind}", misses, (limits[0], limits[1])))
+        getattr(artist, "close", lambda: None)()
+    for k, distance in enumerate(_OVERLAY_DISTANCES):
+        progress("board", (6 + k) / 9)
+        what = f"robot on a 2 x 2 board at {distance:g} m"
+        rows.append(SelfTestRow(what, overlay_error(distance), _OVERLAY_WANTED))
+    progress("delay", 8 / 9)
+    for name, misses in latency_errors().items():
+        rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
+    return rows, notice

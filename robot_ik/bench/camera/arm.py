@@ -7,14 +7,13 @@ made with errors, or from those views.  The job that moves servos and takes pict
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Quantity
-from robot_ik.bench.camera.accuracy import frame_of, rms
+from robot_ik.bench.camera.accuracy import factor, frame_of, rms
 from robot_ik.camera.boards.board import BoardView, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
@@ -28,9 +27,8 @@ from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
 from robot_ik.jobs.scene import scene_for
+from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
-
-Array = NDArray[np.float64]
 
 _ROBOT, _VIEWS, _TRIALS = "puma560", 30, 6
 # Hidden offsets up to so much; scatter of a servo (half a tick of twelve bits) and of corners.
@@ -44,9 +42,12 @@ _DRAWN, _CARRIED = Pose((0.0, 0.0, 0.03)), grid_body(2, 2, 0.05, 0.012).markers
 _SHEET = grid_body(4, 3, 0.05, 0.0125).markers
 _SHEET_SEEN = Pose((0.0, 0.05, 0.9), rotation_exp([0.75 * np.pi, 0.0, 0.0]))
 # How far the board is from its drawing, each axis, m and rad: held in a hand; in a mount made to it.
-_HELD, _MOUNTED = (0.02, np.deg2rad(3.0)), (1e-4, np.deg2rad(0.03))
+_HELD, _MOUNTED = (0.02, np.deg2rad(3.0)), (1e-4, float(np.deg2rad(0.03)))
 # What hand-eye calibration by the same views says of a pose is worth no more before zeros are known.
 _ANYWHERE = (0.05, np.deg2rad(5.0))
+
+
+_Observer = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
 
 
 @dataclass(frozen=True)
@@ -77,9 +78,7 @@ _CASES = (
 
 def offsets(effort: Effort) -> Iterator[Quantity]:
     """Zero offsets of six joints from 30 pictures of a 2×2 board in the hand, by a camera that stands."""
-    robot = load_robot(_ROBOT)
-    seen = robot.forward(robot.home).compose(_DRAWN)
-    eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
+    robot, eye = _robot_and_eye()
     ratios = []
     for number, case in enumerate(_CASES):
         off, counted = [], []
@@ -93,30 +92,46 @@ def offsets(effort: Effort) -> Iterator[Quantity]:
         yield Quantity(f"{case.text}: joint zeros, RMS", rms(every), "°", 0.1)
         yield Quantity(f"{case.text}: joint zeros, worst", float(every.max()), "°", 0.1)
         yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", case.joints, at_least=True)
-    ratio = rms(np.concatenate(ratios))
-    yield Quantity("stated uncertainty of joint zeros off by a factor of", max(ratio, 1.0 / ratio), "", 2.0)
+    yield Quantity(
+        "stated uncertainty of joint zeros off by a factor of", factor(rms(np.concatenate(ratios))), "", 2.0
+    )
+
+
+def _robot_and_eye() -> tuple[Robot, Pose]:
+    """The arm, and a camera that sees the board in its hand."""
+    robot = load_robot(_ROBOT)
+    seen = robot.forward(robot.home).compose(_DRAWN)
+    return robot, look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
 
 
 def _trial(robot: Robot, eye: Pose, case: _Case, rng: np.random.Generator) -> tuple[Array, Array]:
     """Errors and stated standard deviations of the joints that are observable, rad."""
     hidden = rng.uniform(-_HIDDEN, _HIDDEN, robot.nv)
-    board = moved(_DRAWN, rng.normal(0.0, 1.0, 6) * np.repeat(case.made, 3))
+    board = _mounted(_DRAWN, case.made, rng)
     views = [_view(robot, eye, board, hidden, rng) for _ in range(_VIEWS)]
     samples = [HandEyeSample(robot.forward(one.q), one.view) for one in views]
     start = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+    camera = KnownPose.within(start.pose_parent_camera, *_ANYWHERE)
+    held = KnownPose.within(start.pose_other_board, *_ANYWHERE)
     found = fit_zero_offsets(
         views, robot, robot.tool, STANDARD_CAMERA,
-        camera=_located(eye, rng) if case.located else KnownPose.within(start.pose_parent_camera, *_ANYWHERE),
-        board=KnownPose.within(_DRAWN, *case.made) if case.drawing
-        else KnownPose.within(start.pose_other_board, *_ANYWHERE),
+        camera=_located(eye, rng, _observe) if case.located else camera,
+        board=KnownPose.within(_DRAWN, *case.made) if case.drawing else held,
     )  # fmt: skip
     observable = found.sigma > 0.0
     return (found.offsets - hidden)[observable], found.sigma[observable]
 
 
-def _located(eye: Pose, rng: np.random.Generator) -> KnownPose:
+def _mounted(drawn: Pose, made: tuple[float, float], rng: np.random.Generator) -> Pose:
+    """Where a board really sits: off its drawing by what its mount is ``made`` to."""
+    return moved(drawn, rng.normal(0.0, 1.0, 6) * np.repeat(made, 3))
+
+
+def _located(eye: Pose, rng: np.random.Generator, observe: _Observer) -> KnownPose:
     """The camera's pose by one picture of the sheet on the table, which lies where the world begins."""
-    found = locate_camera([_observe(_SHEET_SEEN, _SHEET, rng)], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
+    sheet = observe(_SHEET_SEEN, _SHEET, rng)
+    assert sheet is not None, "the sheet of the bench was not found"
+    found = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
     return KnownPose(found.pose_parent_camera, found.covariance)
 
 
@@ -132,9 +147,6 @@ def _observe(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView:
     return BoardView(
         np.concatenate(points), np.concatenate([*corners.values()]), seen.pose_camera_body, _PIXELS
     )
-
-
-_Observer = Callable[[Pose, Layout, np.random.Generator], BoardView | None]
 
 
 def _view(
@@ -178,45 +190,27 @@ def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> Board
     return MarkerBoard(layout, _PRINTED).see(frame_of(image), STANDARD_CAMERA)
 
 
-@dataclass
-class _Consistency:
-    """Squared errors over the stated ones, one a seed.
+def _chain(robot: Robot, eye: Pose, rng: np.random.Generator) -> tuple[tuple[float, float, float], Array]:
+    """One arm with hidden offsets, one camera, one board in a mount.
 
-    Attributes:
-        located: Of the camera's pose by a sheet on the table; ``handeye`` by the arm's views.
-        handeye: See ``located``.
-        zeros: Of the joint zeros; ``offsets`` their errors, rad.
-        offsets: See ``zeros``.
+    Squared errors over the stated ones of the camera's pose by a sheet on the table, of the same by the arm's
+    views, and of the joint zeros; and errors (n,) of these, rad.
     """
-
-    located: list[float] = field(default_factory=list)
-    handeye: list[float] = field(default_factory=list)
-    zeros: list[float] = field(default_factory=list)
-    offsets: list[float] = field(default_factory=list)
-
-    def add(self, robot: Robot, eye: Pose, rng: np.random.Generator) -> None:
-        """One arm with hidden offsets, one camera, one board in a mount."""
-        hidden = rng.uniform(-_HIDDEN, _HIDDEN, robot.nv)
-        board = moved(_DRAWN, rng.normal(0.0, 1.0, 6) * np.repeat(_MOUNTED, 3))
-        views = [_view(robot, eye, board, hidden, rng, _photographed) for _ in range(_CHAIN_VIEWS)]
-        sheet = _photographed(_SHEET_SEEN, _SHEET, rng)
-        assert sheet is not None, "the sheet of the bench was not found"
-        by_sheet = locate_camera([sheet], eye.compose(_SHEET_SEEN), STANDARD_CAMERA)
-        self.located.append(_nees(by_sheet.pose_parent_camera, eye, by_sheet.covariance))
-        # The same pictures by an arm whose zeros are right: the camera's pose by its views alone.
-        samples = [HandEyeSample(robot.forward(one.q + hidden), one.view) for one in views]
-        found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
-        self.handeye.append(_nees(found.pose_parent_camera, eye, found.covariance[:6, :6]))
-        fit = fit_zero_offsets(
-            views, robot, robot.tool, STANDARD_CAMERA,
-            camera=KnownPose(by_sheet.pose_parent_camera, by_sheet.covariance),
-            board=KnownPose.within(_DRAWN, *_MOUNTED),
-        )  # fmt: skip
-        observable = np.flatnonzero(fit.sigma > 0.0)
-        off = (fit.offsets - hidden)[observable]
-        self.offsets += np.abs(off).tolist()
-        covariance = fit.covariance[np.ix_(observable, observable)]
-        self.zeros.append(float(off @ np.linalg.solve(covariance, off)) / len(observable))
+    hidden = rng.uniform(-_HIDDEN, _HIDDEN, robot.nv)
+    board = _mounted(_DRAWN, _MOUNTED, rng)
+    views = [_view(robot, eye, board, hidden, rng, _photographed) for _ in range(_CHAIN_VIEWS)]
+    camera = _located(eye, rng, _photographed)
+    # The same pictures by an arm whose zeros are right: the camera's pose by its views alone.
+    samples = [HandEyeSample(robot.forward(one.q + hidden), one.view) for one in views]
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+    known = KnownPose.within(_DRAWN, *_MOUNTED)
+    fit = fit_zero_offsets(views, robot, robot.tool, STANDARD_CAMERA, camera=camera, board=known)
+    observable = np.flatnonzero(fit.sigma > 0.0)
+    off = (fit.offsets - hidden)[observable]
+    covariance = fit.covariance[np.ix_(observable, observable)]
+    zeros = float(off @ np.linalg.solve(covariance, off)) / len(observable)
+    located = _nees(camera.pose, eye, camera.covariance)
+    return (located, _nees(found.pose_parent_camera, eye, found.covariance[:6, :6]), zeros), np.abs(off)
 
 
 def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
@@ -228,19 +222,16 @@ def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
 
 def consistency(effort: Effort) -> Iterator[Quantity]:
     """Locate, hand-eye and ``verify --fit`` by the pictures of a webcam: is each as near as it says?"""
-    robot, result = load_robot(_ROBOT), _Consistency()
-    seen = robot.forward(robot.home).compose(_DRAWN)
-    eye = look_at(seen.apply([0.05, -0.1, _DISTANCE]), seen.position)
-    for seed in range(effort.count(_SEEDS)):
-        result.add(robot, eye, np.random.default_rng([effort.seed, seed]))
-    for what, values in (
-        ("camera by a sheet", result.located), ("camera by the arm's views", result.handeye),
-        ("joint zeros", result.zeros),
-    ):  # fmt: skip
-        nees = float(np.mean(values))
-        yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES_RANGE[1])
-        yield Quantity(f"{what}, the same, at least", nees, "", _NEES_RANGE[0], at_least=True)
-    off = np.degrees(result.offsets)
+    robot, eye = _robot_and_eye()
+    seeds = range(effort.count(_SEEDS))
+    found = [_chain(robot, eye, np.random.default_rng([effort.seed, seed])) for seed in seeds]
+    nees = np.mean([one for one, _ in found], axis=0).tolist()
+    for what, value in zip(
+        ("camera by a sheet", "camera by the arm's views", "joint zeros"), nees, strict=True
+    ):
+        yield Quantity(f"{what}, squared error over the stated", value, "", _NEES_RANGE[1])
+        yield Quantity(f"{what}, the same, at least", value, "", _NEES_RANGE[0], at_least=True)
+    off = np.degrees(np.concatenate([one for _, one in found]))
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")
 
@@ -259,14 +250,7 @@ _RUN_IN = 30
 
 @dataclass(frozen=True)
 class Lag:
-    """Root mean square errors at one delay, m.
-
-    Attributes:
-        delay: From the picture to the time it is used at, s.
-        hold: Of the last observation as it is.
-        predicted: Of the motion filter.
-        calmed: Of the 1 € filter.
-    """
+    """RMS errors at one delay (s), m: of the last observation, the motion filter, the 1 € filter."""
 
     delay: float
     hold: float
@@ -289,15 +273,17 @@ def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tup
 
     30 pictures a second, noise of 0.3 mm along each axis.
 
-    Args:
-        hands: Different motions.
-        seconds: Of each.
-        seed: Of motions and noise.
+    There are so many ``hands``, that is motions, of so many ``seconds``.
     """
     rng = np.random.default_rng(seed)
     moving = [_errors(hand(rng), seconds, rng) for _ in range(hands)]
     resting = [_errors(lambda t: np.zeros(3), seconds, rng) for _ in range(hands)]
-    return _lags(np.concatenate(moving)), _lags(np.concatenate(resting))
+
+    def lags(errors: list[Array]) -> list[Lag]:
+        squares = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)).tolist()
+        return [Lag(delay, *row) for delay, row in zip(DELAYS, squares, strict=True)]
+
+    return lags(moving), lags(resting)
 
 
 def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Generator) -> Array:
@@ -323,11 +309,6 @@ def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Gener
     return np.array(rows)
 
 
-def _lags(errors: Array) -> list[Lag]:
-    squares = np.sqrt(np.mean(errors**2, axis=0))
-    return [Lag(delay, *(float(value) for value in row)) for delay, row in zip(DELAYS, squares, strict=True)]
-
-
 def prediction(effort: Effort) -> Iterator[Quantity]:
     """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
     hands = 1 if effort.quick else 6
@@ -347,13 +328,11 @@ def prediction(effort: Effort) -> Iterator[Quantity]:
 # Joint zero offsets hidden in simulated servos, and found again: a row of ``robot-ik bench camera``.
 
 
-_VERIFIED_ROBOT, _VERIFY_VIEWS = "tabletop_puma", 30
+_VERIFIED_ROBOT = "tabletop_puma"
 # Hidden: up to so many degrees in each joint.
 _LARGEST_DEG = 3.0
 # Errors that simulated servos and pictures do not have: px of each corner, rad of each joint.
 _PIXEL, _JOINT = 0.15, float(np.deg2rad(0.05))
-# How well the board sits in the hand where its drawing says, each axis: m, rad.
-_VERIFY_MOUNTED = (1e-4, float(np.deg2rad(0.03)))
 # How often the same pictures are spoilt anew.
 _SPOILT = 4
 
@@ -369,10 +348,10 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         hidden = rng.uniform(-_LARGEST_DEG, _LARGEST_DEG, robot.nv)
         offsets = dict(zip(robot.joints, hidden.tolist(), strict=True))
         # What is known of the board is the drawing of its mount, off by what the mount is made to.
-        board = moved(scene.cube_offset, rng.normal(0.0, 1.0, 6) * np.repeat(_VERIFY_MOUNTED, 3))
+        board = _mounted(scene.cube_offset, _MOUNTED, rng)
         request = VerifyRequest(
-            _VERIFIED_ROBOT, views=_VERIFY_VIEWS, fit=True, seed=seed, zero_offset_deg=offsets,
-            frame=scene.cube_frame, pose_frame_board=board, board_sigma=_VERIFY_MOUNTED,
+            _VERIFIED_ROBOT, views=_VIEWS, fit=True, seed=seed, zero_offset_deg=offsets,
+            frame=scene.cube_frame, pose_frame_board=board, board_sigma=_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
         assert report.fit is not None and report.known.true_offsets is not None
@@ -387,27 +366,18 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
     yield Quantity(
         "the same with noise, worst joint off by", float(np.degrees(np.abs(spoilt).max())), "°", 0.1
     )
-    size = float(np.sqrt(np.mean(np.square(ratio))))
-    yield Quantity("stated uncertainty off by a factor of", max(size, 1.0 / size), "", 2.0)
+    yield Quantity("stated uncertainty off by a factor of", factor(rms(np.array(ratio))), "", 2.0)
 
 
 def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
     """Errors and standard deviations (nv,) with noise in corners and joints."""
-    known, samples = report.known, report.known.samples
-    views = _noisy(samples.q, samples.views, rng)
+    known, samples, views = report.known, report.known.samples, []
+    for q, view in zip(samples.q, samples.views, strict=True):
+        pixels = view.pixels + rng.normal(0, _PIXEL, view.pixels.shape)
+        said = q + rng.normal(0, _JOINT, q.shape)
+        views.append(CalibrationStation(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
     fit = fit_zero_offsets(
         views, report.robot, samples.frame, samples.intrinsics, camera=known.camera, board=known.board
     )
     assert known.true_offsets is not None and fit.found == report.robot.joints
     return fit.offsets - known.true_offsets, fit.sigma
-
-
-def _noisy(
-    q: Sequence[Array], views: Sequence[BoardView], rng: np.random.Generator
-) -> list[CalibrationStation]:
-    found = []
-    for one, view in zip(q, views, strict=True):
-        pixels = view.pixels + rng.normal(0, _PIXEL, view.pixels.shape)
-        said = one + rng.normal(0, _JOINT, one.shape)
-        found.append(CalibrationStation(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
-    return found

@@ -28,8 +28,7 @@ from robot_ik.camera.synthetic.datasets import (
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 DICTIONARY, _MARKER, _GAP = "DICT_4X4_50", 7, 0.012
 _BOARD = grid_body(2, 2, STANDARD_SIZE, _GAP).markers
@@ -43,14 +42,9 @@ _BIAS, _BIAS_HARSH, _NEES = 0.02, 0.04, (0.2, 2.0)
 
 @dataclass(frozen=True)
 class Condition:
-    """One camera, and what is wanted of it: position errors in mm at 0.3, 0.6 and 1.0 m.
+    """One camera, and the position errors wanted of it, mm at 0.3, 0.6 and 1.0 m: of one marker, and a board.
 
-    Attributes:
-        name: For people.
-        sensor: What it makes of the light.
-        single: Of one marker; ``board`` of four.
-        board: See ``single``; empty: not asked.
-        bias: Of the corners, px.
+    ``board`` may be empty: not asked; ``bias`` is that of the corners, px.
     """
 
     name: str

@@ -1,28 +1,26 @@
 """How long it takes to detect, to draw and to give goals.
 
-A time stands there twice.  Processor time of one thread, OpenCV's own threads switched off, is what the work
-takes on a core of its own, whatever else the machine does.  Time by the clock, with OpenCV's threads, is what
-a user waits, and depends on what else runs.  Each is the best of three rounds of a picture, and the median
-over pictures.  Delays are by the clock.
+Processor time of one thread, OpenCV's own switched off, is what the work takes on a core of its own; time by
+the clock, with OpenCV's threads, is what a user waits, and depends on what else runs.  Each is the best of
+three rounds of a picture, and the median over pictures.  Delays are by the clock.
 """
 
 from __future__ import annotations
 
+import itertools
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.device import DeviceSource
-from robot_ik.camera.drawing.renderers import DrawnRobot as Robot
-from robot_ik.camera.drawing.renderers import PainterArtist
+from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import ClosingSource, Frame
@@ -30,13 +28,11 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.ports import RealClock
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot as Arm
-
-
-Array = NDArray[np.float64]
+from robot_ik.goals import PoseGoal
+from robot_ik.ports import Array, RealClock
+from robot_ik.problem import Problem
+from robot_ik.robot import Robot, load_robot
+from robot_ik.solvers import make_solver
 
 _MARKER, _SIZE, _DICTIONARY, _DISTANCE = 7, 0.05, "DICT_5X5_50", 0.5
 _PERIOD, _ROUNDS = 1.0 / 30.0, 3
@@ -122,7 +118,7 @@ def times(effort: Effort) -> Iterator[Quantity]:
             yield from milliseconds(tracker.observe, frames).figures(f"one marker, {size}, {kind}", wanted)
 
 
-def _view_of(robot: Arm) -> Pose:
+def _view_of(robot: Robot) -> Pose:
     """A camera that has all of a robot in view."""
     centre, extent = robot.model.stat.center, float(robot.model.stat.extent)
     return look_at(centre + 1.6 * extent * np.array([0.7, -0.6, 0.4]), centre)
@@ -130,8 +126,6 @@ def _view_of(robot: Arm) -> Pose:
 
 def drawing(effort: Effort) -> Iterator[Quantity]:
     """Painting a robot over a picture of 1280×720, without its shadow, which is reported apart."""
-    from robot_ik.robot import load_robot
-
     camera, artist = CAMERAS[1], PainterArtist()
     picture = np.full((camera.height, camera.width, 3), 120, np.uint8)
     rng = np.random.default_rng(effort.seed)
@@ -140,9 +134,9 @@ def drawing(effort: Effort) -> Iterator[Quantity]:
         pose = _view_of(robot)
         spots = [robot.qpos(robot.clip(robot.home + rng.uniform(-0.2, 0.2, robot.nq))) for _ in range(20)]
         for shadow in (False, True):
-            figure = Robot(robot.model, shadow=shadow)
+            figure = DrawnRobot(robot.model, shadow=shadow)
 
-            def draw(qpos: Any, figure: Robot = figure, pose: Pose = pose) -> None:
+            def draw(qpos: Any, figure: DrawnRobot = figure, pose: Pose = pose) -> None:
                 artist.draw(figure, qpos, camera, pose).over(picture)
 
             what = f"painter, {name}, 1280×720" + (", with its shadow" if shadow else "")
@@ -163,7 +157,7 @@ class _PreparedPictures(ClosingSource):
         return replace(frame, sequence=self._next, time=self._next * _PERIOD)
 
 
-def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Arm, **options: Any) -> MarkerGoalSource:
+def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Robot, **options: Any) -> MarkerGoalSource:
     """The marker's middle is where the tool is at home, so that the robot can go there."""
     tool = robot.forward(robot.home)
     marker = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))
@@ -175,43 +169,28 @@ def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Arm, **option
 
 def loop(effort: Effort) -> Iterator[Quantity]:
     """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
-    from robot_ik.goals import PoseGoal
-    from robot_ik.problem import Problem
-    from robot_ik.robot import load_robot
-    from robot_ik.solvers import make_solver
-
     robot, solver, artist = load_robot(_ARM), make_solver("lm"), PainterArtist()
-    view, figure = _view_of(robot), Robot(robot.model)
+    view, figure = _view_of(robot), DrawnRobot(robot.model)
     problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
     for camera in CAMERAS:
         frames = moving_frames(camera, effort.count(60), effort.seed)
         goals = _goals(_PreparedPictures(frames), camera, robot)
-        state = _State(robot.home)
+        ticks, q = itertools.count(1), robot.home.copy()
 
         def step(
-            frame: Frame,
-            goals: MarkerGoalSource = goals,
-            camera: CameraIntrinsics = camera,
-            state: _State = state,
+            frame: Frame, goals: Any = goals, camera: Any = camera, ticks: Any = ticks, q: Array = q
         ) -> None:
-            state.now += _PERIOD
-            goal = goals.poll(state.now)
+            goal = goals.poll(next(ticks) * _PERIOD)
             assert goal is not None, "a marker of the bench was not found"
             problem.retarget(goal.target)
-            state.q = solver.solve(problem, state.q).q
-            artist.draw(figure, robot.qpos(state.q), camera, view).over(frame.image.copy())
+            q[:] = solver.solve(problem, q).q
+            artist.draw(figure, robot.qpos(q), camera, view).over(frame.image.copy())
 
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
         wanted = _LOOP_WANTED[camera.width]
         yield Quantity(what, 1e3 / took.processor, "frames/s", wanted, at_least=True, timed=True)
         yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
-
-
-@dataclass
-class _State:
-    q: Array
-    now: float = 0.0
 
 
 class _Camera:
@@ -222,19 +201,15 @@ class _Camera:
         self._open = threading.Event()
 
     def set(self, *_: Any) -> bool:
-        """Takes any setting."""
         return True
 
     def get(self, *_: Any) -> float:
-        """Knows none."""
         return 0.0
 
     def isOpened(self) -> bool:
-        """It is."""
         return True
 
     def read(self) -> tuple[bool, Any]:
-        """Waits for the next picture."""
         self._due += _PERIOD
         self._open.wait(max(0.0, self._due - time.monotonic()))
         self._next += 1
@@ -246,8 +221,6 @@ class _Camera:
 
 def delay(effort: Effort) -> Iterator[Quantity]:
     """A camera of 30 Hz with its thread, a thread that detects, and a loop of 100 Hz that asks for goals."""
-    from robot_ik.robot import load_robot
-
     robot = load_robot(_ARM)
     for camera in CAMERAS:
         frames = moving_frames(camera, 30, effort.seed)

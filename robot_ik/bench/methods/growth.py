@@ -9,7 +9,6 @@ from typing import Literal
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
@@ -24,8 +23,6 @@ from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 #: Joints of the chains, and goals on the figure, for which a step is timed.
 JOINTS = (6, 12, 25, 50, 100, 200)
@@ -127,12 +124,7 @@ def growth_with_goals(solver: Solver, robot: Robot, seed: int = 0) -> Iterator[G
 
 
 def _growth(
-    solver: Solver,
-    robot: Robot,
-    goals: list[Goal],
-    across: Literal["joints", "goals"],
-    size: int,
-    seed: int,
+    solver: Solver, robot: Robot, goals: list[Goal], across: Literal["joints", "goals"], size: int, seed: int
 ) -> Iterator[Growth]:
     """Nothing where the method does not serve these goals on this robot."""
     rng = np.random.default_rng([seed, size])

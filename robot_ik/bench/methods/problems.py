@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -60,7 +60,7 @@ class _Writer:
             carrier, local = self.carriers[at.body]
             ElementTree.SubElement(carrier, "site", {"name": name} | _pos_and_quat(local.compose(at.local)))
         keys = ElementTree.SubElement(self.root, "keyframe")
-        ElementTree.SubElement(keys, "key", name="home", qpos=_numbers(self.robot.qpos(self.robot.home)))
+        ElementTree.SubElement(keys, "key", name="home", qpos=numbers(self.robot.qpos(self.robot.home)))
         ElementTree.indent(self.root)
         return ElementTree.tostring(self.root, encoding="unicode") + "\n"
 
@@ -84,22 +84,23 @@ class _Writer:
             if kind == _FREE:
                 ElementTree.SubElement(carrier, "freejoint", name=name)
             else:
-                about = {"name": name, "type": "hinge", "axis": _numbers(model.jnt_axis[joint])}
+                about = {"name": name, "type": "hinge", "axis": numbers(model.jnt_axis[joint])}
                 if model.jnt_limited[joint]:
-                    about["range"] = _numbers(model.jnt_range[joint])
+                    about["range"] = numbers(model.jnt_range[joint])
                 ElementTree.SubElement(carrier, "joint", about)
             at = anchor.inverse()
         return carrier, at
 
 
 def _pos_and_quat(pose: Pose) -> dict[str, str]:
-    attributes = {"pos": _numbers(pose.position)}
+    attributes = {"pos": numbers(pose.position)}
     if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
-        attributes["quat"] = _numbers(pose.wxyz)
+        attributes["quat"] = numbers(pose.wxyz)
     return attributes
 
 
-def _numbers(values: Iterable[float]) -> str:
+def numbers(values: Iterable[float]) -> str:
+    """As XML has them."""
     return " ".join(repr(float(v)) for v in values)
 
 
@@ -109,6 +110,13 @@ def _numbers(values: Iterable[float]) -> str:
 
 #: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
 SLACK = 1e-9
+
+
+def apart(a: Array, b: Array) -> tuple[float, float]:
+    """Metres and radians between two poses (4, 4)."""
+    # The chord between the rotations: exact near zero, where an arc cosine is not.
+    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
+    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), 2.0 * math.asin(min(1.0, chord))
 
 
 class Judge:
@@ -128,20 +136,9 @@ class Judge:
         body[:3, 3] = self._data.xpos[self._at.body]
         return np.asarray(body @ self._local)
 
-    def jacobian(self, q: Array) -> Array:
-        """(6, nv) of the whole model: linear over angular velocity of the frame, by ``mj_jac``."""
-        model, pose = self._robot.model, self.pose(q)
-        mujoco.mj_comPos(model, self._data)
-        found = np.zeros((6, model.nv))
-        mujoco.mj_jac(model, self._data, found[:3], found[3:], pose[:3, 3], self._at.body)
-        return found
-
     def miss(self, q: Array, target: Array) -> tuple[float, float]:
         """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
-        here = self.pose(q)
-        # The chord between the rotations: exact near zero, where an arc cosine is not.
-        chord = float(np.linalg.norm(here[:3, :3] - target[:3, :3])) / (2.0 * math.sqrt(2.0))
-        return float(np.linalg.norm(here[:3, 3] - target[:3, 3])), 2.0 * math.asin(min(1.0, chord))
+        return apart(self.pose(q), target)
 
     def inside(self, q: Array) -> bool:
         """Whether every active joint is inside the range that the model gives it."""
@@ -160,8 +157,6 @@ class Judge:
                 return False
         return True
 
-
-Array = NDArray[np.float64]
 
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
 WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
@@ -183,8 +178,6 @@ class ProblemSet:
     """Targets for one frame, with the joint angles they were made from.
 
     Attributes:
-        name: Its key in ``SETS``.
-        frame: What shall get there.
         targets: (n, 4, 4) poses in the world.
         witnesses: (n, nq) joint angles inside the limits that meet them; (0, nq) if nothing can.
         first: (nq,) where the first solve starts.
@@ -205,16 +198,9 @@ class ProblemSet:
 
 
 def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
-    """``count`` problems of one kind for the tool.
+    """``count`` problems of one kind, a key of ``SETS``, for the tool; equal seeds give equal numbers.
 
-    Args:
-        name: A key of ``SETS``.
-        robot: From ``load_robot``.
-        count: How many.
-        seed: The same seed gives the same numbers.
-
-    Returns:
-        The set; empty, with a reason, where the robot cannot have such problems.
+    The set is empty, with a reason, where the robot cannot have such problems.
     """
     # A stream of its own for each kind: asking for one set more changes no other.
     rng = np.random.default_rng([seed, *name.encode()])
@@ -377,9 +363,8 @@ def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
 
 def _step(a: Array, b: Array) -> float:
     """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
-    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
-    angle = 2.0 * math.asin(min(1.0, chord))
-    return max(float(np.linalg.norm(a[:3, 3] - b[:3, 3])) / WARM_METRES, angle / WARM_RADIANS)
+    metres, radians = apart(a, b)
+    return max(metres / WARM_METRES, radians / WARM_RADIANS)
 
 
 #: Every kind of problem set, by name.

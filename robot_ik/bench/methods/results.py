@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
+import itertools
 import json
 import os
 import platform
-import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -17,7 +16,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from robot_ik.batch import usable_cores
-from robot_ik.errors import MissingExtraError
+from robot_ik.bench.peers.worker import calibration
+from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.reading import read_json
 from robot_ik.tables import config_error
 
@@ -98,7 +98,6 @@ class Cell(_Data):
 
     @property
     def count(self) -> int:
-        """Problems solved or failed."""
         return len(self.microseconds)
 
     @property
@@ -210,7 +209,7 @@ def this_machine() -> Machine:
         cores=usable_cores(),
         python=platform.python_version(),
         versions={name: metadata.version(name) for name in packages},
-        calibration_us=round(_calibration(), 1),
+        calibration_us=round(calibration(), 1),
         load=round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else 0.0,
         when=time.strftime("%Y-%m-%d %H:%M"),
     )
@@ -226,16 +225,6 @@ def _processor() -> str:
     return platform.processor() or "unknown"
 
 
-def _calibration() -> float:
-    times = []
-    for _ in range(9):
-        began, total = time.perf_counter(), 0.0
-        for i in range(20_000):
-            total += (i * 0.5) ** 0.5
-        times.append(1e6 * (time.perf_counter() - began))
-    return statistics.median(times)
-
-
 # ------------------------------------------------------------------------------------------
 # Pictures of a benchmark: success against time, convergence, and growth with joints and goals.
 
@@ -245,15 +234,7 @@ _DPI = 110
 _COLOURS = ("#1f4e79", "#d1495b", "#2e8b57", "#edae49", "#7d5ba6", "#00798c", "#a05c2c", "#666666")
 _DASHES = ("-", "--", ":")
 
-Style = Callable[[str], dict[str, Any]]
-
-
-def need_matplotlib() -> None:
-    """Raises ``MissingExtraError`` unless plots can be drawn: asked before a long run, not after it."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plots", "drawing the plots") from error
+Style = dict[str, dict[str, Any]]
 
 
 def draw(results: Results) -> dict[str, bytes]:
@@ -262,12 +243,9 @@ def draw(results: Results) -> dict[str, bytes]:
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    need_matplotlib()
-    style = _styles(
-        [c.solver for c in results.cells]
-        + [c.solver for c in results.curves]
-        + [g.solver for g in results.growth]
-    )
+    require_plots("drawing the plots")
+    found: list[Cell | Curve | Growth] = [*results.cells, *results.curves, *results.growth]
+    style = _styles(one.solver for one in found)
     pictures: dict[str, bytes] = {}
     measured = [cell for cell in results.cells if cell.count and cell.set != "unreachable"]
     for robot in _in_order(cell.robot for cell in measured):
@@ -284,24 +262,17 @@ def _in_order(names: Iterable[str]) -> list[str]:
 
 
 def _styles(solvers: Iterable[str]) -> Style:
-    indices = {name: index for index, name in enumerate(_in_order(solvers))}
-
-    def style(solver: str) -> dict[str, Any]:
-        index = indices[solver]
-        return {
-            "color": _COLOURS[index % len(_COLOURS)],
-            "linestyle": _DASHES[index // len(_COLOURS) % len(_DASHES)],
-            "linewidth": 1.6,
-            "label": solver,
-        }
-
-    return style
+    pairs = itertools.cycle(itertools.product(_DASHES, _COLOURS))
+    return {
+        name: {"color": colour, "linestyle": dashes, "linewidth": 1.6, "label": name}
+        for name, (dashes, colour) in zip(_in_order(solvers), pairs, strict=False)
+    }
 
 
 def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=_DPI, layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     flat = [one for line in axes for one in line]
     for one in flat:
@@ -314,9 +285,7 @@ def _png(figure: Figure, axes: list[Axes]) -> bytes:
     lines = {line.get_label(): line for one in axes for line in one.get_lines()}
     shown = {str(name): line for name, line in lines.items() if not str(name).startswith("_")}
     figure.legend(list(shown.values()), list(shown), loc="outside right upper", frameon=False, fontsize=9)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=_DPI, metadata={"Software": None})
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _success(cells: list[Cell], style: Style) -> bytes:
@@ -347,7 +316,7 @@ def _success(cells: list[Cell], style: Style) -> bytes:
 def _labelled(style: Style, cell: Cell | Curve) -> dict[str, Any]:
     """The style of a cell's method, which says so if it was asked for the position only."""
     label = cell.solver + (" (position)" if cell.goal == "position" else "")
-    return style(cell.solver) | {"label": label}
+    return style[cell.solver] | {"label": label}
 
 
 def _convergence(results: Results, robot: str, style: Style) -> bytes:
@@ -375,7 +344,7 @@ def _growth(results: Results, style: Style) -> bytes:
         for solver in _in_order(point.solver for point in points):
             mine = [point for point in points if point.solver == solver]
             one.plot(
-                [p.size for p in mine], [p.step_us for p in mine], marker="o", markersize=4, **style(solver)
+                [p.size for p in mine], [p.step_us for p in mine], marker="o", markersize=4, **style[solver]
             )
         one.set(xlabel=across, ylabel="one step, µs", yscale="log", title=titles[across])
         sizes = sorted({point.size for point in points})

@@ -9,18 +9,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.methods.problems import SLACK, Judge, ProblemSet
-from robot_ik.bench.methods.results import JUMP, Cell, Curve, Settings
+from robot_ik.bench.methods import growth
+from robot_ik.bench.methods.problems import SLACK, Judge, ProblemSet, make_set
+from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs import Progress
+from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, load_robot
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 #: Untimed solves before the first timed one: loads the kernel, fills the caches.
 WARM_UP = 5
@@ -32,11 +32,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 @dataclass(eq=False)
 class Bench:
-    """One solver on one problem set, ready to run.
-
-    Attributes:
-        cell: Where the figures go, problem by problem: an interrupted run keeps what is in it.
-    """
+    """One solver on one problem set, ready to run; an interrupted run keeps what is in its cell."""
 
     solver: Solver
     robot: Robot
@@ -45,12 +41,7 @@ class Bench:
     problem: Problem | None = None
 
     def run(self, settings: Settings, progress: Callable[[float], None] = lambda share: None) -> None:
-        """Solves all problems, or as many as there is time for (at least ten).
-
-        Args:
-            settings: Tolerances and seconds.
-            progress: Called with the share done, 0 … 1.
-        """
+        """Solves all problems, or as many as there is time for (at least ten); ``progress`` gets shares."""
         problem = self.problem
         if problem is None:
             return
@@ -164,3 +155,86 @@ def curve(bench: Bench, settings: Settings) -> Curve | None:
         goal=bench.cell.goal,
         miss=np.nanmedian(rows, axis=0).tolist(),
     )
+
+
+# ------------------------------------------------------------------------------------------
+# Methods × robots × sets of problems: everything that ``robot-ik bench`` measures, in its order.
+
+
+BATCH = 500
+"""Times as many poses in a batch as problems in the other sets."""
+
+EXTRA = ("kernels", "batch")
+"""What is measured beside the sets of problems: cost of kinematics and growth; ``solve_batch``."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is measured: each method on each robot, with the keys of ``SETS`` and ``EXTRA``."""
+
+    solvers: Sequence[Solver]
+    robots: Sequence[Robot]
+    sets: Sequence[str]
+    settings: Settings
+
+    def prepare(self, progress: Progress) -> list[Bench]:
+        """All that takes long and is not measured: problem sets, and kernels, which announce themselves."""
+        pairs = [(name, robot) for name in self.sets if name not in EXTRA for robot in self.robots]
+        benches: list[Bench] = []
+        for k, (name, robot) in enumerate(pairs):
+            progress(f"{name}, {robot.name}", k / len(pairs))
+            problems = make_set(name, robot, self.settings.count, self.settings.seed)
+            benches += [prepare(solver, robot, problems, self.settings) for solver in self.solvers]
+        return benches
+
+    def measure(self, benches: Sequence[Bench], results: Results, progress: Progress) -> Iterator[str]:
+        """Fills ``results``, figure by figure: after an interrupt it holds what is done.
+
+        Yields:
+            Why something could not be measured.
+        """
+        # What compiling left behind need not be collected again before each method's run.
+        gc.collect()
+        gc.freeze()
+        try:
+            self._sets(benches, results, progress)
+            if "kernels" in self.sets:
+                self._kernels(results, progress)
+            if "batch" in self.sets:
+                yield from self._batches(results, progress)
+        finally:
+            gc.unfreeze()
+
+    def _sets(self, benches: Sequence[Bench], results: Results, progress: Progress) -> None:
+        for done, bench in enumerate(benches):
+            cell = bench.cell
+            what = f"{cell.set}, {cell.robot}, {cell.solver}"
+            results.cells.append(cell)
+
+            def share(part: float, what: str = what, done: int = done) -> None:
+                progress(what, (done + part) / len(benches))
+
+            share(0.0)
+            bench.run(self.settings, share)
+            if cell.set == "cold" and (found := curve(bench, self.settings)):
+                results.curves.append(found)
+
+    def _kernels(self, results: Results, progress: Progress) -> None:
+        progress("kernels: forward and Jacobian", 0.0)
+        seed, figure = self.settings.seed, load_robot(growth.FIGURE)
+        results.lower_bounds += [growth.lower_bound(robot, seed) for robot in self.robots]
+        for k, solver in enumerate(self.solvers):
+            progress(f"growth, {solver.name}", k / len(self.solvers))
+            results.growth.extend(growth.growth_with_joints(solver, seed))
+            results.growth.extend(growth.growth_with_goals(solver, figure, seed))
+
+    def _batches(self, results: Results, progress: Progress) -> Iterator[str]:
+        pairs = [(robot, solver) for robot in self.robots for solver in self.solvers]
+        for k, (robot, solver) in enumerate(pairs):
+            progress(f"batches: {robot.name}, {solver.name}", k / len(pairs))
+            try:
+                results.batches.extend(
+                    growth.batches(robot, solver, BATCH * self.settings.count, self.settings.seed)
+                )
+            except (GoalError, UnsupportedJointError) as error:
+                yield f"no batch: {error.args[0]}"

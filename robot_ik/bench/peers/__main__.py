@@ -1,11 +1,8 @@
 """The comparison from the command line: makes the libraries' environments, and runs each several times.
 
-    python -m robot_ik.bench.peers install ENVIRONMENTS            # a virtual environment for each library
-    python -m robot_ik.bench.peers run --environments ENVIRONMENTS --out RESULTS
-
-Without an environment a library is expected beside robot_ik.  One that is not there is named, with the line
-that installs it, and the others go on; the exit code is then 1.  RESULTS/peers.json says what was measured,
-with which versions, seed and day; RESULTS/tasks holds the problems.
+See ``robot_ik.bench.peers``.  Without an environment a library is expected beside robot_ik; one that is not
+there is named, with the line that installs it, and the others go on; the exit code is then 1.
+RESULTS/peers.json says what was measured, with versions, seed and day; RESULTS/tasks holds the problems.
 """
 
 from __future__ import annotations
@@ -19,16 +16,104 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.methods.results import this_machine
+import mujoco
+import numpy as np
+
+from robot_ik.bench.methods.problems import apart
+from robot_ik.bench.methods.results import JUMP, this_machine
 from robot_ik.bench.peers import worker
-from robot_ik.bench.peers.results import judged, merged
-from robot_ik.bench.peers.tasks import ARMS, FIGURE, write_task
+from robot_ik.bench.peers.tasks import ARMS, FIGURE, Sites, write_task
 from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.ports import Array
 
 #: Libraries that share an environment have the name of the first.
 _SHARED = {"placo_restarts": "placo"}
 _SECONDS_MARGIN, _SETS_MOST = 120.0, 6
 _EPILOG = f"libraries: {', '.join(worker.LIBRARIES)}; or FILE.py:CLASS, as worker.Library describes it"
+
+
+# ------------------------------------------------------------------------------------------
+# What the libraries answered, judged by MuJoCo, and the rounds put together.
+
+
+#: Success of a pose, m and rad; exact; beyond a limit by so much is rounding.
+SUCCESS, EXACT, _SLACK = (1e-4, 1e-3), (1e-6, 1e-6), 1e-6
+#: Success of positions, m.
+POINTS = 1e-4
+#: A library whose own forward pass is off by more has read another robot, m and parts of a rotation matrix.
+SAME_ROBOT = 1e-6
+
+
+def judged(folder: Path) -> dict[str, Any]:
+    """The results of a library in a task's folder: ``turn.json``, and a cell for each set of problems."""
+    report: dict[str, Any] = json.loads((folder / "turn.json").read_text(encoding="utf-8"))
+    if not report.get("supported"):
+        return report
+    sites = Sites(mujoco.MjModel.from_xml_path(str(folder / "model.xml")))
+    problems, solutions = np.load(folder / "problems.npz"), np.load(folder / "answers.npz")
+    if "probes" in solutions:
+        own = [sites.poses(q)[0] for q in problems["probes"]]
+        off = float(np.abs(np.array(own) - solutions["probes"]).max()) if len(own) else 0.0
+        report["forward_off"] = off
+        if not off <= SAME_ROBOT:
+            return report | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
+    report["sets"] = {}
+    for key in [name[: -len("_answers")] for name in solutions.files if name.endswith("_answers")]:
+        report["sets"][key] = _cell(sites, key, problems, solutions)
+    return report
+
+
+def _cell(sites: Sites, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
+    q, wall, cpu = (solutions[f"{key}_{part}"] for part in ("answers", "wall", "cpu"))
+    targets, starts = problems[f"{key}_targets"][: len(q)], problems[f"{key}_starts"][: len(q)]
+    marks = np.array([_mark(sites, one, target) for one, target in zip(q, targets, strict=True)])
+    cell = {
+        "n": len(q),
+        "success": float(marks[:, 0].mean()),
+        "exact": float(marks[:, 1].mean()),
+        "median_us": float(np.median(wall)),
+        "cpu_mean_us": float(cpu.mean()),
+        "cpu_p99_us": float(np.percentile(cpu, 99)),
+    }
+    if key == "warm":
+        moved = np.abs(q - starts)[:, -len(sites.lower) :].max(axis=1)
+        cell["jumps"] = int((moved[marks[:, 0] > 0] > JUMP).sum())
+    return cell
+
+
+def _mark(sites: Sites, q: Array, target: Array) -> tuple[bool, bool]:
+    """Whether a solution (nq,) is a success, and whether it is exact."""
+    if not np.isfinite(q).all():
+        return False, False
+    hinges = q[-len(sites.lower) :]
+    if (hinges < sites.lower - _SLACK).any() or (hinges > sites.upper + _SLACK).any():
+        return False, False
+    if target.shape[-1] == 3:
+        good = bool(np.linalg.norm(sites.positions(q) - target, axis=1).max() <= POINTS)
+        return good, good
+    there = sites.poses(q)[0]
+    metres, radians = apart(there, target)
+    return (metres <= SUCCESS[0] and radians <= SUCCESS[1], metres <= EXACT[0] and radians <= EXACT[1])
+
+
+def merged(rounds: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Rounds of one cell put together: successes of all, times of the fastest.
+
+    Other work on a machine only ever adds time.  The median is of wall-clock time; mean and p99 are of
+    processor time, since among others on few cores they would else measure the scheduler.
+    """
+    total = sum(one["n"] for one in rounds)
+    found: dict[str, Any] = {
+        name: round(min(one[key] for one in rounds), 2)
+        for name, key in (("median_us", "median_us"), ("mean_us", "cpu_mean_us"), ("p99_us", "cpu_p99_us"))
+    }
+    for key in ("success", "exact"):
+        found[key] = round(sum(one[key] * one["n"] for one in rounds) / total, 5)
+    return found | {"jumps": max(one.get("jumps", 0) for one in rounds), "n": total, "rounds": len(rounds)}
+
+
+# ------------------------------------------------------------------------------------------
+# The runs.
 
 
 def interpreter(name: str, environments: Path | None) -> str:
@@ -87,7 +172,7 @@ def compare(
     seconds: float = 8.0,
     seed: int = 0,
 ) -> dict[str, Any]:
-    """Every library on every robot, one after the other, several rounds.
+    """Every library on every robot, one after the other, several rounds: what ``peers.json`` holds.
 
     Args:
         names: Rows of ``worker.LIBRARIES``, or FILE.py:CLASS.
@@ -98,10 +183,6 @@ def compare(
         rounds: How often each is run.
         seconds: For a set; it is cut short after them.
         seed: Of the problems.
-
-    Returns:
-        What ``peers.json`` holds: ``missing`` has a line that installs each library that is not there,
-        ``failed`` why a library could not take part.
     """
     tasks = {robot: write_task(robot, out / "tasks" / robot, count, seed) for robot in robots}
     runs: dict[str, dict[str, list[Any]]] = {name: {robot: [] for robot in robots} for name in names}
@@ -122,25 +203,19 @@ def compare(
                     runs[name][robot].append(report)
                     about[name] |= {"versions": report["versions"], "settings": report["settings"]}
                     about[name]["calibration_us"].append(round(report["calibration_us"]))
-                    say(_line(name, robot, report))
-    libraries = {
-        name: about[name]
-        | {"robots": {robot: _cells(report) for robot, report in runs[name].items() if report}}
-        for name in names
-        if name not in missing and name not in failed
-    }
+                    sets = report["sets"].items()
+                    cells = (f"{k} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for k, c in sets)
+                    say(f"{name}, {robot}: {'; '.join(cells)}")
+    libraries = {name: about[name] for name in names if name not in missing and name not in failed}
+    for name, library in libraries.items():
+        library["robots"] = {
+            robot: {key: merged([one["sets"][key] for one in reports]) for key in reports[0]["sets"]}
+            for robot, reports in runs[name].items()
+            if reports
+        }
     asked = {"count": count, "rounds": rounds, "seconds": seconds, "seed": seed}
     machine = this_machine().model_dump(mode="json")
     return asked | {"machine": machine, "libraries": libraries, "missing": missing, "failed": failed}
-
-
-def _cells(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    return {key: merged([one["sets"][key] for one in runs]) for key in runs[0]["sets"]}
-
-
-def _line(name: str, robot: str, report: dict[str, Any]) -> str:
-    cells = (f"{key} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for key, c in report["sets"].items())
-    return f"{name}, {robot}: {'; '.join(cells)}"
 
 
 def say(text: str) -> None:

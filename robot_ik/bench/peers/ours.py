@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 import robot_ik as rik
 from robot_ik.bench.peers.worker import Library, Task
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 #: Asked for a little more than what is judged: rounding must not decide.
 _MARGIN = 0.9
@@ -21,7 +17,6 @@ class OursAuto(Library):
     solver = "auto"
 
     def setup(self, task: Task) -> bool:
-        """Builds the problem once; False where the method does not serve it."""
         self._robot = rik.load_robot(task.folder / "model.xml")
         self._sites = task.sites
         tolerance = rik.Tolerance(position=_MARGIN * task.position, angle=_MARGIN * task.angle)
@@ -35,7 +30,6 @@ class OursAuto(Library):
         return self._method.applies(self._problem)
 
     def solve(self, target: Array, start: Array) -> Array:
-        """The best found, inside the limits."""
         if len(self._sites) == 1:
             self._problem.retarget(target)
         else:
@@ -44,7 +38,6 @@ class OursAuto(Library):
         return self._method.solve(self._problem, start).q
 
     def forward(self, q: Array) -> Array | None:
-        """By the compiled kinematics."""
         return self._robot.forward(q, self._sites[0]).matrix if len(self._sites) == 1 else None
 
 

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, plain_mjcf
+from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, numbers, plain_mjcf
 from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
-
-Array = NDArray[np.float64]
 
 #: Asked of every library, m and rad.
 TIGHT = (1e-6, 1e-6)
@@ -37,14 +34,7 @@ _BASE = 7  # numbers of a free base in qpos
 
 
 def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
-    """Writes a robot and its problems.
-
-    Args:
-        name: Of ``ARMS``, or ``FIGURE``.
-        folder: Made where it does not exist.
-        count: Problems of a kind; 30 of those out of reach.
-        seed: The same gives the same numbers.
-    """
+    """Writes a robot (of ``ARMS``, or ``FIGURE``) and its problems, ``count`` of a kind (30 out of reach)."""
     make_folder(folder)
     robot = load_robot(name)
     figure = name == FIGURE
@@ -225,7 +215,7 @@ def urdf_of(model: mujoco.MjModel) -> str:
             robot, model.joint(joint).name, "revolute", name_of(int(model.body_parentid[body])),
             name_of(body), model.body_pos[body], model.body_quat[body],
         )  # fmt: skip
-        ElementTree.SubElement(made, "axis", xyz=_numbers(model.jnt_axis[joint]))
+        ElementTree.SubElement(made, "axis", xyz=numbers(model.jnt_axis[joint]))
         ElementTree.SubElement(
             made, "limit", lower=repr(float(lower)), upper=repr(float(upper)), effort="100", velocity="100"
         )
@@ -252,7 +242,7 @@ def _joint(
     made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(made, "parent", link=parent)
     ElementTree.SubElement(made, "child", link=child)
-    ElementTree.SubElement(made, "origin", xyz=_numbers(position), rpy=_numbers(roll_pitch_yaw(wxyz)))
+    ElementTree.SubElement(made, "origin", xyz=numbers(position), rpy=numbers(roll_pitch_yaw(wxyz)))
     return made
 
 
@@ -265,7 +255,3 @@ def roll_pitch_yaw(wxyz: Array) -> Array:
     if math.hypot(r[0, 0], r[1, 0]) < 1e-9:  # only the sum of roll and yaw counts
         return np.array([0.0, pitch, math.atan2(-r[0, 1], r[1, 1])])
     return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)

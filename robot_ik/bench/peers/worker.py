@@ -12,9 +12,9 @@ from __future__ import annotations
 import gc
 import importlib
 import importlib.metadata
-import importlib.util
 import json
 import os
+import runpy
 import sys
 import time
 from collections.abc import Callable
@@ -22,10 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_threads, "1")
+if __name__ == "__main__":
+    for _threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(_threads, "1")
 
-import numpy as np  # noqa: E402 - it reads those variables when it is loaded
+import numpy as np
 
 Array = Any  # of numpy's type; annotations that need no numpy.typing keep old environments in
 TWO_PI = 2.0 * np.pi
@@ -39,16 +40,11 @@ class Task:
 
     Attributes:
         folder: Holds ``model.urdf`` and ``model.xml``, the same kinematics in both forms.
-        robot: Its name.
         joints: Names of the hinges, in the order of solutions (behind the seven numbers of a free base).
-        lower: (n,) rad; ``upper`` likewise.
-        upper: See ``lower``.
-        home: (nq,).
+        lower, upper: (n,) rad; ``home`` (nq,).
         sites: Frames with goals: one with a pose, or several with positions.
-        free_base: Whether the robot floats.
         frames: (n + 1, 4, 4) of an arm: constant transforms between axes z; empty for other robots.
-        position: Tolerance to ask for, m; ``angle`` rad.
-        angle: See ``position``.
+        position, angle: Tolerances to ask for, m and rad.
     """
 
     folder: Path
@@ -65,7 +61,6 @@ class Task:
 
     @classmethod
     def load(cls, folder: Path) -> Task:
-        """Of a folder."""
         facts = json.loads((folder / "task.json").read_text(encoding="utf-8"))
         for key in ("lower", "upper", "home", "frames"):
             facts[key] = np.array(facts[key], dtype=float)
@@ -75,17 +70,11 @@ class Task:
 
     @property
     def urdf(self) -> str:
-        """Path of the URDF."""
         return str(self.folder / "model.urdf")
 
 
 class Library:
-    """What takes part.
-
-    Attributes:
-        needs: Distributions that pip installs for it.
-        settings: What it was asked for, as text.
-    """
+    """What takes part; pip installs ``needs``, and ``settings`` says what it was asked for."""
 
     needs: tuple[str, ...] = ()
     settings = ""
@@ -332,11 +321,7 @@ def library_of(name: str) -> type[Library]:
     if not where.endswith(".py"):
         found: type[Library] = getattr(importlib.import_module(where), kind)
         return found
-    spec = importlib.util.spec_from_file_location("contestant", where)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    found = getattr(module, kind)
+    found = runpy.run_path(where)[kind]
     return found
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
+from robot_ik.bench.theses.tracking import Track, track
 from robot_ik.chain import make_chain
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
+from robot_ik.jobs import Progress
+from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS, make_solver
@@ -31,12 +32,9 @@ _AT_BASE = 1e-9
 
 
 def chain_witness(links: int, target: Pose, *, oriented: bool) -> Array:
-    """q (4 · links,) of a chain of links of 1 m whose tip is at ``target``.
+    """q (4 · links,) of a chain of links of 1 m whose tip is at ``target``, world.
 
-    Args:
-        links: How many.
-        target: Pose of the tip, world; its orientation does not count unless ``oriented``.
-        oriented: Whether the last link has to be oriented as ``target`` says.
+    The orientation of ``target`` counts only where the last link has to be ``oriented`` so.
 
     Raises:
         ValueError: The links cannot get there.
@@ -104,8 +102,6 @@ def _rotation_up_to(direction: Array) -> Array:
 # tests 1-13.  The base is at the origin of the world; at home the links lie along z.
 
 
-Array = NDArray[np.float64]
-
 DIAGONAL = np.array([1.0, 1.0, 0.0]) / math.sqrt(2.0)
 SKEW = np.array([1.0, -1.0, 1.0]) / math.sqrt(3.0)
 X, Y, Z = np.eye(3)
@@ -152,8 +148,8 @@ class Course:
 
     def witness_miss(self) -> tuple[float, float]:
         """Farthest that a witness is from its goal by MuJoCo's forward pass: metres, radians."""
-        judge = CourseJudge(self.robot, self.goal)
-        metres, radians = np.max(list(map(judge.miss, self.witnesses, self.targets)), axis=0)
+        there = (self.robot.measure(q, self.goal.frame) for q in self.witnesses)
+        metres, radians = np.max(list(map(self.goal.off, there, self.targets)), axis=0)
         return float(metres), float(radians)
 
 
@@ -169,41 +165,14 @@ def _about(axis: Array, degrees: float, wxyz: Array | None = None) -> Array:
 TO_X = rotation_exp(Y * math.pi / 2.0)  # the last link along x
 
 
-def _circle(axis: Array, start: Array, at: float) -> Pose:
-    return Pose(_rotated(axis, at, start))
-
-
-def _slow(at: float) -> Pose:
-    return Pose(_rotated(Z, at, 2.5 * X), _about(Z, at / SLOWNESS, TO_X))
-
-
-def _along(at: float) -> Pose:
-    return Pose(_rotated(DIAGONAL, at, 2.5 * Z), _about(DIAGONAL, at))
-
-
-def _in_place(at: float) -> Pose:
-    return Pose(2.5 * Z, _about(DIAGONAL, at))
-
-
-def _one_side(at: float) -> Pose:
-    return Pose(SIDE + _rotated(DIAGONAL, at, Z), _about(SKEW, at, TO_X))
-
-
-def _make(
-    number: int, joints: int, oriented: bool, moves: str, at: Array, pose: Callable[[float], Pose]
-) -> Course:
-    targets = tuple(pose(float(a)) for a in at)
-    witnesses = np.array([chain_witness(joints, target, oriented=oriented) for target in targets])
-    return _with_goal(number, joints, oriented, moves, "°", at, targets, witnesses)
-
-
-def _with_goal(
+def _course(
     number: int, joints: int, oriented: bool, moves: str, unit: str,
-    at: Array, targets: tuple[Pose, ...], witnesses: Array,
+    at: Array, targets: Sequence[Pose], witnesses: Array | None = None,
 ) -> Course:  # fmt: skip
-    first = targets[0]
-    goal = PoseGoal.at("tip", first) if oriented else PositionGoal("tip", first.position)
-    return Course(number, make_chain(joints), goal, moves, unit, at, targets, witnesses)
+    goal = PoseGoal.at("tip", targets[0]) if oriented else PositionGoal("tip", targets[0].position)
+    if witnesses is None:
+        witnesses = np.array([chain_witness(joints, target, oriented=oriented) for target in targets])
+    return Course(number, make_chain(joints), goal, moves, unit, at, tuple(targets), witnesses)
 
 
 def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
@@ -213,26 +182,23 @@ def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
     far = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
     at = np.arange(0.0, far[-1], LINE_STEP)[:frames]
     path = np.column_stack([np.interp(at, far, corners[:, k]) for k in range(3)])
-    targets = tuple(Pose(point) for point in path)
-    witnesses = np.array([chain_witness(joints, target, oriented=False) for target in targets])
     moves = (
         f"straight lines to random points: {POINTS} points where random joint angles put the tip, "
         f"{100 * LINE_STEP:g} cm a frame"
     )
-    return _with_goal(number, joints, False, moves, "m", at, targets, witnesses)
+    return _course(number, joints, False, moves, "m", at, [Pose(point) for point in path])
 
 
 def _square(number: int, frames: int | None) -> Course:
     """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
     robot, at = make_chain(2), _circle_angles(CIRCLE_STEP)[:frames]
     witnesses = np.array([_two_balls(a) for a in at])
-    targets = tuple(robot.measure(q) for q in witnesses)
     moves = (
         "not stated: the tip of joint angles that turn about (1,1,0) while the elbow bends from straight "
         f"to {2 * BEND:g}° and back, its axis turning twice as fast; the first and last goal can be met "
         "by the straight chain alone"
     )
-    return _with_goal(number, 2, True, moves, "°", at, targets, witnesses)
+    return _course(number, 2, True, moves, "°", at, [robot.measure(q) for q in witnesses], witnesses)
 
 
 def _two_balls(at: float) -> Array:
@@ -245,40 +211,62 @@ def _circle_angles(step: float) -> Array:
     return np.arange(0.0, 360.0 + 0.5 * step, step)
 
 
+@dataclass(frozen=True, eq=False)
+class _Circle:
+    """A goal on a circle: ``start`` is rotated about ``axis`` through ``centre``, a step of degrees a frame.
+
+    Its orientation begins as ``wxyz`` and is rotated about ``turn``, ``slowness`` times slower; None: it has
+    none.
+    """
+
+    joints: int
+    moves: str
+    axis: Array
+    start: Array
+    step: float = CIRCLE_STEP
+    centre: Array = field(default_factory=lambda: np.zeros(3))
+    turn: Array | None = None
+    wxyz: Array | None = None
+    slowness: float = 1.0
+
+    def pose(self, at: float) -> Pose:
+        position = self.centre + _rotated(self.axis, at, self.start)
+        if self.turn is None:
+            return Pose(position)
+        return Pose(position, _about(self.turn, at / self.slowness, self.wxyz))
+
+
+_DIAGONALLY = "about (1,1,0) from the z axis"
+_CIRCLES = {
+    1: _Circle(3, "circle about the origin in XY", Z, 1.5 * X),
+    2: _Circle(5, "circle in XY", Z, 2.5 * X),
+    3: _Circle(5, f"circle in XY, the orientation turning {SLOWNESS:g} times slower about z, from the last "
+               "link pointing outwards", Z, 2.5 * X, turn=Z, wxyz=TO_X, slowness=SLOWNESS),
+    4: _Circle(5, "circle in XZ", Y, 2.5 * X),
+    5: _Circle(5, "circle in YZ", X, 2.5 * Y),
+    6: _Circle(5, f"{_DIAGONALLY} in {SMALL_STEP:g}° steps", DIAGONAL, 2.5 * Z, SMALL_STEP),
+    7: _Circle(5, f"{_DIAGONALLY} in {SMALL_STEP:g}° steps, the orientation turning as much, from the last "
+               "link pointing outwards", DIAGONAL, 2.5 * Z, SMALL_STEP, turn=DIAGONAL),
+    8: _Circle(5, "fixed at (0, 0, 2.5) m, the orientation turning about (1,1,0)", DIAGONAL, 0.0 * Z,
+               centre=2.5 * Z, turn=DIAGONAL),
+    9: _Circle(5, f"{_DIAGONALLY} in {LARGE_STEP:g}° steps", DIAGONAL, 2.5 * Z, LARGE_STEP),
+    10: _Circle(5, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
+                "orientation turning about (1,-1,1)", DIAGONAL, Z, centre=SIDE, turn=SKEW, wxyz=TO_X),
+}  # fmt: skip
+
+
 def _circles(number: int, frames: int | None) -> Course:
-    degrees, small = _circle_angles(CIRCLE_STEP), _circle_angles(SMALL_STEP)
-    diagonal = "about (1,1,0) from the z axis"
-    rows: dict[int, tuple[int, bool, str, Array, Callable[[float], Pose]]] = {
-        1: (3, False, "circle about the origin in XY", degrees, lambda a: _circle(Z, 1.5 * X, a)),
-        2: (5, False, "circle in XY", degrees, lambda a: _circle(Z, 2.5 * X, a)),
-        3: (5, True, f"circle in XY, the orientation turning {SLOWNESS:g} times slower about z, from the "
-            "last link pointing outwards", degrees, _slow),
-        4: (5, False, "circle in XZ", degrees, lambda a: _circle(Y, 2.5 * X, a)),
-        5: (5, False, "circle in YZ", degrees, lambda a: _circle(X, 2.5 * Y, a)),
-        6: (5, False, f"{diagonal} in {SMALL_STEP:g}° steps", small, lambda a: _circle(DIAGONAL, 2.5 * Z, a)),
-        7: (5, True, f"{diagonal} in {SMALL_STEP:g}° steps, the orientation turning as much, from the "
-            "last link pointing outwards", small, _along),
-        8: (5, True, "fixed at (0, 0, 2.5) m, the orientation turning about (1,1,0)", degrees, _in_place),
-        9: (5, False, f"{diagonal} in {LARGE_STEP:g}° steps", _circle_angles(LARGE_STEP),
-            lambda a: _circle(DIAGONAL, 2.5 * Z, a)),
-        10: (5, True, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
-             "orientation turning about (1,-1,1)", degrees, _one_side),
-    }  # fmt: skip
-    joints, oriented, moves, at, pose = rows[number]
-    return _make(number, joints, oriented, moves, at[:frames], pose)
+    row = _CIRCLES[number]
+    at = _circle_angles(row.step)[:frames]
+    targets = [row.pose(float(a)) for a in at]
+    return _course(number, row.joints, row.turn is not None, row.moves, "°", at, targets)
 
 
 NUMBERS = tuple(range(1, 14))
 
 
 def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course:
-    """A00's test ``number`` (1 … 13).
-
-    Args:
-        number: His.
-        seed: Draws the points of 11 and 12.
-        frames: No more than so many; None: the whole course.
-    """
+    """A00's test ``number`` (1 … 13), of no more than so many frames; ``seed`` is for 11 and 12."""
     if number in (11, 12):
         return _lines(number, 3 if number == 11 else 5, seed, frames)
     return _square(number, frames) if number == 13 else _circles(number, frames)
@@ -304,7 +292,7 @@ class A00Report:
     """What there is so far; filled while the job runs, so that an interruption loses nothing.
 
     Attributes:
-        numbers, solvers, frames, seed: What was asked; ``frames`` is None for whole courses.
+        frames: None for whole courses.
         courses: The courses begun, by number.
         tracks: How a method fared on a course, by (solver, number).
         complete: All that was asked has been run.
@@ -348,7 +336,7 @@ def ask_a00(
     """An empty report for what is wanted; nothing named means all.
 
     Raises:
-        ConfigError: No such test, or less than one frame.
+        ConfigError: No such test.
         UnknownSolverError: No such method.
     """
     for number in numbers:
@@ -363,16 +351,20 @@ def ask_a00(
 
 def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -> A00Report:
     """Runs what the report asks for and has not yet, and fills it in."""
-    gauge = Gauge(progress, len(report.numbers) * len(report.solvers))
+    jobs, done = len(report.numbers) * len(report.solvers), 0
     for number in report.numbers:
         course = make_course(number, report.seed, report.frames)
         # In this order: whoever is interrupted in between has no course without its witnesses' miss.
         report.witness_miss[number] = course.witness_miss()
         report.courses[number] = course
         for name in report.solvers:
-            gauge.begin(f"test {number}: {name}", len(course.at))
+
+            def show(share: float, phase: str = f"test {number}: {name}", done: int = done) -> None:
+                progress(phase, (done + share) / jobs)
+
             problem = Problem(course.robot, course.goal, tolerance=TOLERANCE, seed=report.seed)
             solver, start = make_solver(name), course.robot.home
-            report.tracks[name, number] = track(problem, solver, course.targets, start, gauge.tick)
+            report.tracks[name, number] = track(problem, solver, course.targets, start, show)
+            done += 1
     report.complete = True
     return report

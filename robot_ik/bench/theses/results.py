@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -13,8 +12,8 @@ from typing import Any
 from robot_ik.bench.theses import a00, s12
 from robot_ik.bench.theses.a00 import A00Report
 from robot_ik.bench.theses.s12 import S12Report
-from robot_ik.bench.theses.tracking import Track
-from robot_ik.files import plain, write_atomically
+from robot_ik.files import write_atomically
+from robot_ik.jobs.results import save_json
 
 # ------------------------------------------------------------------------------------------
 # What has to be said beside the numbers: what is chosen, what differs, what the theses do not state.
@@ -87,7 +86,13 @@ def a00_summary(report: A00Report) -> dict[str, Any]:
         "choices": A00_CHOICES,
         "tests": [_course(report, number) for number in report.courses],
         "tracks": [
-            {"solver": name, "test": number, **_track(track), "lost_at": report.lost_at(name, number) or None}
+            {
+                "solver": name,
+                "test": number,
+                **asdict(track),
+                "share": None if track.refused else track.share,
+                "lost_at": report.lost_at(name, number) or None,
+            }
             for (name, number), track in report.tracks.items()
         ],
     }
@@ -138,28 +143,15 @@ def s12_rows(report: S12Report) -> Iterable[dict[str, Any]]:
             row = {"parameters": "S12", "method": name, "case": number}
             yield row | {"milliseconds": t, "n": n, "solved": eta / 100.0}
     for (variant, name, number), track in report.tracks.items():
-        yield {
-            "parameters": variant,
-            "method": name,
-            "case": number,
-            "milliseconds": track.milliseconds,
-            "n": s12.steps_of(name, track),
-            "solved": track.share,
-        }
-
-
-def _track(track: Track) -> dict[str, Any]:
-    return {**asdict(track), "share": None if track.refused else track.share}
+        row = {"parameters": variant, "method": name, "case": number}
+        steps = s12.steps_of(name, track)
+        yield row | {"milliseconds": track.milliseconds, "n": steps, "solved": track.share}
 
 
 def save_a00(report: A00Report, folder: Path) -> list[Path]:
-    """Writes what there is; returns the files.
-
-    Raises:
-        OutputError: The folder went away or is full.
-    """
+    """Writes what there is; returns the files.  OutputError: the folder went away or is full."""
     summary = a00_summary(report)
-    return [_json(folder / "a00.json", summary), _csv(folder / "a00.csv", summary["tracks"])]
+    return [save_json(folder / "a00.json", summary), _csv(folder / "a00.csv", summary["tracks"])]
 
 
 def save_s12(report: S12Report, folder: Path, *, plot: bool = False) -> list[Path]:
@@ -170,19 +162,11 @@ def save_s12(report: S12Report, folder: Path, *, plot: bool = False) -> list[Pat
         MissingExtraError: A picture without matplotlib.
     """
     summary = s12_summary(report)
-    files = [_json(folder / "s12.json", summary), _csv(folder / "s12.csv", summary["tracks"])]
+    files = [save_json(folder / "s12.json", summary), _csv(folder / "s12.csv", summary["tracks"])]
     if plot and report.complete:
-        from robot_ik.bench.theses.s12 import s12_picture
-
-        write_atomically(folder / "s12.png", s12_picture(report))
+        write_atomically(folder / "s12.png", s12.s12_picture(report))
         files.append(folder / "s12.png")
     return files
-
-
-def _json(path: Path, summary: dict[str, Any]) -> Path:
-    text = json.dumps(plain(summary), indent=2, allow_nan=False, ensure_ascii=False)
-    write_atomically(path, text + "\n")
-    return path
 
 
 def _csv(path: Path, rows: list[dict[str, Any]]) -> Path:

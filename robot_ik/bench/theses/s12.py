@@ -5,25 +5,22 @@ K. Šimunić, *Interactive inverse kinematic model*, FER Zagreb 2012.
 
 from __future__ import annotations
 
-import importlib.util
-import io
 import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.bench.theses.tracking import CourseJudge, Gauge, Progress, Track, track
-from robot_ik.errors import MissingExtraError
+from robot_ik.bench.theses.tracking import Track, track
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal, Tolerance
+from robot_ik.jobs import Progress
+from robot_ik.jobs.results import png_of, require_plots
+from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.base import Solver
-
-Array = NDArray[np.float64]
 
 TOLERANCE = Tolerance(position=0.05, angle=1e-3)
 SEGMENTS = 7
@@ -87,7 +84,6 @@ class S12Report:
     """What there is so far; filled while the job runs.
 
     Attributes:
-        frames, seed: What was asked.
         tracks: How a method fared, by (variant, method, case number).
         witness_miss: Farthest that a witness is from its target in a case, metres.
         complete: All has been run.
@@ -166,7 +162,7 @@ def steps_of(name: str, track: Track) -> float:
 
 def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
     """Runs all cases and fills the report in."""
-    gauge = Gauge(progress, len(CASES) * sum(len(v.methods) for v in VARIANTS))
+    jobs, done = len(CASES) * sum(len(v.methods) for v in VARIANTS), 0
     for case in CASES:
         arm = make_arm(case.limited)
         witnesses = make_witnesses(arm, case, report.frames, report.seed)
@@ -175,21 +171,26 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
         for variant in VARIANTS:
             budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
             for name in variant.methods:
-                gauge.begin(f"case {case.number}: {name}, {variant.title}", report.frames)
+                phase = f"case {case.number}: {name}, {variant.title}"
+
+                def show(share: float, phase: str = phase, done: int = done) -> None:
+                    progress(phase, (done + share) / jobs)
+
                 goal = PositionGoal("tip", targets[0].position)
                 problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
                 solver = make_method(variant.name, name, problem)
-                found = track(problem, solver, targets, witnesses[0], gauge.tick)
+                found = track(problem, solver, targets, witnesses[0], show)
                 report.tracks[variant.name, name, case.number] = found
+                done += 1
     report.complete = True
     return report
 
 
 def _witness_miss(arm: Robot, witnesses: Array, targets: list[Pose]) -> float:
     """Farthest that a witness is from its target by MuJoCo's forward pass, metres; all are inside limits."""
-    judge = CourseJudge(arm, PositionGoal("tip", targets[0].position))
     assert not any(arm.outside(q) for q in witnesses)
-    return max(judge.miss(q, target)[0] for q, target in zip(witnesses, targets, strict=True))
+    there = (arm.measure(q, "tip") for q in witnesses)
+    return max(pose.distance(target)[0] for pose, target in zip(there, targets, strict=True))
 
 
 # ------------------------------------------------------------------------------------------
@@ -202,24 +203,16 @@ _TITLES = {"S12": "S12, 2012", "same": "his parameters, here", "best": "our para
 _DPI = 110
 
 
-def require_plots() -> None:
-    """Raises ``MissingExtraError`` unless matplotlib is installed; asked before any long work."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("matplotlib", "plots", "drawing the table")
-
-
 def s12_picture(report: S12Report) -> bytes:
     """PNG: share solved and time per solve, for each case and method, his and ours.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    require_plots()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    require_plots("drawing the table")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(13.0, 6.4), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, len(CASES), sharex=True, sharey="row")
     for column, case in enumerate(CASES):
         _draw(axes[:, column], report, case)
@@ -228,9 +221,7 @@ def s12_picture(report: S12Report) -> bytes:
     figure.suptitle(f"S12, table 4.1: {report.frames} frames, within {100 * TOLERANCE.position:g} cm")
     handles, names = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,23 +17,17 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import JobReport
-from robot_ik.jobs.ar.motion import DrawnMotion, Replay, Standing, make_motion
+from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
 from robot_ik.jobs.ar.output import PictureSink, open_sink
-from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, BoardScene, synthetic_scene
+from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, synthetic_scene
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
-from robot_ik.robot import load_robot
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+from robot_ik.robot import Robot, load_robot
 
 # On the synthetic table a robot is drawn so high, metres; films of it are this long unless said otherwise.
 _TABLE_SIZE, _SECONDS = 0.40, 4.0
@@ -51,11 +44,8 @@ class ArRequest:
     """What to draw on what.
 
     Attributes:
-        robot: Name or model file.
-        camera: ``synthetic``, or what ``open_source`` takes.
-        intrinsics: Calibration of a real camera.
+        camera: ``synthetic``, or what ``open_source`` takes; ``intrinsics``: its calibration, of a real one.
         board: See ``parse_board``; ``dictionary`` of its markers.
-        dictionary: See ``board``.
         extrinsics: Of a camera that stands still, instead of a board.
         base: Where the robot stands: x, y, z in metres and degrees about the vertical, seen from the middle
             of the board (x right, y up, z out of the print), or in the world of ``extrinsics``.
@@ -64,16 +54,11 @@ class ArRequest:
         marker: Id and side (m) of the marker to follow.
         backend: ``painter``, ``ray`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        occluder_geoms: See ``occluders``.
-        latency_options: What is done about delay.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
-        shadow: Whether it throws one.
         out: Film, picture or folder.
-        overwrite: Whether it may be replaced.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
         size: Of synthetic and live pictures.
-        seed: Of the synthetic camera's noise.
     """
 
     robot: str = "puma560"
@@ -101,18 +86,16 @@ class ArRequest:
 
 
 @dataclass(eq=False)
-class ArReport(JobReport):
+class ArReport:
     """What came of it.
 
     Attributes:
-        backend: That drew.
-        scale: At which the robot was drawn.
+        backend, scale: Who drew, and at which scale.
         notice: What did not go as asked, in one line.
         pictures, drawn, in_view: Written; of these with the robot; with some of it in the picture.
         reprojection_px: Mean RMS error of the board's corners.
         seconds: Of tracking and drawing alone, without taking and writing pictures.
         interrupted: The run was ended by hand.
-        file: What was written.
     """
 
     backend: str
@@ -134,7 +117,7 @@ class ArReport(JobReport):
 
 #: Called with how many pictures are done, and of how many (0: unknown).
 PictureProgress = Callable[[int, int], None]
-Mover = Callable[["Robot", DrawnRobot], DrawnMotion]
+Mover = Callable[[Robot, DrawnRobot], DrawnMotion]
 
 
 def run_ar(
@@ -146,11 +129,8 @@ def run_ar(
 ) -> ArReport:
     """Draws the robot into each picture and writes them.
 
-    Args:
-        request: What to draw on what.
-        progress: Called with how many pictures are done, and of how many (0: unknown).
-        robot: Who is drawn; default: the request's.
-        mover: Makes what moves the robot, in place of ``request.motion``.
+    ``progress`` is given how many pictures are done, and of how many (0: unknown); ``robot`` is drawn in
+    place of the request's, and ``mover`` makes what moves it in place of ``request.motion``.
 
     Raises:
         MarkerNotFoundError: The board was in no picture.
@@ -160,14 +140,19 @@ def run_ar(
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
         compiling = stack.enter_context(Precompilation.overlay())
-        phases = _ArPhases(request, robot, mover, sink, compiling, progress, stack)
-        placed = phases.place()
-        opened = phases.open(placed)
-        placed = phases.fit(placed, opened)
+        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
+        motion = _motion(request, robot, figure, mover, stack)
+        opened = _open(request, motion, stack)
+        if opened.pose_board_camera is not None and not request.scale:  # all of it stays in the picture
+            scale = _scale_in_view(request, robot, motion, opened, opened.pose_board_camera)
+            figure = _figure(request, robot, scale)
+            if request.motion == "follow":  # it reaches with the arm as it is drawn
+                motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
         stack.callback(getattr(artist, "close", lambda: None))
-        report = ArReport(artist.name, placed.figure.scale, _joined(notice, placed.notice))
-        report.keep(phases.draw(placed, opened, artist))
+        report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
+        registrar = _registrar(request, opened.intrinsics, artist, figure)
+        _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
         report.file = sink.close()
     if report.pictures and not report.drawn:
         raise MarkerNotFoundError(
@@ -184,100 +169,57 @@ def _joined(*notices: str) -> str:
     return "; ".join(filter(None, notices))
 
 
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """The robot as it stands on the board, and what moves it."""
-
-    figure: DrawnRobot
-    motion: DrawnMotion
-
-    @property
-    def notice(self) -> str:
-        """What the user should know of the motion."""
-        return getattr(self.motion, "notice", "")
+def _motion(
+    request: ArRequest, robot: Robot, figure: DrawnRobot, mover: Mover | None, stack: contextlib.ExitStack
+) -> DrawnMotion:
+    return mover(robot, figure) if mover else make_motion(request.motion, robot, figure, stack)
 
 
 @dataclass(frozen=True, eq=False)
-class Opened:
-    """The pictures: ``total`` of them (0: unknown), their optics; ``scene`` None: real ones."""
+class _Opened:
+    """The pictures: ``total`` of them (0: unknown), their optics.
+
+    ``pose_board_camera`` by time, of synthetic ones alone.
+    """
 
     frames: Iterator[Frame]
     intrinsics: CameraIntrinsics
     total: int
-    scene: BoardScene | None
+    pose_board_camera: Callable[[float], Pose] | None
 
 
-@dataclass(frozen=True, eq=False)
-class Drawn:
-    """What was drawn, as in ``ArReport``."""
-
-    pictures: int
-    drawn: int
-    in_view: int
-    reprojection_px: float
-    seconds: float
-    interrupted: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _ArPhases:
-    """What drawing a robot does, one thing after the other, and what all of it needs."""
-
-    request: ArRequest
-    robot: Robot
-    mover: Mover | None
-    sink: PictureSink
-    compiling: Precompilation
-    progress: PictureProgress
-    stack: contextlib.ExitStack
-
-    def place(self, scale: float = 0.0) -> Placed:
-        """The robot, as large as asked, or at ``scale`` or as is usual."""
-        request, robot = self.request, self.robot
-        figure = _figure(request, robot, request.scale or scale or _usual_scale(request, robot))
-        if self.mover is not None:
-            return Placed(figure, self.mover(robot, figure))
-        return Placed(figure, make_motion(request.motion, robot, figure, self.stack))
-
-    def open(self, placed: Placed) -> Opened:
-        """The camera; synthetic pictures are as many as the motion takes."""
-        return _open(self.request, placed.motion, self.stack)
-
-    def fit(self, placed: Placed, opened: Opened) -> Placed:
-        """The robot so large that all of it stays in the synthetic pictures."""
-        request, scene = self.request, opened.scene
-        if scene is None or request.scale:
-            return placed
-        scale = _scale_in_view(request, self.robot, placed.motion, scene, opened.total)
-        if request.motion == "follow":  # it reaches with the arm as it is drawn
-            return self.place(scale)
-        return replace(placed, figure=_figure(request, self.robot, scale))
-
-    def draw(self, placed: Placed, opened: Opened, artist: Artist) -> Drawn:
-        """All pictures, until they end or Ctrl-C."""
-        registrar = _registrar(self.request, opened.intrinsics, artist, placed.figure)
-        count = drawn = in_view = 0
-        spent, errors, begin, interrupted = 0.0, [], None, False
-        try:
-            for tracked, shown in _pairs(opened.frames, self.request):
-                begin = tracked.time if begin is None else begin
-                start = time.perf_counter()
-                seen = registrar.track(tracked)
-                self.compiling.wait()
-                qpos = self.robot.qpos(placed.motion.q(shown.time - begin, seen))
-                made = registrar.compose(seen, shown, qpos)
-                spent += time.perf_counter() - start
-                self.sink.write(made.image, shown.time)
-                count += 1
-                if made.drawing is not None:
-                    drawn, in_view = drawn + 1, in_view + bool(made.drawing.robot.coverage.any())
-                    errors += [] if seen is None else [seen.error]
-                self.progress(count, opened.total)
-        except KeyboardInterrupt:
-            interrupted = True
-        return Drawn(
-            count, drawn, in_view, float(np.mean(errors)) if errors else float("nan"), spent, interrupted
-        )
+def _draw(
+    report: ArReport,
+    request: ArRequest,
+    robot: Robot,
+    motion: DrawnMotion,
+    opened: _Opened,
+    registrar: Registrar,
+    sink: PictureSink,
+    compiling: Precompilation,
+    progress: PictureProgress,
+) -> None:
+    """Tracks, draws and writes all pictures, until they end or Ctrl-C; fills in the report."""
+    errors: list[float] = []
+    begin: float | None = None
+    try:
+        for tracked, shown in _pairs(opened.frames, request):
+            begin = tracked.time if begin is None else begin
+            start = time.perf_counter()
+            seen = registrar.track(tracked)
+            compiling.wait()
+            made = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time - begin, seen)))
+            report.seconds += time.perf_counter() - start
+            sink.write(made.image, shown.time)
+            report.pictures += 1
+            if made.drawing is not None:
+                report.drawn += 1
+                report.in_view += bool(made.drawing.robot.coverage.any())
+                errors += [] if seen is None else [seen.error]
+            progress(report.pictures, opened.total)
+    except KeyboardInterrupt:
+        report.interrupted = True
+    report.reprojection_px = float(np.mean(errors)) if errors else float("nan")
 
 
 def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
@@ -291,20 +233,12 @@ def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Arr
     request = replace(request, motion="follow")
     with contextlib.ExitStack() as stack:
         figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        opened = _open(request, Standing(robot), stack)
+        opened = _open(request, standing(robot), stack)
         watcher, begin = _watcher(request, opened.intrinsics), None
         for frame in opened.frames:
             begin = frame.time if begin is None else begin
             seen = watcher.see(frame)
             yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
-
-
-def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
-    """(3,) the other marker seen from the base of the drawn robot, in its own metres; None: not seen."""
-    if seen.marker is None:
-        return None
-    board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
-    return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
 
 
 def _usual_scale(request: ArRequest, robot: Robot) -> float:
@@ -313,7 +247,7 @@ def _usual_scale(request: ArRequest, robot: Robot) -> float:
 
 
 def _scale_in_view(
-    request: ArRequest, robot: Robot, motion: DrawnMotion, scene: BoardScene, pictures: int
+    request: ArRequest, robot: Robot, motion: DrawnMotion, opened: _Opened, camera_at: Callable[[float], Pose]
 ) -> float:
     """The usual scale, or the largest at which the whole robot is in all pictures of the scene.
 
@@ -321,16 +255,15 @@ def _scale_in_view(
     """
     usual = _usual_scale(request, robot)
     # A few moments tell as much as all of them: robot and board go on slowly.
-    times = np.linspace(0.0, pictures / _RATE_HZ, min(_MOMENTS, pictures)).tolist()
+    times = np.linspace(0.0, opened.total / _RATE_HZ, min(_MOMENTS, opened.total)).tolist()
     moments = [
-        (surface_points(robot.model, robot.qpos(motion.q(time, None))), scene.pose_board_camera(time))
-        for time in times
+        (surface_points(robot.model, robot.qpos(motion.q(time, None))), camera_at(time)) for time in times
     ]
 
     def fits(scale: float) -> bool:
         figure = _figure(request, robot, scale)
         return all(
-            in_picture(figure.camera(camera).inverse().apply(points), scene.intrinsics)
+            in_picture(figure.camera(camera).inverse().apply(points), opened.intrinsics)
             for points, camera in moments
         )
 
@@ -385,7 +318,7 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     return np.array([name in names for name in known]) if names else None
 
 
-def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> Opened:
+def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> _Opened:
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
         occluders = None if request.occluders is None else load_occluders(request.occluders)
@@ -394,8 +327,8 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
             width, height, rate_hz=_RATE_HZ, motion=still, occluders=occluders,
             follow=request.motion == "follow", seed=request.seed,
         )  # fmt: skip
-        scene = BoardScene(source.scene.intrinsics, source.scene.pose_world_camera, still or BoardMotion())
-        seconds = request.seconds or (motion.trajectory.duration if isinstance(motion, Replay) else _SECONDS)
+        board, camera = still or BoardMotion(), source.scene.pose_world_camera
+        seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
@@ -403,9 +336,10 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
                 yield source.read().without_truth()
                 clock.ticks += 1
 
-        return Opened(made(), source.scene.intrinsics, count, scene)
+        intrinsics = source.scene.intrinsics
+        return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))
     real, lens = open_calibrated(request.camera, request.intrinsics, stack, size=request.size, scaled=True)
-    return Opened(_limited(real, request.seconds), lens, 0, None)
+    return _Opened(_limited(real, request.seconds), lens, 0, None)
 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.renderers import DrawnRobot
 from robot_ik.camera.registration import Seen
 from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
+from robot_ik.hardware import open_arm
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
-from robot_ik.ports import Clock, JointSource
+from robot_ik.ports import Array, Clock, JointSource
 from robot_ik.problem import Problem
 from robot_ik.reading import read_text, read_toml
 from robot_ik.robot import Robot
@@ -34,11 +35,9 @@ class _RecordingClock:
         self._clock, self._run, self._recorder = clock, run, recorder
 
     def now(self) -> float:
-        """Of the clock."""
         return self._clock.now()
 
     def sleep_until(self, deadline: float) -> None:
-        """Of the clock."""
         self._clock.sleep_until(deadline)
         self._recorder.send(self._run.setup.true_q(), self._clock.now())
 
@@ -67,17 +66,13 @@ def robot_of(text: str) -> str:
     if path.suffix != ".toml":
         return ""
     read_text(path, "the script or arm file")
-    from robot_ik.hardware.config import ArmConfig
-
     return ArmConfig.load(path).robot
 
 
 def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     """Runs it; how the joints moved, where the shafts truly were, and what went wrong in one line.
 
-    Args:
-        text: As for ``is_script``.
-        robot: The one that is drawn; joints that the script's servos do not turn stay at home.
+    Joints that the script's servos do not turn stay at home.
 
     Raises:
         ConfigError: The script is of another robot, or it is wrong.
@@ -104,118 +99,89 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
     return Trajectory(moved.times, q, robot.joints), notice
 
 
-Array = NDArray[np.float64]
-
 # A wave goes this part of the way to each joint's limits, at most so far, in so many seconds.
 _WAVE_SHARE, _WAVE_MOST, _WAVE_PERIOD = 0.25, 0.45, 4.0
 # The drawn tool covers at most this part of what is left of its way in one picture.
 _CHASE = 0.35
 
 
-class DrawnMotion(Protocol):
-    """Gives joint angles for each picture."""
-
-    def q(self, time: float, seen: Seen | None) -> Array:
-        """(nq,) at ``time``, seconds since the first picture, with what was seen in this one."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class Standing:
-    """Stays at home."""
-
-    robot: Robot
-
-    def q(self, time: float, seen: Seen | None) -> Array:
-        return self.robot.home
-
-
-@dataclass(frozen=True, eq=False)
-class Waving:
-    """Swings each joint about home, inside its limits; robots with ball or free joints stay at home."""
-
-    robot: Robot
-
-    def q(self, time: float, seen: Seen | None) -> Array:
-        robot = self.robot
-        if robot.nq != robot.nv:
-            return robot.home
-        margin = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
-        swing = np.clip(np.nan_to_num(_WAVE_SHARE * margin, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
-        phase = 2.0 * np.pi * time / _WAVE_PERIOD
-        return np.asarray(robot.home + swing * np.sin(phase * (1.0 + 0.5 * (np.arange(robot.nq) % 2))))
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """Plays a trajectory over and over.
+class DrawnMotion:
+    """What the drawn robot does.
 
     Attributes:
-        trajectory: One number for each joint.
+        q: Gives (nq,) at a time, seconds since the first picture, with what was seen in that one.
+        seconds: Of a trajectory that is played over and over; 0: it has no end.
         notice: What the user should know of it, in one line.
     """
 
-    trajectory: Trajectory
+    q: Callable[[float, Seen | None], Array]
+    seconds: float = 0.0
     notice: str = ""
 
-    def q(self, time: float, seen: Seen | None) -> Array:
-        length = self.trajectory.duration
-        return self.trajectory.at(float(self.trajectory.times[0]) + (time % length if length > 0 else 0.0))
+
+def standing(robot: Robot) -> DrawnMotion:
+    """Stays at home."""
+    return DrawnMotion(lambda time, seen: robot.home)
 
 
-class Following:
-    """Reaches for the other marker with its tool; holds still while the marker is not seen."""
-
-    def __init__(self, robot: Robot, figure: DrawnRobot) -> None:
-        self._robot, self._figure = robot, figure
-        self._solver = SOLVERS["auto"]()
-        self._q = np.array(robot.home)
-
-    def q(self, time: float, seen: Seen | None) -> Array:
-        if seen is None or seen.marker is None:
-            return self._q
-        marker = seen.marker.pose
-        board = seen.pose_camera_board.inverse().compose(marker)
-        base = self._figure.pose_board_base.inverse().compose(board)
-        wanted = base.position / self._figure.scale
-        here = self._robot.forward(self._q).position
-        goal = PositionGoal(self._robot.tool, position=here + _CHASE * (wanted - here))
-        found = self._solver.solve(Problem(self._robot, goal), self._q)
-        self._q = np.array(found.q)
-        return self._q
+def waving(robot: Robot) -> DrawnMotion:
+    """Swings each joint about home, inside its limits; robots with ball or free joints stay at home."""
+    if robot.nq != robot.nv:
+        return standing(robot)
+    margin = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
+    swing = np.clip(np.nan_to_num(_WAVE_SHARE * margin, posinf=_WAVE_MOST), 0.0, _WAVE_MOST)
+    pace = 2.0 * np.pi / _WAVE_PERIOD * (1.0 + 0.5 * (np.arange(robot.nq) % 2))
+    return DrawnMotion(lambda time, seen: np.asarray(robot.home + swing * np.sin(pace * time)))
 
 
-@dataclass(frozen=True, eq=False)
-class Mirroring:
-    """Stands as a live arm stands."""
+def replay(trajectory: Trajectory, notice: str = "") -> DrawnMotion:
+    """Plays a trajectory over and over."""
+    begin, length = float(trajectory.times[0]), trajectory.duration
+    part = (lambda time: time % length) if length > 0 else (lambda time: 0.0)
+    return DrawnMotion(lambda time, seen: trajectory.at(begin + part(time)), length, notice)
 
-    source: JointSource
 
-    def q(self, time: float, seen: Seen | None) -> Array:
-        return self.source.read().q
+def following(robot: Robot, figure: DrawnRobot) -> DrawnMotion:
+    """Reaches for the other marker with the tool; holds still while the marker is not seen."""
+    solver, last = SOLVERS["auto"](), np.array(robot.home)
+
+    def q(time: float, seen: Seen | None) -> Array:
+        wanted = None if seen is None else marker_from_base(seen, figure)
+        if wanted is not None:
+            here = robot.forward(last).position
+            goal = PositionGoal(robot.tool, position=here + _CHASE * (wanted - here))
+            last[:] = solver.solve(Problem(robot, goal), last).q
+        return last.copy()
+
+    return DrawnMotion(q)
+
+
+def marker_from_base(seen: Seen, figure: DrawnRobot) -> Array | None:
+    """(3,) the other marker seen from the base of the drawn robot, in its own metres; None: not seen."""
+    if seen.marker is None:
+        return None
+    board = seen.pose_camera_board.inverse().compose(seen.marker.pose)
+    return np.asarray(figure.pose_board_base.inverse().compose(board).position / figure.scale)
 
 
 def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.ExitStack) -> DrawnMotion:
-    """The motion that ``text`` names; ``stack`` closes what it opens.
+    """The motion of ``robot``, drawn as ``figure``, that ``text`` names; ``stack`` closes what it opens.
 
-    Args:
-        text: ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
-            comes along), or ``FILE.toml[@BUS]`` of an arm.
-        robot: Who moves.
-        figure: Where it stands.
-        stack: Of the run.
+    ``text`` is ``home``, ``wave``, ``follow``, ``FILE.csv``, a script (``FILE.toml`` or the name of one that
+    comes along), or ``FILE.toml[@BUS]`` of an arm.
 
     Raises:
         ConfigError: It means nothing, or the file does not fit the robot.
     """
     if text == "home":
-        return Standing(robot)
+        return standing(robot)
     if text == "wave":
-        return Waving(robot)
+        return waving(robot)
     if text == "follow":
-        return Following(robot, figure)
+        return following(robot, figure)
     if is_script(text):
-        return Replay(*play_script(text, robot))
+        return replay(*play_script(text, robot))
     name, _, bus = text.partition("@")
     path = Path(name)
     if path.suffix == ".csv":
@@ -225,10 +191,11 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
                 f"has the joints {', '.join(trajectory.joints)}",
                 file=path, key="line 1", allowed=f"those of {robot.name}: {', '.join(robot.joints)}",
             )  # fmt: skip
-        return Replay(trajectory)
+        return replay(trajectory)
     if path.suffix == ".toml":
         read_text(path, "the script or arm file")
-        return Mirroring(_live_arm(path, bus or "sim", robot, stack))
+        arm = _live_arm(path, bus or "sim", robot, stack)
+        return DrawnMotion(lambda time, seen: arm.read().q)
     raise ConfigError(
         f"{text!r} is no motion", file="command line", key="--motion",
         allowed="home, wave, follow, a trajectory (FILE.csv), a script (FILE.toml or "
@@ -238,9 +205,6 @@ def make_motion(text: str, robot: Robot, figure: DrawnRobot, stack: contextlib.E
 
 def _live_arm(path: Path, bus: str, robot: Robot, stack: contextlib.ExitStack) -> JointSource:
     """A connected arm, whose servos get no torque: it is only looked at."""
-    from robot_ik.hardware import open_arm
-    from robot_ik.hardware.config import ArmConfig
-
     config = ArmConfig.load(path)
     if tuple(joint.name for joint in config.joints) != tuple(robot.joints):
         raise ConfigError(

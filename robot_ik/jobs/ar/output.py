@@ -1,7 +1,6 @@
 """Where the pictures of ``robot-ik ar`` go: a film, one picture, or a folder of pictures.
 
-Everything is written beside its place and moved there when it is complete; a run that is interrupted leaves
-what it has, playable.
+They appear when complete; a run that is interrupted leaves what it has, playable.
 """
 
 from __future__ import annotations
@@ -11,17 +10,18 @@ import importlib.util
 import os
 import signal
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.camera.image import write_image
 from robot_ik.errors import MissingExtraError, OutputError
-from robot_ik.files import claimed, claimed_folder, folder_for_results, write_atomically
+from robot_ik.files import claimed, claimed_folder, folder_for_results
 
 Image = NDArray[np.uint8]
 
@@ -34,20 +34,22 @@ _TICKS = 90_000
 _NUMBERED = "[0-9]" * 6 + ".png"
 
 
-class PictureSink(Protocol):
+class PictureSink(ABC):
     """Takes pictures one by one; a context manager that keeps what it got however the block ends."""
 
+    @abstractmethod
     def write(self, image: Image, time: float) -> None:
         """Adds a picture (height, width, 3) taken at ``time``, seconds."""
-        ...
 
+    @abstractmethod
     def close(self) -> Path | None:
         """Ends the file; gives what was written, None for nothing."""
-        ...
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *exc: object) -> None: ...
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
 
 @contextlib.contextmanager
@@ -66,18 +68,7 @@ def _unbroken() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
-class _Closing:
-    def close(self) -> Path | None:
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
-
-
-class Film(_Closing):
+class Film(PictureSink):
     """A film, H.264, or a GIF of 256 colours; each picture is shown at the time it was taken."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
@@ -135,7 +126,7 @@ class Film(_Closing):
         return self._path
 
 
-class Pictures(_Closing):
+class Pictures(PictureSink):
     """A folder of numbered PNG files, which take the place of ``older`` ones."""
 
     def __init__(self, folder: Path, older: Sequence[Path] = ()) -> None:
@@ -145,14 +136,14 @@ class Pictures(_Closing):
         if not self._count:
             for path in self._older:
                 path.unlink(missing_ok=True)
-        write_atomically(self._folder / f"{self._count:06d}.png", encoded(image, ".png"))
+        write_image(self._folder / f"{self._count:06d}.png", image)
         self._count += 1
 
     def close(self) -> Path | None:
         return self._folder if self._count else None
 
 
-class LastPicture(_Closing):
+class LastPicture(PictureSink):
     """One file that holds the last picture."""
 
     def __init__(self, path: Path) -> None:
@@ -165,7 +156,7 @@ class LastPicture(_Closing):
     def close(self) -> Path | None:
         if self._image is None:
             return None
-        write_atomically(self._path, encoded(self._image, self._path.suffix.lower()))
+        write_image(self._path, self._image)
         return self._path
 
 
@@ -174,22 +165,24 @@ def films_can_be_written() -> bool:
     return importlib.util.find_spec("av") is not None
 
 
+def require_films(purpose: str = "writing a film") -> None:
+    """Raises ``MissingExtraError`` where no film can be written."""
+    if not films_can_be_written():
+        raise MissingExtraError("av", "video", purpose)
+
+
 @contextlib.contextmanager
 def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator[PictureSink]:
-    """What the name asks for: a film, a picture or, without a suffix, a folder.
-
-    Args:
-        out: Where to.
-        rate_hz: Of a film.
-        overwrite: Whether a file, or such pictures in the folder, may be replaced.
+    """What the name asks for: a film of ``rate_hz``, a picture or, without a suffix, a folder.
 
     Raises:
         MissingExtraError: A film without the extra ``video``.
-        OutputError: Nothing of this kind is written, it is there already, or it cannot be written.
+        OutputError: Nothing of this kind is written, it is there already and not to be overwritten, or it
+            cannot be written.
     """
     kind = out.suffix.lower()
-    if kind in FILMS and not films_can_be_written():
-        raise MissingExtraError("av", "video", "writing a film")
+    if kind in FILMS:
+        require_films()
     if kind not in (*FILMS, *PICTURES):
         if kind and not out.is_dir():
             raise OutputError(
@@ -199,16 +192,9 @@ def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator
         with claimed_folder(out, _NUMBERED, overwrite=overwrite) as older, Pictures(out, older) as pictures:
             yield pictures
         return
-    sink: Film | LastPicture = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
+    sink: PictureSink = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
     with folder_for_results(out.parent), claimed(out, overwrite=overwrite), sink:
         yield sink
-
-
-def encoded(image: Image, suffix: str) -> bytes:
-    """The picture as a file's bytes."""
-    good, data = cv2.imencode(suffix, image)
-    assert good
-    return bytes(data)
 
 
 def _even(image: Image) -> Image:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
@@ -15,8 +14,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 #: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
 BOARD = "grid:2x2:50:12.5"
@@ -59,13 +57,10 @@ class TableObjects:
 
 @dataclass(frozen=True)
 class BoardMotion:
-    """How the board is moved about: sines with an amplitude and a rate each.
+    """How the board is moved about: sines with an amplitude each.
 
-    Attributes:
-        slide: Metres to the side and away.
-        yaw: Radians about the vertical.
-        period: Seconds.
-        middle: About which point on the table, metres.
+    Metres to the side and away, radians about the vertical, a ``period`` in seconds, about a ``middle`` on
+    the table, metres.
     """
 
     slide: tuple[float, float] = (0.05, 0.03)
@@ -83,19 +78,6 @@ class BoardMotion:
 
 #: The board lies still in the middle, so that its frame is the table's.
 AT_REST = BoardMotion((0.0, 0.0), 0.0, middle=(0.0, 0.0))
-
-
-@dataclass(frozen=True)
-class BoardScene:
-    """Where the camera stands on the synthetic table, and how the board moves before it."""
-
-    intrinsics: CameraIntrinsics
-    pose_world_camera: Pose
-    motion: BoardMotion
-
-    def pose_board_camera(self, t: float) -> Pose:
-        """The camera seen from the board at time t."""
-        return self.motion.pose(t).inverse().compose(self.pose_world_camera)
 
 
 def lens(width: int, height: int) -> CameraIntrinsics:
@@ -130,17 +112,8 @@ def synthetic_scene(
 ) -> tuple[SyntheticSource, SteppedClock]:
     """The camera and its clock; advance ``clock.ticks`` by one for each picture.
 
-    Args:
-        width: Of the pictures.
-        height: Of the pictures.
-        rate_hz: Pictures a second.
-        motion: Of the board; at rest when its amplitudes are 0.
-        occluders: What stands on the table, in the world's frame.
-        follow: Also show the marker that can be followed.
-        seed: Of the noise.
-        quality: ``fast`` or ``full``.
-        eye: Where the camera is; ``target`` the point that it looks at.
-        target: See ``eye``.
+    ``occluders`` stand on the table, in the world's frame; to ``follow``, the other marker is there, too.
+    The camera stands at ``eye`` and looks at ``target``; ``quality`` is ``fast`` or ``full``.
     """
     path = motion or BoardMotion()
     board = MarkerBoard(grid_body(2, 2, 0.05, 0.0125).markers, _DICTIONARY)
@@ -165,10 +138,6 @@ def synthetic_scene(
     )
     clock = SteppedClock(rate_hz)
     source = SyntheticSource(
-        scene,
-        lambda: np.zeros(0),
-        seed=seed,
-        clock=clock,
-        quality="full" if quality == "full" else "fast",
+        scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="full" if quality == "full" else "fast"
     )
     return source, clock

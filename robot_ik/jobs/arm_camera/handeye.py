@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
@@ -19,13 +19,16 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CameraError, ConfigError
+from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import JobReport, Progress
-from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, visit_stations
+from robot_ik.jobs import Progress
+from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import calibration_of, open_calibrated
+from robot_ik.motion.trajectory import joint_move
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -40,6 +43,10 @@ _BESIDE, _BEHIND, _INWARDS = 0.12, 0.08, 0.2
 _SIDES, _VIEW_DEPTH = (0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi), 0.12
 # The simulated board on the table: columns, rows, first id, and parts of the scene's marker.
 _GRID, _FIRST_ID, _MARKER_PART, _GAP_PART = (3, 2), 30, 0.6, 0.2
+# Servos may take this long to arrive after the last command, and then to come to rest.
+_SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
+# Two readings that differ by no more than this many ticks are of an arm at rest.
+_STILL_TICKS = 1.01
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
 _STALE_FRAMES = 3
 
@@ -62,12 +69,8 @@ class HandEyeRequest(ArmCameraRequest):
 class HandEyeScene:
     """The camera and the board of the job.
 
-    Attributes:
-        task: For planning.
-        board: How it is seen.
-        source: The camera.
-        truth: Where camera and board really are; None where it is unknown.
-        stale: Pictures to throw away before one counts.
+    ``task`` is for planning; ``truth``, where camera and board really are, None where it is unknown; so many
+    ``stale`` pictures are thrown away before one counts.
     """
 
     task: ViewTask
@@ -190,19 +193,15 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
     return HandEyeScene(task, request.board, source, None, _STALE_FRAMES)
 
 
-Array = NDArray[np.float64]
-
-
 # ------------------------------------------------------------------------------------------
 # The phases, and what came of them.
 
 
 @dataclass(eq=False)
-class HandEyeReport(JobReport):
+class HandEyeReport:
     """What came out.
 
     Attributes:
-        samples: What was measured.
         truth: Where camera and board really are; None where it is unknown.
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
@@ -228,7 +227,6 @@ class HandEyeReport(JobReport):
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
 
     def extrinsics(self) -> CameraExtrinsics:
-        """For the file."""
         result = self.result
         assert result is not None  # a dry run has none
         return CameraExtrinsics(
@@ -245,43 +243,35 @@ def run_handeye(
     keep: Callable[[SampleSet], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> HandEyeReport:
-    """Plans, moves, looks, solves.
+    """Plans, moves, looks, solves; a ``dry_run`` plans only, and nothing moves.
 
-    Args:
-        request: What to do.
-        dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each station, so that an interruption loses none.
-        progress: Called with the phase and the share of it that is done.
+    ``keep`` is handed the samples after each station, so that an interruption loses none.
 
     Raises:
         MarkerNotFoundError: The board was seen at fewer than four stations.
         RobotIkError: Wrong input or environment, or views that cannot tell where the camera is.
     """
     with contextlib.ExitStack() as stack:
-        setup = prepare_robot(request.setup())
+        setup = prepare_robot(request)
         scene = open_scene(request, setup, stack)
         task = scene.task
         samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
         report = HandEyeReport(samples, scene.truth)
-        phases = ViewPhases(request, setup, scene, progress)
         stack.enter_context(setup.connected())
-        planned = report.keep(phases.plan(task))
+        report.stations = plan(request, setup, task, progress)
         if dry_run:
             return report
         setup.enable_torque()
-        report.keep(phases.measure(planned, samples, lambda: keep(samples)))
-    samples.require(len(planned.stations), "say better where camera and board are")
+        stations = report.stations
+        report.unseen = measure(request, setup, scene, stations, samples, lambda: keep(samples), progress)
+    samples.require(len(report.stations), "say better where camera and board are")
     progress("solving", 0.0)
-    report.keep(solve(samples, setup.robot))
+    report.result = solve(samples, setup.robot)
     return report
 
 
 def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None = None) -> HandEyeReport:
-    """Solves again what was measured before.
-
-    Args:
-        samples: From a file.
-        intrinsics: A newer calibration of the same camera; None: the one the samples were taken with.
+    """Solves again what was measured before, also with newer ``intrinsics`` of the same camera.
 
     Raises:
         CalibrationError: For another picture size, or views that cannot tell where the camera is.
@@ -289,9 +279,7 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
         samples.intrinsics = intrinsics
-    report = HandEyeReport(samples, None, tuple(samples.q))
-    report.keep(solve(samples, samples.load_robot()))
-    return report
+    return HandEyeReport(samples, None, tuple(samples.q), result=solve(samples, samples.load_robot()))
 
 
 def samples_path(out: Path) -> Path:
@@ -299,77 +287,71 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-@dataclass(frozen=True, eq=False)
-class PlannedViews:
-    """Stations to visit, (nq,) each, in order."""
-
-    stations: tuple[Array, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class MeasuredViews:
-    """Numbers, from 0, of the stations where the board was not found or the arm did not come to rest."""
-
-    unseen: tuple[int, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class SolvedMount:
-    """Where the camera is."""
-
-    result: HandEye
-
-
-def solve(samples: SampleSet, robot: Robot) -> SolvedMount:
-    """From samples of ``robot``; nothing moves.
+def solve(samples: SampleSet, robot: Robot) -> HandEye:
+    """Where the camera is, from samples of ``robot``; nothing moves.
 
     Raises:
         CalibrationError: The views cannot tell where the camera is.
     """
-    return SolvedMount(solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting))
+    return solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
 
 
-@dataclass(frozen=True, eq=False)
-class ViewPhases:
-    """What hand-eye and verify do alike before a camera, and what it needs; ``setup`` is connected."""
+def plan(
+    request: ArmCameraRequest, setup: RobotSetup, task: ViewTask, progress: Progress
+) -> tuple[Array, ...]:
+    """Stations (nq,) for a task, in order, where the setup is connected.  Nothing moves."""
+    progress("planning", 0.0)
+    return tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
 
-    request: ArmCameraRequest
-    setup: RobotSetup
-    scene: HandEyeScene
-    progress: Progress
 
-    def plan(self, task: ViewTask) -> PlannedViews:
-        """Views for a task.  Nothing moves."""
-        self.progress("planning", 0.0)
-        request, setup = self.request, self.setup
-        return PlannedViews(
-            tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
-        )
+def measure(
+    request: ArmCameraRequest,
+    setup: RobotSetup,
+    scene: HandEyeScene,
+    stations: Sequence[Array],
+    samples: SampleSet,
+    keep: Callable[[], None],
+    progress: Progress,
+) -> tuple[int, ...]:
+    """Goes to all stations with torque and looks at the board; ``keep`` is called after each sample.
 
-    def measure(self, planned: PlannedViews, samples: SampleSet, keep: Callable[[], None]) -> MeasuredViews:
-        """Goes to all stations and looks at the board; the servos have torque.
+    Returns:
+        Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.
 
-        Args:
-            planned: Where to.
-            samples: Joint angles read and corners seen are added to it.
-            keep: Called after each station.
+    Raises:
+        HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
+    """
+    unseen, count = [], len(stations)
+    for number, asked in enumerate(stations):
+        trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(request.speed))
 
-        Raises:
-            HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
-        """
-        unseen, count, scene = [], len(planned.stations), self.scene
+        def show(tick: Any, number: int = number, ticks: int = max(1, len(trajectory))) -> None:
+            progress(f"view {number + 1} of {count}", (number + min(1.0, tick.index / ticks)) / count)
 
-        def show(number: int, share: float) -> None:
-            self.progress(f"view {number + 1} of {count}", (number + share) / count)
+        settle = 0.0 if setup.arm is None else _SETTLE_SECONDS
+        execute(trajectory, setup.sinks, source=setup.arm, clock=setup.clock, on_tick=show, settle=settle)
+        before, still = _come_to_rest(setup)
+        frame = scene.take()
+        q = 0.5 * (before + setup.q)  # where the servos say that it is, before and after the picture
+        view = scene.board.see(frame, scene.task.intrinsics) if still else None
+        if view is None:
+            unseen.append(number)
+            continue
+        samples.add(q, view)
+        keep()
+    return tuple(unseen)
 
-        visits = visit_stations(
-            self.setup, planned.stations, scene.take, speed=self.request.speed, progress=show
-        )
-        for station in visits:
-            view = scene.board.see(station.frame, scene.task.intrinsics) if station.still else None
-            if view is None:
-                unseen.append(station.number)
-                continue
-            samples.add(station.q, view)
-            keep()
-        return MeasuredViews(tuple(unseen))
+
+def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
+    """Reads until two readings agree: the last one (nq,), and whether they did."""
+    last = setup.q
+    if setup.arm is None:
+        setup.shown = last.copy()
+        return last, True
+    for _ in range(_REST_CHECKS):
+        setup.repeat(_REST_CHECK_SECONDS)
+        now = setup.q
+        if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
+            return now, True
+        last = now
+    return last, False

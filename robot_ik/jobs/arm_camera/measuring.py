@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import Board, BoardView
@@ -17,145 +16,37 @@ from robot_ik.camera.calibration.extrinsics import today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, RobotIkError
-from robot_ik.execution import execute
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.reach import ReachRequest, Rehearsal
-from robot_ik.jobs.robot_setup import RobotSetup
-from robot_ik.motion.trajectory import joint_move
+from robot_ik.jobs.robot_setup import ArmRequest
+from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
 from robot_ik.tables import Pair, Position, Several, Table, Wxyz, config_error
 
 
 @dataclass(frozen=True)
-class ArmCameraRequest:
+class ArmCameraRequest(ArmRequest):
     """An arm, a camera, a board, and how many pictures to take of it.
 
     Attributes:
-        robot: Catalogue name, or path of an MJCF or URDF file.
-        bus: ``sim``, ``pty`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
-        frame: What carries camera or board; None: the tool, or what carries the scene's markers.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file; needed for a real camera.
         board: None: the simulated one.
         views: How many pictures.
-        speed: Share of the joints' speed limits.
-        seed: Of planning and of the simulated noise.
     """
 
-    robot: str = "puma560"
-    bus: str = "sim"
-    arm_file: Path | None = None
-    frame: str | None = None
     camera: str = "synthetic"
     intrinsics: Path | None = None
     board: Board | None = None
     views: int = 15
-    speed: float = 1.0
-    seed: int = 0
 
     @property
     def shared(self) -> dict[str, Any]:
         """These attributes by name, for a request of another kind."""
         return {one.name: getattr(self, one.name) for one in fields(ArmCameraRequest)}
-
-    def setup(self, rehearsal: Rehearsal | None = None) -> ReachRequest:
-        """What ``prepare_robot`` is asked for."""
-        return ReachRequest(
-            robot=self.robot, frame=self.frame, bus=self.bus, arm_file=self.arm_file,
-            speed=self.speed, seed=self.seed, rehearsal=rehearsal or Rehearsal(),
-        )  # fmt: skip
-
-
-# ------------------------------------------------------------------------------------------
-# Drives an arm from station to station; at each it stands still, its joints are read and a picture is taken.
-
-
-Array = NDArray[np.float64]
-
-# Servos may take this long to arrive after the last command, and then to come to rest.
-_SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
-# Two readings that differ by no more than this many ticks are of an arm at rest.
-_STILL_TICKS = 1.01
-
-
-@dataclass(frozen=True, eq=False)
-class Station:
-    """The arm at one station.
-
-    Attributes:
-        number: From 0.
-        asked: (nq,) where it was sent.
-        q: (nq,) where its servos say it is: mean of the readings before and after the picture.
-        still: Whether it had come to rest.
-        frame: The picture.
-    """
-
-    number: int
-    asked: Array
-    q: Array
-    still: bool
-    frame: Frame
-
-
-def visit_stations(
-    setup: RobotSetup,
-    stations: Sequence[Array],
-    take: Callable[[], Frame],
-    *,
-    speed: float = 1.0,
-    progress: Callable[[int, float], None] = lambda number, share: None,
-) -> Iterator[Station]:
-    """Goes to each station in turn; a generator, so that what was seen before an interruption is kept.
-
-    Args:
-        setup: Connected, with torque on (``setup.connected()``, ``setup.enable_torque()``).
-        stations: (nq,) each, inside the limits; see ``plan_views``.
-        take: Takes a picture.
-        speed: Share of the joints' speed limits.
-        progress: Called with the number of the station and the share of the way to it.
-
-    Raises:
-        TrajectoryError, HardwareError: As ``joint_move`` and ``execute``; the arm is left as its exit policy
-            says.
-    """
-    for number, asked in enumerate(stations):
-        trajectory = joint_move(
-            setup.robot, setup.q, asked, speed=speed, rate=setup.rate,
-            velocity=setup.velocity, acceleration=setup.acceleration,
-        )  # fmt: skip
-        count = max(1, len(trajectory))
-
-        def show(tick: Any, number: int = number, count: int = count) -> None:
-            progress(number, min(1.0, tick.index / count))
-
-        execute(
-            trajectory, setup.sinks, source=setup.source, clock=setup.clock, on_tick=show,
-            settle=0.0 if setup.source is None else _SETTLE_SECONDS,
-        )  # fmt: skip
-        before, still = _come_to_rest(setup)
-        frame = take()
-        yield Station(number, np.array(asked), 0.5 * (before + setup.q), still, frame)
-
-
-def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:
-    """Reads until two readings agree: the last one (nq,), and whether they did."""
-    last = setup.q
-    if setup.arm is None:
-        setup.scene.send(last, setup.clock.now())
-        return last, True
-    for _ in range(_REST_CHECKS):
-        setup.settle(_REST_CHECK_SECONDS)
-        now = setup.q
-        if bool(np.all(np.abs(now - last) <= _STILL_TICKS * setup.resolution)):
-            return now, True
-        last = now
-    return last, False
 
 
 # ------------------------------------------------------------------------------------------
@@ -167,15 +58,13 @@ _SCHEMA = 1
 
 @dataclass(eq=False)
 class SampleSet:
-    """Joint angles read from the servos, and the board's corners in the picture taken there.
+    """Joint angles (nq,) read from the servos, and the board's corners in the picture taken there.
 
     Attributes:
         robot: As for ``load_robot``; ``joints`` are the active ones, in the order of ``q``.
-        frame: What carries camera or board.
-        mounting: Which of the two.
+        frame, mounting: What carries camera or board, and which of the two.
         intrinsics: Of the pictures.
         date: ISO 8601.
-        q: (nq,) of each station; ``views``: what was seen there.
     """
 
     robot: str
@@ -191,7 +80,6 @@ class SampleSet:
         return len(self.q)
 
     def add(self, q: Array, view: BoardView) -> None:
-        """One station more."""
         self.q.append(np.array(q, dtype=float))
         self.views.append(view)
 
@@ -219,50 +107,31 @@ class SampleSet:
         ]
 
     def as_values(self) -> dict[str, Any]:
-        """For JSON."""
-        lens = self.intrinsics
-        return {
-            "schema": _SCHEMA,
-            "job": "handeye",
-            "date": self.date,
-            "robot": self.robot,
-            "joints": self.joints,
-            "frame": self.frame,
-            "mounting": self.mounting,
-            "intrinsics": {
-                "width": lens.width, "height": lens.height, "fx": lens.fx, "fy": lens.fy,
-                "cx": lens.cx, "cy": lens.cy, "distortion": lens.distortion, "model": lens.model,
-            },
-            "samples": [
-                {
-                    "q": q,
-                    "points": view.points,
-                    "pixels": view.pixels,
-                    "sigma": view.sigma,
-                    "position": view.pose_camera_board.position,
-                    "wxyz": view.pose_camera_board.wxyz,
-                }
-                for q, view in zip(self.q, self.views, strict=True)
-            ],
-        }  # fmt: skip
+        shared = ("date", "robot", "joints", "frame", "mounting")
+        rows = [
+            {
+                "q": q,
+                "points": view.points,
+                "pixels": view.pixels,
+                "sigma": view.sigma,
+                "position": view.pose_camera_board.position,
+                "wxyz": view.pose_camera_board.wxyz,
+            }
+            for q, view in zip(self.q, self.views, strict=True)
+        ]
+        lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
+        facts = {key: getattr(self, key) for key in shared}
+        return {"schema": _SCHEMA, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
 
     @classmethod
     def of_values(cls, data: Any) -> SampleSet:
-        """What ``as_values`` gave, through JSON.
-
-        Raises:
-            ValueError (pydantic's ValidationError among them), RobotIkError: It is something else.
-        """
+        """What ``as_values`` gave, through JSON; ValueError or RobotIkError: something else."""
         of_verify = isinstance(data, dict) and data.get("job") == "verify"
         return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
 
     @classmethod
     def of_file(cls, file: _SampleFile) -> SampleSet:
-        """What the file says.
-
-        Raises:
-            ValueError, RobotIkError: It says something impossible.
-        """
+        """What the file says; ValueError, RobotIkError: it says something impossible."""
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
         found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date)
         for k, one in enumerate(file.samples):
@@ -273,20 +142,12 @@ class SampleSet:
         return found
 
     def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
         write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> SampleSet:
-        """Reads what ``save`` wrote.
-
-        Raises:
-            CameraError: Missing, or no such file.
-        """
+        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
         return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
 
 
@@ -326,11 +187,7 @@ Made = TypeVar("Made")
 
 
 def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
-    """What ``made`` makes of a JSON file.
-
-    Raises:
-        CameraError: It is missing, or ``made`` can make nothing of it.
-    """
+    """What ``made`` makes of a JSON file; CameraError: it is missing, or ``made`` can make nothing of it."""
     hint = f"give the file that robot-ik camera {command} leaves beside its result"
     try:
         text = read_text(path, "the file of samples")
@@ -371,11 +228,7 @@ class VerifySamples:
         return len(self.samples)
 
     def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
         values = self.samples.as_values() | {
             "job": "verify",
             "camera": _pose_values(self.camera),
@@ -388,11 +241,7 @@ class VerifySamples:
 
     @classmethod
     def load(cls, path: Path) -> VerifySamples:
-        """Reads what ``save`` wrote.
-
-        Raises:
-            CameraError: Missing, or no such file.
-        """
+        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
         return read_samples(path, cls._of_values, "an arm before a standing camera", "verify")
 
     @classmethod
@@ -412,11 +261,7 @@ class VerifySamples:
         )
 
     def arm(self, file: Path) -> ArmConfig:
-        """The arm of a file, if the joints were read with it.
-
-        Raises:
-            ConfigError: It has other joints, or one has been changed since.
-        """
+        """The arm of a file; ConfigError: the joints were not read with it, or one has been changed."""
         config = ArmConfig.load(file)
         by_name = {joint.name: joint for joint in config.joints}
         for row in self.servos:

@@ -6,8 +6,6 @@ The camera's pose must come from elsewhere than the arm: a board on the table (`
 from __future__ import annotations
 
 import contextlib
-import importlib.util
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -15,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, locate_camera
@@ -29,15 +26,17 @@ from robot_ik.camera.calibration.kinematic import (
     measure_errors,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError
+from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs import JobReport, Progress
-from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, ViewPhases, open_scene
+from robot_ik.jobs import Progress
+from robot_ik.jobs.arm_camera import handeye
+from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
-from robot_ik.jobs.reach import Rehearsal
-from robot_ik.jobs.robot_setup import prepare_robot
+from robot_ik.jobs.results import png_of, require_plots
+from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -49,14 +48,9 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class Region:
-    """Some of the poses.
+    """Some of the poses: RMS, median and largest of the distances, metres; RMS of the angles, rad.
 
-    Attributes:
-        name: Which.
-        count: How many.
-        rms, median, largest: Of the distances, metres.
-        angle: RMS, rad.
-        sigma: RMS of the stated standard deviations, metres.
+    ``sigma`` is the RMS of the stated standard deviations, metres.
     """
 
     name: str
@@ -120,8 +114,6 @@ class VerifyRequest(ArmCameraRequest):
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
 
 
-Array = NDArray[np.float64]
-
 # Pictures of the marker on the table by which the simulated camera is located.
 _LOCATE_PICTURES = 5
 # A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
@@ -133,12 +125,10 @@ _LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
 
 
 @dataclass(eq=False)
-class VerifyReport(JobReport):
+class VerifyReport:
     """What came out.
 
     Attributes:
-        robot: Inside the limits that were used.
-        config: The servos.
         known: What was measured, and what was known before of camera and board.
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
@@ -153,6 +143,24 @@ class VerifyReport(JobReport):
     unseen: tuple[int, ...] = ()
     errors: tuple[PoseError, ...] = ()
     fit: ZeroOffsets | None = None
+
+    def compare(self, stations: int, *, fit: bool) -> None:
+        """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
+
+        Raises:
+            MarkerNotFoundError: The board was seen at too few of the ``stations``.
+        """
+        known, samples, robot = self.known, self.known.samples, self.robot
+        samples.require(stations, "where camera and board are said to be")
+        views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+        asked = (views, robot, samples.frame, samples.intrinsics)
+        fitted = partial(fit_zero_offsets, *asked, camera=known.camera, board=known.board)
+        if known.by_arm:
+            # The pose as the arm's views have it: what is left are the errors that change from view to view.
+            self.errors = fitted(hold=robot.joints).errors
+        else:
+            self.errors = measure_errors(*asked, camera=known.camera, board=known.board)
+        self.fit = fitted() if fit else None
 
     @property
     def unsure(self) -> tuple[int, ...]:
@@ -196,13 +204,7 @@ def run_verify(
     keep: Callable[[VerifySamples], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
-    """Locates the camera, plans, moves, looks, compares.
-
-    Args:
-        request: What to do.
-        dry_run: Plan only; nothing moves.
-        keep: Handed the samples after each station, so that an interruption loses none.
-        progress: Called with the phase and the share of it that is done.
+    """Locates the camera, plans, moves, looks, compares; ``dry_run`` and ``keep`` as in ``run_handeye``.
 
     Raises:
         RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
@@ -213,32 +215,30 @@ def run_verify(
             file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
-        setup = prepare_robot(request.setup(Rehearsal(zero_offset_deg=request.zero_offset_deg)))
+        setup = prepare_robot(replace(request, rehearsal=Rehearsal(zero_offset_deg=request.zero_offset_deg)))
         scene = open_scene(_scene_request(request), setup, stack)
         extrinsics = _given_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        phases = _VerifyPhases(request, setup, scene, progress)
-        known = phases.locate(extrinsics)
+        known = _locate(request, setup, scene, extrinsics, progress)
         report = VerifyReport(setup.robot, setup.config, known)
         mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
-        planned = report.keep(phases.plan(replace(scene.task, mount=mount)))
+        report.stations = handeye.plan(request, setup, replace(scene.task, mount=mount), progress)
         if dry_run:
             return report
         setup.enable_torque()
-        report.keep(phases.measure(planned, known.samples, lambda: keep(known)))
+        report.unseen = handeye.measure(
+            request, setup, scene, report.stations, known.samples, lambda: keep(known), progress
+        )
     progress("comparing", 0.0)
-    report.keep(compare(known, setup.robot, len(planned.stations), fit=request.fit))
+    report.compare(len(report.stations), fit=request.fit)
     return report
 
 
 def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
     """Judges again what was measured before.
 
-    Args:
-        known: From a file.
-        request: Of it count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics``
-            and ``pose_frame_board``.
-        board_sigma: Whether ``request.board_sigma`` is said anew, too.
+    Of the request count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics`` and
+    ``pose_frame_board``; with ``board_sigma`` its ``board_sigma``, too.
 
     Raises:
         ConfigError: The arm file is not the one the joints were read with.
@@ -267,35 +267,8 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
     config = None if request.arm_file is None else known.arm(request.arm_file)
     known, robot = replace(known, board=board), samples.load_robot()
     report = VerifyReport(robot, config, known, tuple(samples.q))
-    report.keep(compare(known, robot, len(samples), fit=request.fit))
+    report.compare(len(samples), fit=request.fit)
     return report
-
-
-@dataclass(frozen=True, eq=False)
-class Compared:
-    """How far the board is from where the joints say; both as in ``VerifyReport``."""
-
-    errors: tuple[PoseError, ...]
-    fit: ZeroOffsets | None
-
-
-def compare(known: VerifySamples, robot: Robot, stations: int, *, fit: bool) -> Compared:
-    """The errors of what was measured and, where it is asked for, the joints' offsets; nothing moves.
-
-    Raises:
-        MarkerNotFoundError: The board was seen at too few of the ``stations``.
-    """
-    samples = known.samples
-    samples.require(stations, "where camera and board are said to be")
-    views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
-    lens, frame = samples.intrinsics, samples.frame
-    fitted = partial(fit_zero_offsets, views, robot, frame, lens, camera=known.camera, board=known.board)
-    if known.by_arm:
-        # The pose as the arm's views have it: what is left are the errors that change from view to view.
-        errors = fitted(hold=robot.joints).errors
-    else:
-        errors = measure_errors(views, robot, frame, lens, camera=known.camera, board=known.board)
-    return Compared(errors, fitted() if fit else None)
 
 
 def _scene_request(request: VerifyRequest) -> HandEyeRequest:
@@ -315,43 +288,44 @@ def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> C
     return extrinsics
 
 
-@dataclass(frozen=True, eq=False)
-class _VerifyPhases(ViewPhases):
-    """What a check does before the camera, one thing after the other."""
+def _locate(
+    request: VerifyRequest,
+    setup: RobotSetup,
+    scene: HandEyeScene,
+    extrinsics: CameraExtrinsics | None,
+    progress: Progress,
+) -> VerifySamples:
+    """What is known before the first sample; no place: it is found by the marker on the table."""
+    if extrinsics is None:
+        progress("locating the camera", 0.0)
+        extrinsics = _located(setup, scene)
+    task, config, truth, joints = scene.task, setup.config, scene.truth, setup.robot.joints
+    pose = request.pose_frame_board
+    if pose is None:
+        pose = Pose() if truth is None else truth.pose_other_board
+    offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
+    return VerifySamples(
+        SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
+        _known_camera(extrinsics),
+        KnownPose.within(pose, *request.board_sigma),
+        _by_arm(extrinsics),
+        None if truth is None else np.deg2rad(offsets_deg),
+        () if config is None else tuple(servo_values(joint) for joint in config.joints),
+    )
 
-    request: VerifyRequest
 
-    def locate(self, extrinsics: CameraExtrinsics | None) -> VerifySamples:
-        """What is known before the first sample; no place: it is found by the marker on the table."""
-        if extrinsics is None:
-            self.progress("locating the camera", 0.0)
-            extrinsics = self._located()
-        request, task, config, truth = self.request, self.scene.task, self.setup.config, self.scene.truth
-        joints, pose = self.setup.robot.joints, request.pose_frame_board
-        if pose is None:
-            pose = Pose() if truth is None else truth.pose_other_board
-        offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
-        return VerifySamples(
-            SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
-            _known_camera(extrinsics),
-            KnownPose.within(pose, *request.board_sigma),
-            _by_arm(extrinsics),
-            None if truth is None else np.deg2rad(offsets_deg),
-            () if config is None else tuple(servo_values(joint) for joint in config.joints),
+def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
+    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+    around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
+    marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
+    views = [marker.see(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
+    seen = [view for view in views if view is not None]
+    if not seen:
+        raise MarkerNotFoundError(
+            "the marker on the table is hidden, so the simulated camera does not know where it stands",
+            hint="give where it is: --camera-extrinsics FILE",
         )
-
-    def _located(self) -> CameraExtrinsics:
-        """The simulated camera finds its place by the marker on the table, as a person would have it do."""
-        around, lens = scene_for(self.setup.robot, self.setup.frame), self.scene.task.intrinsics
-        marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
-        views = [marker.see(self.scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
-        seen = [view for view in views if view is not None]
-        if not seen:
-            raise MarkerNotFoundError(
-                "the marker on the table is hidden, so the simulated camera does not know where it stands",
-                hint="give where it is: --camera-extrinsics FILE",
-            )
-        return locate_camera(seen, around.pose_world_marker, lens)
+    return locate_camera(seen, around.pose_world_marker, lens)
 
 
 def _by_arm(extrinsics: CameraExtrinsics) -> bool:
@@ -375,36 +349,26 @@ _VIEWS = (("from above", 0, 1), ("from the side", 0, 2))
 _LONGEST = 0.25
 
 
-def require_plots() -> None:
-    """Raises ``MissingExtraError`` unless matplotlib is installed; asked before the arm moves."""
-    if importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtraError("matplotlib", "plots", "drawing the errors")
-
-
 def error_picture(report: VerifyReport) -> bytes:
     """PNG: an arrow for each pose, in each row of the same scale and colours; no OpenGL.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
-    require_plots()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    require_plots("drawing the errors")
     from matplotlib.figure import Figure
 
     rows = [("as it is", report.judged(corrected=False))]
     if report.fit is not None:
         rows.append(("with new zeros", report.judged(corrected=True)))
     figure = Figure(figsize=(10.0, 4.4 * len(rows)), dpi=_DPI, layout="constrained")
-    FigureCanvasAgg(figure)
     grid = figure.subplots(len(rows), len(_VIEWS), squeeze=False)
     for line, (title, errors) in zip(grid, rows, strict=True):
         for axes, (view, across, up) in zip(line, _VIEWS, strict=True):
             arrows, scale = _draw(axes, errors, across, up)
             axes.set_title(f"{title}, {view}, arrows ×{scale:.0f}")
         figure.colorbar(arrows, ax=list(line), label="off by, mm")
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple[Any, float]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, Layout
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mount, compress
@@ -22,6 +21,8 @@ from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal, Tolerance
+from robot_ik.jobs.scene import in_view
+from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
@@ -39,13 +40,8 @@ _AIR = 0.01
 class Clearance:
     """Contacts of the arm with itself, its surroundings in the model, and a table.
 
-    What touches already at ``free`` (neighbouring links, a base on the table) counts as no contact.
-    Links are boxes to the table: an arm is kept farther away rather than nearer.
-
-    Args:
-        robot: Whose geoms.
-        free: (nq,) where the arm stands freely.
-        table: None for no table.
+    What touches at ``free`` (nq,), where the arm stands freely (neighbouring links, a base on the table),
+    counts as no contact.  Links are boxes to the table: an arm is kept farther away rather than nearer.
     """
 
     def __init__(self, robot: Robot, free: Array, table: SceneTable | None = None) -> None:
@@ -77,14 +73,7 @@ class Clearance:
     def sees(self, q: Array, eye: Array, points: Array) -> bool:
         """Whether no geom stands between an eye and points (n, 3), world, at ``q``."""
         self._place(q)
-        geom = np.zeros(1, dtype=np.int32)
-        for point in points:
-            ray = point - eye
-            length = float(np.linalg.norm(ray))
-            hit = mujoco.mj_ray(self._robot.model, self._data, eye, ray / length, None, 1, -1, geom, None)
-            if 0.0 <= hit < length - 2e-3:
-                return False
-        return True
+        return in_view(self._robot.model, self._data, eye, points, 2e-3)
 
     def _place(self, q: Array) -> None:
         self._data.qpos[:] = self._robot.qpos(q)
@@ -148,8 +137,6 @@ def _length(order: Sequence[int], cost: Array) -> float:
     return float(sum(cost[a, b] for a, b in itertools.pairwise(order)))
 
 
-Array = NDArray[np.float64]
-
 # Part of the picture's width and height that is kept free at each side: the guess may be off by so much.
 _MARGIN = 0.06
 # Least cosine between a marker's face and the view, and least side in the picture, px.
@@ -174,14 +161,9 @@ _TRY = Budget(iterations=300, restarts=1)
 
 @dataclass(frozen=True, eq=False)
 class ViewTask:
-    """What shall be looked at, by whom.
+    """What shall be looked at: rough poses of camera and board, and the frame that carries one of them.
 
-    Attributes:
-        mount: Rough poses of camera and board, and who is carried.
-        frame: The robot frame that carries.
-        layout: Markers of the board: id -> (side, ``pose_board_marker``).
-        intrinsics: Of the camera.
-        table: Which the arm must not touch, or None.
+    ``layout`` has the board's markers, id -> (side, ``pose_board_marker``); the table is not to be touched.
     """
 
     mount: Mount
@@ -223,10 +205,7 @@ class ViewTask:
         return tuple(found)
 
     def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """The visible ones, or none where too much of the board is cut off.
-
-        Such views would tell much, were the board where it is thought to be.
-        """
+        """The visible ones; none where too much of the board is cut off, as the board may be elsewhere."""
         ids = self.visible(pose_camera_board)
         return ids if len(ids) >= _LEAST_PART * len(self.facing(pose_camera_board)) else ()
 
@@ -234,19 +213,13 @@ class ViewTask:
 def plan_views(
     robot: Robot, task: ViewTask, count: int = 15, *, start: Array | None = None, seed: int = 0
 ) -> list[Array]:
-    """Joint configurations, in the order of a short way from ``start``, the board in view at each.
+    """Joint configurations (nq,), in the order of a short way from ``start``, the board in view at each.
 
     Candidates are found by inverse kinematics for random views; those are taken, one after the other, that
     together determine camera and board best (greedy D-optimality of the information matrix; Fedorov, Theory
     of Optimal Experiments, 1972).  All lie inside the limits; neither they nor the straight joint moves
-    between them touch anything of the model or the table.
-
-    Args:
-        robot: Its limits count.
-        task: What shall be seen.
-        count: How many; fewer come back where no more can be reached.
-        start: (nq,) where the arm stands; default home.
-        seed: Of the search.
+    between them touch anything of the model or the table.  Fewer than ``count`` come back where no more can
+    be reached.
 
     Raises:
         CameraError: Fewer than four can be reached.

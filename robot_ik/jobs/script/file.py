@@ -20,11 +20,7 @@ _Positive = Annotated[float, Field(gt=0.0)]
 
 
 class ObjectTable(Table):
-    """A box that lies about and can be gripped, in a world with ``physics``.
-
-    Attributes:
-        position: Of its centre, m; ``yaw_deg``: rotation about the vertical.
-    """
+    """A box that lies about and can be gripped, in a world with ``physics``; ``position``: its centre."""
 
     name: _Word
     position: Position
@@ -38,13 +34,11 @@ class ScriptFile(Table):
 
     Attributes:
         version: ``schema`` in the file (the name is taken in pydantic's base class).
-        robot: Catalogue name, or a path seen from the script.
-        arm: Path of an arm file, likewise; by default the one beside the model.
+        robot: Catalogue name, or a path seen from the script; ``arm``: path of an arm file, likewise.
         seed: Of random faults, restarts and the synthetic camera's noise.
         speed: Share of the speed limits of all moves that do not say it themselves.
         marker_at: x, y, z in metres and yaw in degrees of the printed marker; by default the scene's own.
-        physics: The robot's MuJoCo model moves the simulated shafts.
-        objects: What lies on the plane z = 0 of that world.
+        physics: The robot's MuJoCo model moves the simulated shafts; ``objects`` lie on its plane z = 0.
     """
 
     version: Annotated[Literal[1], Field(alias="schema")]

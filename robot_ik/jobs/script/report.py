@@ -24,11 +24,9 @@ class StepResult:
     """One step, as it went.
 
     Attributes:
-        name, kind: Which.
         outcome: ``passed``, ``failed`` or ``not run``.
         seconds: On the run's clock.
-        found: One line: what was measured, or what went wrong.
-        numbers: The same for programs.
+        found: One line: what was measured, or what went wrong; ``numbers``: the same for programs.
         trajectory: What was planned; None where nothing was.
     """
 
@@ -46,7 +44,6 @@ class ScriptReport:
     """One run of a script.
 
     Attributes:
-        script, file, robot, bus, seed: What ran on what.
         virtual_time: Seconds are those of the simulation.
         steps: One row a step, and a last one: how the arm was left.
         seconds: On the run's clock, from the first step to the last.
@@ -67,11 +64,9 @@ class ScriptReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every step did."""
         return all(step.outcome == PASSED for step in self.steps)
 
     def count(self, outcome: str) -> int:
-        """Steps with that outcome."""
         return sum(step.outcome == outcome for step in self.steps)
 
 
@@ -88,16 +83,10 @@ def json_report(report: ScriptReport) -> Mapping[str, Any]:
         }
         for step in report.steps
     ]
+    keys = ("script", "file", "robot", "bus", "seed", "passed", "interrupted", "virtual_time")
     return {
         "schema": SCHEMA,
-        "script": report.script,
-        "file": report.file,
-        "robot": report.robot,
-        "bus": report.bus,
-        "seed": report.seed,
-        "passed": report.passed,
-        "interrupted": report.interrupted,
-        "virtual_time": report.virtual_time,
+        **{key: getattr(report, key) for key in keys},
         "seconds": round(report.seconds, 6),
         "counters": dict(report.counters),
         "steps": rows,

@@ -17,13 +17,12 @@ from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
-from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.recording import open_recording
-from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.jobs.script.file import ObjectTable
 from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
-from robot_ik.jobs.script.state import Context, RunState, Script, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.robot import Robot
@@ -43,11 +42,7 @@ def open_camera(
 ) -> Vision:
     """The camera of the robot's scene, ready: the first picture, which takes longest, has been taken.
 
-    Args:
-        setup: What it looks at.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
-        seed: Of its noise.
-        stack: Closes it.
+    ``marker_at``: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
 
     Raises:
         CameraError: The robot's model has no scene, and none can be generated.
@@ -56,21 +51,14 @@ def open_camera(
     width, height = scene.intrinsics.size
     scene = replace(scene, intrinsics=scene.intrinsics.scaled(width // SMALLER, height // SMALLER))
     if marker_at is not None:
-        yaw = marker_at[3] if len(marker_at) == 4 else 0.0
-        pose = Pose(marker_at[:3], rotation_exp([0.0, 0.0, np.radians(yaw)]))
+        x, y, z, yaw = (*marker_at, 0.0)[:4]
+        pose = Pose((x, y, z), rotation_exp([0.0, 0.0, np.radians(yaw)]))
         scene = replace(scene, pose_world_marker=pose)
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
-    vision = Vision(
-        scene,
-        stack.enter_context(source),
-        scene.intrinsics,
-        scene.pose_world_camera,
-        setup,
-        setup.frame,
-        synthetic=source,
-        seed=seed,
-    )
+    stack.enter_context(source)
+    camera = scene.pose_world_camera
+    vision = Vision(scene, source, scene.intrinsics, camera, setup, synthetic=source, seed=seed)
     vision.picture()
     return vision
 
@@ -88,36 +76,27 @@ def with_objects(robot: Robot, objects: Sequence[ObjectTable]) -> mujoco.MjModel
     return model_with(robot.path, boxes, floor=0.0)
 
 
-def check_script(script: Script, setup: RobotSetup) -> None:
+def check_script(now: RunState) -> None:
     """Whether robot, arm and bus can do every step, before anything is opened or moves.
 
     Raises:
         ConfigError: With the key of the first step that cannot be run here.
     """
-    assert setup.config is not None
-    simulated = setup.arm is not None and setup.arm.virtual_bus is not None
-    if script.content.physics and not simulated:
-        raise script.wrong(
-            "servos on a real port move by themselves", "physics", "false, or --bus sim or pty"
-        )
-    context = Context(setup.robot, setup.config, simulated)
-    for k, step in enumerate(script.steps):
+    if now.script.content.physics and not now.simulated:
+        allowed = "false, or --bus sim or pty"
+        raise now.script.wrong("servos on a real port move by themselves", "physics", allowed)
+    for k, step in enumerate(now.script.steps):
         try:
-            step.check(context)
+            step.check(now)
         except WrongKey as wrong:
-            raise wrong.within(("steps", k)).in_file(script.file) from None
+            raise wrong.within(("steps", k)).in_file(now.script.file) from None
 
 
 @dataclass(frozen=True)
 class ScriptRequest:
-    """On what a script shall run.
+    """On what a script shall run: ``sim``, ``pty`` or a serial port; the rest is instead of the script's own.
 
-    Attributes:
-        bus: ``sim``, ``pty`` or a serial port.
-        robot: Instead of the script's: catalogue name or path; empty: the script's.
-        arm_file: Instead of the script's, or of the one beside the model.
-        seed: Instead of the script's.
-        record: File of all commands and measurements, .csv or .mcap.
+    ``record``: file of all commands and measurements, .csv or .mcap.
     """
 
     bus: str = "sim"
@@ -141,9 +120,7 @@ def run_script(
 class ScriptRun:
     """One run of one script.
 
-    Attributes:
-        report: Grows while it runs, and is whole as far as it goes whenever the run ends.
-        setup: The arm; its clock is the run's.
+    ``report`` is whole as far as it goes whenever the run ends; the clock of ``setup`` is the run's.
     """
 
     def __init__(self, script: Script, request: ScriptRequest) -> None:
@@ -153,23 +130,21 @@ class ScriptRun:
             ConfigError, ModelError: The script asks for what is not there.
         """
         content = script.content
-        self._script = script
-        self._seed = content.seed if request.seed is None else request.seed
-        if self._seed < 0:
-            raise script.wrong(f"not {self._seed}", "seed", "0, 1, 2, …")
+        seed = content.seed if request.seed is None else request.seed
+        if seed < 0:
+            raise script.wrong(f"not {seed}", "seed", "0, 1, 2, …")
         robot = request.robot or resolved(script, content.robot)
         arm_file = request.arm_file
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(resolved(script, content.arm))
-        self._request = ReachRequest(
-            robot=robot, bus=request.bus, arm_file=arm_file, seed=self._seed, record=request.record
-        )
-        self.setup = prepare_robot(self._request)
-        check_script(script, self.setup)
+        self.setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
+        self._now = RunState(script, self.setup, find_robot(robot)[1].solver or "auto", seed)
+        self._record = request.record
+        check_script(self._now)
         rows = [StepResult(step.title, step.do) for step in script.steps]
         virtual = request.bus == "sim"
         self.report = ScriptReport(
-            script.name, script.file, self.setup.robot.name, request.bus, self._seed, virtual,
+            script.name, script.file, self.setup.robot.name, request.bus, seed, virtual,
             [*rows, StepResult("leave the arm", "leave")],
         )  # fmt: skip
 
@@ -179,20 +154,17 @@ class ScriptRun:
         Raises:
             RobotIkError: The arm cannot be connected or switched on: no step was run.
         """
-        setup, report = self.setup, self.report
-        method = find_robot(self._request.robot)[1].solver or "auto"
-        now = RunState(self._script, setup, method, self._seed)
+        now, setup, report = self._now, self.setup, self.report
         try:
             with contextlib.ExitStack() as stack:
-                self._prepare(now, stack, progress)
-                if self._request.record is not None:
-                    setup.record(stack.enter_context(open_recording(self._request.record, now.robot.joints)))
+                self._prepare(stack, progress)
+                if self._record is not None:
+                    setup.record(stack.enter_context(open_recording(self._record, now.robot.joints)))
                 stack.enter_context(setup.connected())
                 setup.enable_torque()
-                now.stand()
                 now.begin = setup.clock.now()
                 try:
-                    self._steps(now, progress)
+                    self._steps(progress)
                 except BaseException:
                     report.interrupted = True
                     raise
@@ -202,29 +174,30 @@ class ScriptRun:
             _report_leaving(now, report.steps[-1])
         return report
 
-    def _prepare(self, now: RunState, stack: contextlib.ExitStack, progress: Progress) -> None:
+    def _prepare(self, stack: contextlib.ExitStack, progress: Progress) -> None:
         """Does what takes long while no servo has torque: compiles the solver, paints the scene."""
-        setup, robot = now.setup, now.robot
+        now, setup, robot = self._now, self.setup, self._now.robot
+        content = now.script.content
         servos = now.arm.virtual_bus
         if servos is not None:
-            servos.reseed(self._seed)
-            if self._script.content.physics:
+            servos.reseed(now.seed)
+            if content.physics:
                 from robot_ik.hardware.virtual.world import World
 
-                objects = self._script.content.objects
-                model = with_objects(robot, objects) if objects else robot.model
-                World(model, now.config, servos, contacts=bool(objects))
+                model = with_objects(robot, content.objects) if content.objects else robot.model
+                World(model, now.config, servos, contacts=bool(content.objects))
         progress("getting ready", 0.0)
         solve(robot, PoseGoal.at(setup.frame, robot.forward(robot.home, setup.frame)), solver=now.solver)
-        if any(step.needs_camera for step in self._script.steps):
-            now.vision = open_camera(setup, self._script.content.marker_at, self._seed, stack)
-            if any(step.do == "follow" for step in self._script.steps):
+        if any(step.needs_camera for step in now.script.steps):
+            now.vision = open_camera(setup, content.marker_at, now.seed, stack)
+            if any(step.do == "follow" for step in now.script.steps):
                 now.vision.get_ready_to_follow()
 
-    def _steps(self, now: RunState, progress: Progress) -> None:
+    def _steps(self, progress: Progress) -> None:
+        now, steps = self._now, self._now.script.steps
         counters: Counter[str] = Counter()
-        for k, (step, result) in enumerate(zip(self._script.steps, self.report.steps, strict=False)):
-            progress(result.name, k / len(self._script.steps))
+        for k, (step, result) in enumerate(zip(steps, self.report.steps, strict=False)):
+            progress(result.name, k / len(steps))
             before = Counter(now.setup.counters())
             run_step(now, step, result)
             counters.update({key: n - before[key] for key, n in now.setup.counters().items()})

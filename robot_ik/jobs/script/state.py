@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from robot_ik import errors
-from robot_ik.errors import ConfigError, apart
+from robot_ik.errors import ConfigError, RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
 from robot_ik.hardware.arm import ArmState
-from robot_ik.jobs.robot_setup import LastCommand, RobotSetup
+from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from robot_ik.errors import RobotIkError
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.jobs.script.file import ScriptFile
     from robot_ik.jobs.script.steps import ScriptStep
     from robot_ik.jobs.vision import Vision
-    from robot_ik.ports import Array, JointSink
+    from robot_ik.ports import Array
     from robot_ik.robot import Robot
 
 
@@ -50,13 +49,7 @@ def error_classes() -> Mapping[str, type[RobotIkError]]:
 
 @dataclass(frozen=True)
 class Script:
-    """A script and where it came from.
-
-    Attributes:
-        content: What it says.
-        file: For messages.
-        folder: From where paths in it are seen; None: the current one.
-    """
+    """A script, and where it came from; paths in it are seen from ``folder``, None: the current one."""
 
     content: ScriptFile
     file: str
@@ -64,12 +57,10 @@ class Script:
 
     @property
     def name(self) -> str:
-        """What it is called."""
         return self.content.name
 
     @property
     def steps(self) -> tuple[ScriptStep, ...]:
-        """In order."""
         return self.content.steps
 
     def wrong(self, problem: str, key: str, allowed: str = "") -> ConfigError:
@@ -77,29 +68,11 @@ class Script:
         return ConfigError(problem, file=self.file, key=key, allowed=allowed)
 
 
-@dataclass(frozen=True)
-class Context:
-    """What a step is checked against.
-
-    Attributes:
-        robot: Inside the limits of model and arm file together.
-        config: The arm.
-        simulated: Its servos are; else they are behind a real port.
-    """
-
-    robot: Robot
-    config: ArmConfig
-    simulated: bool
-
-
 @dataclass
 class RunState:
     """Where a run stands.
 
     Attributes:
-        setup: Robot, servos, clock.
-        solver: Name of a method.
-        seed: Of restarts.
         vision: None where no step looks.
         error: The last error of a step; ``status``: of the last solve; ``seconds``: of the last action.
         begin: When the run began, on its clock.
@@ -114,10 +87,6 @@ class RunState:
     status: str = ""
     seconds: float = 0.0
     begin: float = 0.0
-    command: LastCommand = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.command = LastCommand(self.setup.robot.home)
 
     @property
     def robot(self) -> Robot:
@@ -131,6 +100,11 @@ class RunState:
         return self.setup.arm
 
     @property
+    def simulated(self) -> bool:
+        """Whether its servos are; else they are behind a real port."""
+        return self.arm.virtual_bus is not None
+
+    @property
     def servos(self) -> VirtualBus:
         """The simulated servos; no step that wants them runs on a real port."""
         assert self.arm.virtual_bus is not None
@@ -138,14 +112,8 @@ class RunState:
 
     @property
     def config(self) -> ArmConfig:
-        """Of the arm."""
         assert self.setup.config is not None
         return self.setup.config
-
-    @property
-    def sinks(self) -> list[JointSink]:
-        """Who takes commands."""
-        return [self.arm, self.command, *self.setup.recorder]
 
     @property
     def movable(self) -> bool:
@@ -156,33 +124,21 @@ class RunState:
         """Seconds since the run began."""
         return self.setup.clock.now() - self.begin
 
-    def stand(self) -> None:
-        """From here on the arm is taken to have been sent to where it is."""
-        self.command.q = self.arm.read().q
-
     def start(self) -> Array:
         """(nq,) where the next move begins: at the last command, or where the arm is if that is far off.
 
         From the last command, so that ticks of the servos and the time they take change no plan.
         """
-        measured = self.arm.read().q
-        near = np.abs(measured - self.command.q).max() <= START_TOLERANCE
-        return (self.command.q if near else measured).copy()
+        measured, commanded = self.arm.read().q, self.setup.commanded
+        near = np.abs(measured - commanded).max() <= START_TOLERANCE
+        return (commanded if near else measured).copy()
 
     def play(
-        self,
-        trajectory: Trajectory,
-        limit: float | None,
-        arrived: Callable[[], bool],
-        result: StepResult,
+        self, trajectory: Trajectory, limit: float | None, arrived: Callable[[], bool], result: StepResult
     ) -> None:
         """Sends a trajectory, then waits at its end until ``arrived`` or the time is over.
 
-        Args:
-            trajectory: Starts where ``start`` is.
-            limit: Seconds for both; None: what was planned and ``GRACE``.
-            arrived: Asked after every tick of waiting.
-            result: Keeps the trajectory.
+        Both may take ``limit`` seconds; None: as planned and ``GRACE``.  ``result`` keeps the trajectory.
 
         Raises:
             StepFailed: Planned or took longer than ``limit``.
@@ -200,21 +156,6 @@ class RunState:
             if self.setup.clock.now() > end + 0.5 * self.arm.config.rate_hz**-1:
                 raise StepFailed(f"not there after {allowed:.2f} s")
 
-        execute(trajectory, self.sinks, source=self.arm, clock=self.setup.clock, on_tick=in_time)
+        execute(trajectory, self.setup.sinks, source=self.arm, clock=self.setup.clock, on_tick=in_time)
         if not arrived():
-            self.repeat(end - self.setup.clock.now(), arrived)
-
-    def repeat(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
-        """Sends the last command again and again, for ``seconds`` or ``until`` it says so."""
-        clock, period = self.setup.clock, 1.0 / self.config.rate_hz
-        begin, tick = clock.now(), 1
-        while tick * period <= seconds + 1e-9:
-            clock.sleep_until(begin + tick * period)
-            now = clock.now()
-            self.arm.send(self.command.q, now)
-            for sink in self.setup.recorder:
-                sink.send(self.command.q, now)
-            if until():
-                return
-            tick = max(tick + 1, int((now - begin) / period))
-        self.setup.clock.sleep_until(begin + seconds)
+            self.setup.repeat(end - self.setup.clock.now(), arrived)

@@ -7,10 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from robot_ik.bench.camera import Effort, Quantity, accuracy
+from robot_ik.bench.camera import ROWS, Effort, Quantity, accuracy
 from robot_ik.bench.camera.accuracy import STRAIGHT
 from robot_ik.camera.drawing.renderers import PainterArtist
-from robot_ik.cli.bench_camera import ALL_ROWS
 
 
 def figures(of: object, **effort: object) -> dict[str, Quantity]:
@@ -18,8 +17,8 @@ def figures(of: object, **effort: object) -> dict[str, Quantity]:
 
 
 def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
-    assert len({row.name for row in ALL_ROWS}) == len(ALL_ROWS)
-    for row in ALL_ROWS:
+    assert len({row.name for row in ROWS}) == len(ROWS)
+    for row in ROWS:
         module, _, name = row.function.partition(":")
         assert callable(getattr(importlib.import_module(module), name)), row.name
 

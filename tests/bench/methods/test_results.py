@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
+import importlib.util
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -93,14 +92,7 @@ def test_growth_is_drawn(results: Results) -> None:
 def test_without_matplotlib_it_says_what_to_install(
     results: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *args: Any, **kwargs: Any) -> Any:
-        if name.startswith("matplotlib"):
-            raise ModuleNotFoundError(name)
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"robot_ik\[plots\]"):
         draw(results)
 

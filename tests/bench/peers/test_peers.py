@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.peers import worker
-from robot_ik.bench.peers.__main__ import compare, main
-from robot_ik.bench.peers.results import merged
+from robot_ik.bench.peers.__main__ import compare, main, merged
 from robot_ik.bench.peers.tasks import ARMS, Sites, frames_of, roll_pitch_yaw, urdf_of, write_task
 
 COUNT = 20

@@ -14,7 +14,7 @@ import robot_ik as rik
 from robot_ik.bench.theses import a00
 from robot_ik.bench.theses.a00 import DIAGONAL, NUMBERS, Course, chain_witness, make_course
 from robot_ik.bench.theses.results import save_a00
-from robot_ik.bench.theses.tracking import Gauge, track
+from robot_ik.bench.theses.tracking import track
 from robot_ik.errors import ConfigError, UnknownSolverError
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
@@ -187,14 +187,10 @@ def test_an_interruption_keeps_what_is_done() -> None:
     assert seen == sorted(seen) and max(seen) == pytest.approx(0.5)
 
 
-def test_a_gauge_ends_at_one() -> None:
+def test_progress_begins_at_none_and_ends_at_all() -> None:
     reported: list[tuple[str, float]] = []
-    gauge = Gauge(lambda phase, share: reported.append((phase, share)), 2)
-    for name in ("a", "b"):
-        gauge.begin(name, 4)
-        gauge.tick(1)
-        gauge.tick(3)
-    assert reported == [("a", 0.0), ("a", 0.125), ("a", 0.5), ("b", 0.5), ("b", 0.625), ("b", 1.0)]
+    a00.run_a00(a00.ask_a00([4, 5], ["lm"], frames=5), lambda phase, share: reported.append((phase, share)))
+    assert reported == [("test 4: lm", 0.0), ("test 4: lm", 0.5), ("test 5: lm", 0.5), ("test 5: lm", 1.0)]
 
 
 def test_what_is_not_there_is_said() -> None:

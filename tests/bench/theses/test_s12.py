@@ -116,7 +116,7 @@ def test_files_and_picture(report: s12.S12Report, tmp_path: Any) -> None:
 def test_without_matplotlib_the_picture_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="plots"):
-        s12.require_plots()
+        s12.s12_picture(s12.S12Report())
 
 
 def test_one_miss_fails_the_whole(report: s12.S12Report) -> None:

@@ -17,7 +17,7 @@ from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, 
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import job, output
 from robot_ik.jobs.ar.job import ArRequest, run_ar
-from robot_ik.jobs.ar.motion import Replay, make_motion, play_script, robot_of
+from robot_ik.jobs.ar.motion import make_motion, play_script, robot_of
 from robot_ik.jobs.ar.scene import SteppedClock, lens
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
@@ -283,8 +283,10 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
     figure = DrawnRobot(robot.model, Pose(), 1.0)
     with contextlib.ExitStack() as stack:
         motion = make_motion(str(path), robot, figure, stack)
-        assert isinstance(motion, Replay) and motion.notice[: len(notice) or None] == notice
-        moved = motion.trajectory
+        assert motion.notice[: len(notice) or None] == notice
+        moved = play_script(str(path), robot)[0]
+        assert motion.seconds == moved.duration
+        np.testing.assert_array_equal(motion.q(0.5 * moved.duration, None), moved.at(0.5 * moved.duration))
         # from home to 20 degrees with the limits of a servo, then half a second at rest
         assert 0.7 < moved.duration < 3.0 and np.diff(moved.times).max() < 0.02
         np.testing.assert_allclose(moved.q[0], robot.home, atol=2e-3)

@@ -162,7 +162,7 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
 
 
 def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(handeye.ViewPhases, "measure", None)
+    monkeypatch.setattr(handeye, "measure", None)
     found = run_verify(VerifyRequest("tabletop_puma", views=4), dry_run=True)
     assert len(found.stations) == 4 and found.errors == () and found.fit is None
     monkeypatch.setattr(Drawn, "blind", (7,))

@@ -3,7 +3,7 @@
 Importing this fills ``STEPS``: a subclass of ``ScriptStep`` enters itself, and nothing else lists it.
 """
 
-from robot_ik.jobs.script.steps import control, expect, follow, moves
+from robot_ik.jobs.script.steps import control, expect, moves
 from robot_ik.jobs.script.steps.base import STEPS, Action, ScriptStep, step_class
 
-__all__ = ["STEPS", "Action", "ScriptStep", "control", "expect", "follow", "moves", "step_class"]
+__all__ = ["STEPS", "Action", "ScriptStep", "control", "expect", "moves", "step_class"]

@@ -1,27 +1,24 @@
 """What steps share: a name, a check, a run; joints, frames and grippers by name, and how far off they are.
 
-A subclass of ``ScriptStep`` that has a key ``do`` is a kind of step.  Lengths are metres, angles degrees
-(``_deg``), tolerances millimetres and degrees, times seconds.
+Lengths are metres, angles degrees (``_deg``), tolerances millimetres and degrees, times seconds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import mujoco
 import numpy as np
 from pydantic import AfterValidator, Field
 
 from robot_ik.errors import apart
+from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Context, RunState, error_classes
+from robot_ik.jobs.script.state import RunState, error_classes
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
 from robot_ik.tables import Pair, Table, WrongKey
-
-if TYPE_CHECKING:
-    from robot_ik.hardware.joint_map import JointMap
-    from robot_ik.ports import Array
-    from robot_ik.robot import Robot
 
 
 def _error_class(name: str) -> str:
@@ -52,11 +49,7 @@ STEPS: dict[str, type[ScriptStep]] = {}
 
 
 class ScriptStep(Table):
-    """What every step has.
-
-    Attributes:
-        name: For the report; by default what the step does.
-    """
+    """What every step has; a subclass with a key ``do`` is a kind of step.  ``name``: in place of a title."""
 
     title_keys: ClassVar[tuple[str, ...]] = ()
     """Keys whose values, after ``do``, make the title of a step without a name."""
@@ -93,16 +86,16 @@ class ScriptStep(Table):
                 found.append(f"{value:g} s" if key == "seconds" else str(value))
         return " ".join(found)
 
-    def check(self, context: Context) -> None:
+    def check(self, now: RunState) -> None:
         """Whether this robot, arm and bus can do it; before anything is opened or moves.
 
         Raises:
             WrongKey: They cannot.
         """
-        if not context.simulated and self.simulated_only:
+        if not now.simulated and self.simulated_only:
             problem = f"{self.do!r} is for simulated servos, and this is a real port"
             raise WrongKey(problem, "do", "--bus sim or pty")
-        if not context.simulated and self.needs_camera:
+        if not now.simulated and self.needs_camera:
             problem = "the synthetic camera does not see a real desk"
             raise WrongKey(problem, "do", "other steps, or robot-ik reach")
 
@@ -117,11 +110,7 @@ class ScriptStep(Table):
 
 
 def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
-    """The class of a step by what stands in its table.
-
-    Raises:
-        WrongKey: There is no such step.
-    """
+    """The class of a step by what stands in its table; WrongKey: there is no such step."""
     if "do" not in table:
         raise WrongKey("this key is missing", "do", ", ".join(STEPS))
     if not isinstance(table["do"], str) or table["do"] not in STEPS:
@@ -130,12 +119,7 @@ def step_class(table: Mapping[str, Any]) -> type[ScriptStep]:
 
 
 class Action(ScriptStep):
-    """A step that takes time.
-
-    Attributes:
-        time_limit_s: The step fails when it takes longer.
-        raises: Class of the error with which it must end; without it, an error is a failure.
-    """
+    """A step that takes time, at most so much, and ends with the error it ``raises``, if any."""
 
     time_limit_s: Seconds | None = None
     raises: ErrorClass | None = None
@@ -168,11 +152,10 @@ class Framed(ScriptStep):
 
     frame: str | None = None
 
-    def check(self, context: Context) -> None:
-        """Whether the robot has it."""
-        super().check(context)
-        if self.frame is not None and self.frame not in context.robot.frames:
-            raise WrongKey.unknown("frame", self.frame, context.robot.frames, "frame")
+    def check(self, now: RunState) -> None:
+        super().check(now)
+        if self.frame is not None and self.frame not in now.robot.frames:
+            raise WrongKey.unknown("frame", self.frame, now.robot.frames, "frame")
 
 
 def require_keyframe(robot: Robot, keyframe: str | None) -> None:
@@ -197,10 +180,10 @@ class JointValues(ScriptStep):
             wanted[robot.joints.index(name)] = number * per_unit(robot, name)
         return wanted
 
-    def check(self, context: Context) -> None:
+    def check(self, now: RunState) -> None:
         """Names and kinds of the joints, and whether they can go there."""
-        super().check(context)
-        robot = context.robot
+        super().check(now)
+        robot = now.robot
         for key in ("joints_deg", "joints_mm"):
             for joint, number in (getattr(self, key) or {}).items():
                 at = f"{key}.{joint}"
@@ -281,15 +264,11 @@ class GripperWidth(ScriptStep):
     by_opening: ClassVar[bool] = False
     """Whether joints of q will do, which know no width."""
 
-    def check_gripper(self, context: Context) -> None:
-        """Whether there is a gripper, and one that can do this.
-
-        Raises:
-            WrongKey: There is none, or it opens no width, or cannot be asked how hard to press.
-        """
-        joints = context.config.auxiliary_of(GRIPPER)
-        if not joints and (not self.by_opening or not gripper_joints(context.robot)):
-            problem = f"the arm of {context.robot.name!r} has no gripper"
+    def check_gripper(self, now: RunState) -> None:
+        """Whether there is a gripper, and one that can do this; else WrongKey."""
+        joints = now.config.auxiliary_of(GRIPPER)
+        if not joints and (not self.by_opening or not gripper_joints(now.robot)):
+            problem = f"the arm of {now.robot.name!r} has no gripper"
             allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"
             raise WrongKey(problem, "do", allowed)
         sliding = bool(joints) and all(joint.slides for joint in joints)
@@ -299,7 +278,7 @@ class GripperWidth(ScriptStep):
                 problem = f"that needs a {what} of the arm file's group gripper"
                 raise WrongKey(problem, key, "opening alone")
         if self.width_mm is not None:
-            opening = sum(1e3 * joint.limits[1] * fingers_on(context.robot, joint) for joint in joints)
+            opening = sum(1e3 * joint.limits[1] * fingers_on(now.robot, joint) for joint in joints)
             if self.width_mm > opening + 1e-9:
                 asked, widest = apart(self.width_mm, opening, digits=6, form="g")
                 raise WrongKey(f"{asked} mm is too wide", "width_mm", f"0 to {widest}")

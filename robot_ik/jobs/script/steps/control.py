@@ -9,7 +9,7 @@ from pydantic import Field
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Context, RunState, StepFailed
+from robot_ik.jobs.script.state import RunState, StepFailed
 from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep, Word
 
 PATIENCE = 2.0
@@ -26,7 +26,7 @@ class WaitStep(Action):
 
     def run(self, now: RunState, result: StepResult) -> None:
         if now.movable:
-            now.repeat(self.seconds)
+            now.setup.repeat(self.seconds)
         else:
             now.setup.clock.sleep_until(now.setup.clock.now() + self.seconds)
 
@@ -38,7 +38,7 @@ class HoldStep(Action):
 
     def run(self, now: RunState, result: StepResult) -> None:
         now.arm.hold()
-        now.stand()
+        now.setup.stand()
 
 
 class InjectStep(ScriptStep):
@@ -62,16 +62,12 @@ class InjectStep(ScriptStep):
 
     @property
     def fault(self) -> Fault:
-        """What it injects.
-
-        Raises:
-            WrongKey: There is no such kind, or not with such a value.
-        """
+        """What it injects; WrongKey: there is no such kind, or not with such a value."""
         return Fault(self.kind, self.id, self.value, joint=self.joint, at_s=self.in_s, for_s=self.for_s)
 
-    def check(self, context: Context) -> None:
-        super().check(context)
-        self.fault.require_servo(context.config)
+    def check(self, now: RunState) -> None:
+        super().check(now)
+        self.fault.require_servo(now.config)
 
     def run(self, now: RunState, result: StepResult) -> None:
         now.servos.inject(self.fault)
@@ -113,5 +109,4 @@ class RecoverStep(Action):
             restarted = arm.reset_fault()
             result.numbers["restarted"] = list(restarted)
             result.found = f"restarted: {', '.join(restarted)}" if restarted else ""
-        arm.enable()
-        now.stand()
+        now.setup.enable_torque()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -12,7 +12,7 @@ from pydantic import model_validator
 from robot_ik.errors import apart
 from robot_ik.geometry import Pose
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import Context, RunState, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
 from robot_ik.jobs.script.steps.base import (
     ErrorClass,
     Framed,
@@ -25,13 +25,10 @@ from robot_ik.jobs.script.steps.base import (
     require_keyframe,
     width_mm,
 )
+from robot_ik.ports import Array
+from robot_ik.robot import Robot
 from robot_ik.solution import Status
 from robot_ik.tables import Position, WrongKey, Wxyz
-
-if TYPE_CHECKING:
-    from robot_ik.ports import Array
-    from robot_ik.robot import Robot
-
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""
@@ -101,10 +98,10 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             raise WrongKey("this key is missing", "position", "where the object is to lie")
         return self
 
-    def check(self, context: Context) -> None:
-        super().check(context)
-        robot = context.robot
-        if self.shafts and not context.simulated:
+    def check(self, now: RunState) -> None:
+        super().check(now)
+        robot = now.robot
+        if self.shafts and not now.simulated:
             problem = "nobody knows where real shafts are"
             raise WrongKey(problem, "shafts", "false, or --bus sim or pty")
         require_keyframe(robot, self.keyframe)
@@ -113,7 +110,7 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
         if self.joint is not None and self.joint not in robot.joints:
             raise WrongKey.unknown("joint", self.joint, robot.joints, "joint")
         if self.width_mm is not None:
-            self.check_gripper(context)
+            self.check_gripper(now)
 
     def run(self, now: RunState, result: StepResult) -> None:
         """Looks at everything that is expected, and reports all of it.
