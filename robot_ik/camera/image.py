@@ -86,19 +86,18 @@ def marker_bits(name: str, marker_id: int) -> Image:
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side), dtype=np.uint8)
 
 
-def marker_boxes(name: str, marker_id: int, size: float, quarter_turns: int = 0) -> Array:
+def marker_boxes(name: str, marker_id: int, size: float) -> Array:
     """A marker's black cells (n, 4): x, y (down), width and height from its upper left corner.
 
     Args:
         name: Of the dictionary.
         marker_id: In it.
         size: Side of the black border, in any unit.
-        quarter_turns: Quarter turns to the left.
 
     Raises:
         CameraError: Unknown dictionary, or an id beyond it.
     """
-    bits = np.rot90(marker_bits(name, marker_id), quarter_turns)
+    bits = marker_bits(name, marker_id)
     cell = size / len(bits)
     row, column = np.nonzero(bits == 0)
     return np.stack([column * cell, row * cell, np.full(len(row), cell), np.full(len(row), cell)], axis=1)

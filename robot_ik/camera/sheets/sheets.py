@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,6 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
-from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
 
@@ -185,17 +185,18 @@ def _cube(request: SheetRequest, area: Area) -> Block:
             f"markers of {request.size:g} mm",
             hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * request.size:g} at least",
         )
-    faces, net = cube_net(ids, request.size, request.edge), cube_paper(request.edge)
-    corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
+    body_of(request)  # which raises where there is no such cube
+    cuts, folds, _ = cube_paper(request.edge)
+    corners = np.vstack([cuts, folds]).reshape(-1, 2)
     low, high = corners.min(axis=0), corners.max(axis=0)
     boxes = [
         _black(
-            marker_boxes(request.dictionary, face.marker, request.size, face.quarter_turns),
-            *(face.centre - low - request.size / 2),
+            marker_boxes(request.dictionary, marker, request.size),
+            *(request.edge * np.array(face) - low - request.size / 2),
         )
-        for face in faces
+        for marker, face in zip(ids, _FACES, strict=False)
     ]
-    lines = np.vstack([net.cuts, dashed(net.folds)]) - np.tile(low, 2)
+    lines = np.vstack([cuts, dashed(folds)]) - np.tile(low, 2)
     about = (
         f"cube of {request.edge:g} mm with markers {_names(ids)} of {request.dictionary}, "
         f"{request.size:g} mm "
@@ -358,6 +359,73 @@ def _command(request: SheetRequest) -> str:
             shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
             text += f" --{name.replace('_', '-')} {shown}"
     return text
+
+
+# ------------------------------------------------------------------------------------------
+# The net of a cube: what is cut and folded.
+
+
+# Depth of a tab in edges, and at most, mm.
+_TAB, _TAB_MOST = 0.2, 10.0
+# A dash and the gap after it, mm.
+_DASH, _GAP = 2.0, 1.5
+# Middles of the six faces of ``cube_body``, in edges, y down: front, right, back, left, top, bottom.  All
+# prints stand upright.
+_FACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
+# Their sides that have a tab (face, way to the side); each is glued behind a side that has none.
+_TABBED = (
+    ((0, -1), (1, 0)), ((0, -1), (-1, 0)), ((0, -1), (0, -1)),
+    ((0, 1), (1, 0)), ((0, 1), (-1, 0)), ((0, 1), (0, 1)),
+    ((-1, 0), (-1, 0)),
+)  # fmt: skip
+
+
+def cube_paper(edge: float) -> tuple[Array, Array, Array]:
+    """The net of a cube of this edge, and tabs that hold it together; x right, y down, from its first face.
+
+    Returns:
+        Lines (n, 4) from x, y to x, y to cut along; (12, 4) to fold along, between the faces, and between a
+        face and its tab; corners (7, 4, 2) of the tabs, of which the first and the last are on the face.
+    """
+    depth = min(_TAB * edge, _TAB_MOST)
+    cuts, folds, tabs = [], [], []
+    for face in _FACES:
+        for direction in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            start, end = _side(face, direction, edge)
+            if (face, direction) in _TABBED:
+                along = (end - start) / edge
+                out = np.array(direction, dtype=float)
+                # Its ends are cut back at 45 degrees: two tabs in one corner then do not meet.
+                tab = [start, start + depth * (along + out), end + depth * (out - along), end]
+                tabs.append(tab)
+                folds.append([start, end])
+                cuts += [[a, b] for a, b in pairwise(tab)]
+            elif (face[0] + direction[0], face[1] + direction[1]) not in _FACES:
+                cuts.append([start, end])
+            elif direction in ((1, 0), (0, 1)):  # a fold has two sides
+                folds.append([start, end])
+    return np.array(cuts).reshape(-1, 4), np.array(folds).reshape(-1, 4), np.array(tabs)
+
+
+def _side(face: tuple[int, int], direction: tuple[int, int], edge: float) -> tuple[Array, Array]:
+    """The two ends of a face's side."""
+    out = np.array(direction, dtype=float)
+    middle, half = edge * (np.array(face) + 0.5 * out), 0.5 * edge * np.array([-out[1], out[0]])
+    return middle - half, middle + half
+
+
+def dashed(lines: Array) -> Array:
+    """The dashes (m, 4) of lines (n, 4) in mm; each line begins and ends with half a dash."""
+    dashes = []
+    for line in np.asarray(lines, dtype=float):
+        start, end = line[:2], line[2:]
+        length = float(np.linalg.norm(end - start))
+        count = max(1, round(length / (_DASH + _GAP)))
+        share = _DASH / (_DASH + _GAP)
+        at = (np.arange(count + 1)[:, None] + 0.5 * share * np.array([-1.0, 1.0])) / count
+        for low, high in np.clip(at, 0.0, 1.0):
+            dashes.append([*(start + low * (end - start)), *(start + high * (end - start))])
+    return np.array(dashes)
 
 
 # ------------------------------------------------------------------------------------------
