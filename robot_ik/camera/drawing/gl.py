@@ -15,7 +15,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
 from robot_ik.camera.drawing.painter import EMPTY, Layer
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRobot, seen_faces, shadow_sheet
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRobot, finished, seen_faces
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
@@ -46,26 +45,19 @@ _FINER = 1.5
 _LARGEST = 3000
 
 
-@dataclass(frozen=True)
-class GlChoice:
-    """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none, and why."""
+def choose_gl() -> tuple[str, str]:
+    """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none; and why.
 
-    backend: str
-    reason: str
-
-
-def choose_gl() -> GlChoice:
-    """The first back end that draws a picture in a child process; asked once on a machine.
-
-    A failure is not kept longer than the process: the library may be installed in the meantime.
+    It is the first back end that draws a picture in a child process, asked once on a machine.  A failure is
+    not kept longer than the process: the library may be installed in the meantime.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if asked in GL_OFF and asked:
-        return GlChoice("", f"MUJOCO_GL={asked} forbids it")
+        return "", f"MUJOCO_GL={asked} forbids it"
     cache = _cache_file(asked)
     try:
         kept = read_json(cache, "what worked before")
-        return GlChoice(str(kept["backend"]), "worked before")
+        return str(kept["backend"]), "worked before"
     except (OSError, ValueError, KeyError, TypeError):
         pass
     reasons = []
@@ -74,9 +66,9 @@ def choose_gl() -> GlChoice:
         if probe.ok:
             with contextlib.suppress(OSError):  # then it is asked again
                 cache.write_text(json.dumps({"backend": backend}))
-            return GlChoice(backend, probe.text)
+            return backend, probe.text
         reasons.append(f"{backend}: {probe.text}")
-    return GlChoice("", "; ".join(reasons))
+    return "", "; ".join(reasons)
 
 
 def _cache_file(asked: str) -> Path:
@@ -100,10 +92,10 @@ def make_artist(name: str) -> tuple[Artist, str]:
         return ARTISTS[name](), ""
     if name != "gl":
         raise CameraError(f"unknown back end {name!r}", hint=f"known: {', '.join(ARTISTS)}, gl")
-    choice = choose_gl()
-    if not choice.backend:
-        return ARTISTS["painter"](), f"no OpenGL here ({choice.reason}): the painter draws instead"
-    return GlArtist(choice.backend), ""
+    backend, reason = choose_gl()
+    if not backend:
+        return ARTISTS["painter"](), f"no OpenGL here ({reason}): the painter draws instead"
+    return GlArtist(backend), ""
 
 
 @contextlib.contextmanager
@@ -186,9 +178,7 @@ class GlArtist:
         sheet = np.asarray(cv2.GaussianBlur(sheet, (0, 0), blur), dtype=np.uint8)
         seen = np.asarray(cv2.remap(sheet, map_x[crop], map_y[crop], cv2.INTER_LINEAR), dtype=np.uint8)
         robot = Layer(box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
-        if not figure.shadow:
-            return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
+        return finished(robot, figure, faces, occluders, intrinsics, pose_board_camera)
 
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:

@@ -169,6 +169,21 @@ def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Po
     return np.maximum((normalized @ normal[:2] + normal[2]) / (pose_camera_board.position @ normal), 0.0)
 
 
+def finished(
+    robot: Layer,
+    figure: DrawnRobot,
+    faces: painter.Faces,
+    occluders: painter.Faces | None,
+    intrinsics: CameraIntrinsics,
+    pose_board_camera: Pose,
+) -> Drawing:
+    """The robot over its shadow, if it throws one."""
+    sheets = [(robot, 1.0)]
+    if figure.shadow:
+        sheets.insert(0, shadow_sheet(faces, occluders, intrinsics, pose_board_camera))
+    return Drawing(tuple(sheets))
+
+
 class PainterArtist:
     """Faces filled with a depth buffer: quick, smooth, nothing but NumPy and compiled code.
 
@@ -191,25 +206,8 @@ class PainterArtist:
         if occluders is not None:
             samples.fill(occluders, occluders=True)
         samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
-        robot = (samples.layer(painter.base_colours(figure.model, figure.tint)), 1.0)
-        if not figure.shadow:
-            return Drawing((robot,))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), robot))
-
-
-@dataclass(frozen=True)
-class RayPicture:
-    """What rays through the middles of pixels meet.
-
-    Attributes:
-        box: The pixels, half open; ``depth`` (h, w) metres along the optical axis, inf where nothing is.
-        depth: See ``box``.
-        geom: (h, w) geom of the robot that is seen; -1 for none, an occluder among them.
-    """
-
-    box: Box
-    depth: Array
-    geom: NDArray[np.int32]
+        robot = samples.layer(painter.base_colours(figure.model, figure.tint))
+        return finished(robot, figure, faces, occluders, intrinsics, pose_board_camera)
 
 
 class RayArtist:
@@ -218,7 +216,6 @@ class RayArtist:
     name = "ray"
 
     def __init__(self) -> None:
-        self._sample_offsets = painter.SAMPLES[4]
         self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def draw(
@@ -232,29 +229,17 @@ class RayArtist:
         base = painter.base_colours(figure.model, figure.tint)
         rows, columns = np.nonzero(near)
         total = np.zeros((len(rows), 4))
-        for offset in self._sample_offsets:
+        for offset in painter.SAMPLES[4]:
             pixels = np.stack([columns + box[0], rows + box[1]], axis=1) + offset
-            geom, _, normal = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
+            geom, normal = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
             on = geom >= 0
             total[on, :3] += painter.lit_colours(base[geom[on]], normal[on])
             total[on, 3] += 255.0
-        total /= len(self._sample_offsets)
+        total /= len(painter.SAMPLES[4])
         sheet = np.zeros((*size, 4), dtype=np.uint8)
         sheet[rows, columns] = np.rint(total)
         robot = Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
-        if not figure.shadow:
-            return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
-
-    def render_depth(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> RayPicture:
-        """Depth and geom of each pixel that the robot can touch."""
-        _, _, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        x, y = np.meshgrid(np.arange(box[0], box[2]), np.arange(box[1], box[3]))
-        pixels = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
-        geom, depth, _ = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
-        return RayPicture(box, depth.reshape(x.shape), geom.reshape(x.shape))
+        return finished(robot, figure, faces, occluders, intrinsics, pose_board_camera)
 
     def _caster(self, model: mujoco.MjModel) -> Caster:
         if id(model) not in self._casters:  # the model is kept, so the id stays its own
@@ -268,15 +253,15 @@ class RayArtist:
         intrinsics: CameraIntrinsics,
         pose_board_camera: Pose,
         pixels: Array,
-    ) -> tuple[NDArray[np.int32], Array, Array]:
-        """Geoms (n,), depths (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
+    ) -> tuple[NDArray[np.int32], Array]:
+        """Geoms (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
         normalized = ray_field(intrinsics).points(pixels)
         rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
         caster = self._caster(figure.model)
         caster.place(qpos)
         camera = figure.camera(pose_board_camera)
         hits = caster.cast(camera.position, rays @ camera.rotation.T)
-        geom, depth = hits.geom.copy(), hits.depth * figure.scale
+        geom = hits.geom.copy()
         if figure.occluder_geoms is not None:
             geom[(geom >= 0) & figure.occluder_geoms[geom]] = -1
         if figure.occluders is not None:
@@ -285,9 +270,8 @@ class RayArtist:
             before = real.cast(
                 pose_board_camera.position, rays @ pose_board_camera.rotation.T, normals=False
             ).depth
-            geom[before < depth] = -1
-            depth = np.minimum(depth, before)
-        return geom, depth, hits.normal @ camera.rotation
+            geom[before < hits.depth * figure.scale] = -1
+        return geom, hits.normal @ camera.rotation
 
 
 ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": RayArtist}
