@@ -18,9 +18,9 @@ from robot_ik.bench.camera.accuracy import frame_of, rms
 from robot_ik.camera.boards.board import BoardView, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
-from robot_ik.camera.calibration.handeye import HandEyeSample, moved, solve_handeye
+from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
-from robot_ik.camera.motion_filter import MotionFilter, OneEuro
+from robot_ik.camera.motion_filter import MotionFilter, OneEuro, moved
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body, load_bodies
@@ -51,20 +51,16 @@ class BoardView:
     pose_camera_board: Pose
     sigma: float = 0.1
 
-    def __init__(
-        self, points: ArrayLike, pixels: ArrayLike, pose_camera_board: Pose, sigma: float = 0.1
-    ) -> None:
-        p, x = np.array(points, dtype=float), np.array(pixels, dtype=float)
+    def __post_init__(self) -> None:
+        p, x = np.array(self.points, dtype=float), np.array(self.pixels, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3 or x.shape != (len(p), 2):
             raise CameraError(f"points (n, 3) and pixels (n, 2) are asked for, not {p.shape} and {x.shape}")
         if len(p) < 4:
             raise CameraError(f"{len(p)} points do not fix a pose", hint="at least 4 are needed")
-        if not (np.isfinite(p).all() and np.isfinite(x).all() and 0.0 < sigma < np.inf):
+        if not (np.isfinite(p).all() and np.isfinite(x).all() and 0.0 < self.sigma < np.inf):
             raise CameraError("a point, a pixel or the standard deviation of the pixels is not finite")
         object.__setattr__(self, "points", p)
         object.__setattr__(self, "pixels", x)
-        object.__setattr__(self, "pose_camera_board", pose_camera_board)
-        object.__setattr__(self, "sigma", float(sigma))
 
 
 def see_board(tracker: MarkerTracker, frame: Frame, layout: Layout) -> BoardView | None:

@@ -29,8 +29,9 @@ from robot_ik.camera.calibration.least_squares import (
     normal_equations,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import moved
 from robot_ik.errors import CalibrationError
-from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.geometry import Pose, quat_multiply, rotation_log
 
 Array = NDArray[np.float64]
 Mounting = Literal["eye_in_hand", "eye_to_hand"]
@@ -86,11 +87,6 @@ class Mount:
         """(n, 2) predicted minus seen, px; NaN behind the camera."""
         view = sample.view
         return np.asarray(intrinsics.project(self.pose_camera_board(sample).apply(view.points)) - view.pixels)
-
-
-def moved(pose: Pose, twist: Array) -> Pose:
-    """``pose`` moved by a twist (6,) along the axes it is seen from, rotation about its own origin."""
-    return Pose(pose.position + twist[:3], quat_multiply(rotation_exp(twist[3:]), pose.wxyz))
 
 
 def view_derivatives(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, cross_matrices
 from robot_ik.camera.calibration.handeye import (
@@ -31,8 +31,9 @@ from robot_ik.camera.calibration.least_squares import (
     normal_equations,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import difference
 from robot_ik.errors import CalibrationError, UnknownJointError
-from robot_ik.geometry import Pose, quat_multiply, rotation_log
+from robot_ik.geometry import Pose
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -62,26 +63,19 @@ class KnownPose:
     pose: Pose
     covariance: Array
 
-    def __init__(self, pose: Pose, covariance: ArrayLike) -> None:
-        c = np.array(covariance, dtype=float)
+    def __post_init__(self) -> None:
+        c = np.array(self.covariance, dtype=float)
         if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.eigvalsh(c)[0] <= 0.0:
             raise CalibrationError(
                 "how well a pose is known is a positive definite (6, 6) covariance",
                 hint="a pose known exactly: give a small standard deviation, not 0",
             )
-        object.__setattr__(self, "pose", pose)
         object.__setattr__(self, "covariance", c)
 
     @classmethod
     def within(cls, pose: Pose, position: float, angle: float) -> KnownPose:
         """Known to these standard deviations of each axis, metres and rad."""
         return cls(pose, np.diag([position**2] * 3 + [angle**2] * 3))
-
-    def off(self, pose: Pose) -> Array:
-        """Twist (6,) from this pose to another: ``moved(self.pose, twist)`` is that one."""
-        inverse = self.pose.wxyz * (1.0, -1.0, -1.0, -1.0)
-        rotation_vector = rotation_log(quat_multiply(pose.wxyz, inverse))
-        return np.concatenate([pose.position - self.pose.position, rotation_vector])
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +156,8 @@ class ArmModel:
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
-        off[n : n + 6] = self.camera.off(state.mount.pose_parent_camera)
-        off[n + 6 :] = self.board.off(state.mount.pose_other_board)
+        off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
+        off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
         rows = np.concatenate([-by_joint, data.by_shared], axis=2)
         pixels, joints = data.covariance * pixel_scale(data) ** 2, by_joint @ by_joint.transpose(0, 2, 1)
         return LinearViews(data.pseudo_measurement, pixels, rows, joints[None], prior, off), data

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
-from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, moved, solve_handeye
+from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
