@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, cross_matrices, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
-    ArmNoise,
     LeftOut,
     LinearViews,
     NormalEquations,
-    estimate_noise,
-    normal_equations,
+    cauchy_weight,
+    fit_views,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import moved
@@ -142,6 +141,18 @@ class Compressed:
     left: tuple[Array, ...]
     dof: int
 
+    def views(
+        self, scale: float, rows: Array, sources: Array, prior: Array | None = None, off: Array | None = None
+    ) -> LinearViews:
+        """For a fit; as in ``LinearViews``, with pixels of ``scale`` times the stated standard deviation."""
+        if prior is None or off is None:
+            prior, off = np.zeros((rows.shape[2],) * 2), np.zeros(rows.shape[2])
+        return LinearViews(self.pseudo_measurement, self.covariance * scale**2, rows, sources, prior, off)
+
+    def misses(self, scale: float) -> list[Array]:
+        """``left`` in standard deviations of one coordinate."""
+        return [one / np.sqrt(2.0) / scale for one in self.left]
+
 
 def compress(
     mount: Mount,
@@ -223,11 +234,6 @@ def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
         weights = cauchy_weight(np.linalg.norm(far / scale, axis=1))
         mean = mean_pose(poses, weights)
     return mean, weights
-
-
-def cauchy_weight(misses: Array) -> Array:
-    """Weights of misses in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
-    return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
 
 
 def rotation_spread(rotations: Sequence[Array]) -> Array:
@@ -362,12 +368,9 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
 # consistent with the errors.
 
 
-_ROUNDS = 25
 # The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
 _ALL = np.arange(12)
 _HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
-# Steps smaller than this (metres, rad) end the iteration; larger than _LARGEST_STEP they are shortened.
-_DONE, _LARGEST_STEP = 1e-7, 0.5
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
 # and by more than this many pixels: below, print and lens are as good a reason.
 _OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
@@ -457,21 +460,15 @@ def solve_handeye(
     if mounting not in MOUNTINGS:
         raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
     spread = require_diversity(samples)
-    mount = start_handeye(samples, mounting)
-    corners: list[Array] | None = None
-    before: ArmNoise | None = None
-    for _ in range(_ROUNDS):
-        data = compress(mount, samples, intrinsics, corners)
+    # The hand is off, position and angle; nothing is known beforehand.
+    hand = np.broadcast_to(_HAND[:, None], (2, len(samples), 6, 6))
+
+    def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
+        data = compress(mount, samples, intrinsics, weights)
         scale = pixel_scale(data)
-        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        views = _linear(data, scale)
-        before = estimate_noise(views, _ALL, before)
-        normal = normal_equations(views, before, _ALL)
-        step = normal.step()
-        step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        mount = mount.moved(step)
-        if np.abs(step).max() < _DONE:
-            break
+        return data.views(scale, data.by_shared, hand), data.misses(scale)
+
+    mount, normal = fit_views(linear, start_handeye(samples, mounting), _ALL)
     found = _result(mount, samples, intrinsics, normal, spread)
     require_explained(
         [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
@@ -514,15 +511,6 @@ def pixel_scale(data: Compressed) -> float:
         return 1.0
     dof, prior = float(data.dof), 10.0
     return float(np.sqrt((prior + dof * robust**2 / share) / (prior + dof)))
-
-
-def _linear(data: Compressed, pixel_scale: float) -> LinearViews:
-    """The views for the fit of camera and board: the hand is off, position and angle; nothing is known."""
-    sources = np.broadcast_to(_HAND[:, None], (2, len(data.covariance), 6, 6))
-    return LinearViews(
-        data.pseudo_measurement, data.covariance * pixel_scale**2, data.by_shared, sources,
-        np.zeros((12, 12)), np.zeros(12),
-    )  # fmt: skip
 
 
 def _result(

@@ -11,24 +11,20 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import BoardView, cross_matrices
 from robot_ik.camera.calibration.handeye import (
     MOUNTINGS,
-    Compressed,
     HandEyeSample,
     Mount,
     Mounting,
-    cauchy_weight,
     compress,
     pixel_scale,
     require_explained,
 )
 from robot_ik.camera.calibration.least_squares import (
-    ArmNoise,
     LinearViews,
     NormalEquations,
     Unobservable,
-    estimate_noise,
     find_unobservable,
+    fit_views,
     joint_information,
-    normal_equations,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import difference
@@ -144,9 +140,9 @@ class ArmModel:
         return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
 
     def linear(
-        self, state: ArmEstimate, weights: Sequence[Array] | None = None
-    ) -> tuple[LinearViews, Compressed]:
-        """All views at ``state``, and what ``compress`` made of them with ``weights`` of their corners.
+        self, state: ArmEstimate, weights: Sequence[Array] | None
+    ) -> tuple[LinearViews, Sequence[Array]]:
+        """All views at ``state``, for ``fit_views``.
 
         The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
         """
@@ -159,8 +155,8 @@ class ArmModel:
         off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
         off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
         rows = np.concatenate([-by_joint, data.by_shared], axis=2)
-        pixels, joints = data.covariance * pixel_scale(data) ** 2, by_joint @ by_joint.transpose(0, 2, 1)
-        return LinearViews(data.pseudo_measurement, pixels, rows, joints[None], prior, off), data
+        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(data)
+        return data.views(scale, rows, joints[None], prior, off), data.misses(scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -297,10 +293,6 @@ def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board
 LEAST_VIEWS = 4
 #: Offsets known worse than this count as not told apart, rad.
 UNCLEAR = float(np.deg2rad(0.25))
-_ROUNDS, _TRIES = 30, 8
-# Steps smaller than this (rad, metres) end the iteration; so small that nothing is bent: not tried first.
-_DONE, _SMALL = 1e-6, 1e-3
-_FIRST_DAMPING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,18 +373,17 @@ def fit_zero_offsets(
     held = set(hold)
     unobservable: list[Unobservable] = []
     parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
-    state = model.start()
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
-        fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
-        worst = find_unobservable(fitted.normal, robot.joints, unclear, parent, other)
+        # From the start each time: an offset that nothing determines may have gone anywhere.
+        unknowns = np.array([*free, *range(robot.nv, robot.nv + POSES)])
+        state, normal = fit_views(model.linear, model.start(), unknowns)
+        worst = find_unobservable(normal, robot.joints, unclear, parent, other)
         if worst is None:
             # With all joints held it is the arm's errors that are asked for, however large.
-            return _result(model, fitted, unobservable, judge=not set(hold) >= set(robot.joints))
+            return _result(model, state, normal, unobservable, judge=not set(hold) >= set(robot.joints))
         unobservable.append(worst)
         held.add(worst.joint)
-        # From the start again: an offset that nothing determines may have gone anywhere.
-        state = model.start()
 
 
 def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
@@ -410,55 +401,25 @@ def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hol
             raise UnknownJointError(name, robot.joints)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fitted:
-    """The end of an iteration: where, and the views linear there."""
-
-    state: ArmEstimate
-    normal: NormalEquations
-
-
-def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
-    corners: list[Array] | None = None
-    noise: ArmNoise | None = None
-    damping = _FIRST_DAMPING
-    for _ in range(_ROUNDS):
-        views, data = model.linear(state, corners)
-        noise = estimate_noise(views, free, noise)
-        normal = normal_equations(views, noise, free)
-        step, damping = _descent_step(model, state, corners, normal, damping)
-        state, scale = state.moved(step), pixel_scale(data)
-        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        if np.abs(step).max() < _DONE:
-            break
-    return _Fitted(state, normal)
-
-
-def _descent_step(
-    model: ArmModel, state: ArmEstimate, corners: list[Array] | None, normal: NormalEquations, damping: float
-) -> tuple[Array, float]:
-    """A step that lowers the cost, and the damping for the next one; zeros where none does."""
-    now = normal.views.cost(normal.noise)
-    for _ in range(_TRIES):
-        step = normal.step(damping)
-        if np.abs(step).max() < _SMALL:
-            return step, damping
-        there, _ = model.linear(state.moved(step), corners)
-        if there.cost(normal.noise) < now:
-            return step, max(0.1 * damping, 1e-9)
-        damping = 10.0 * max(damping, 1e-6)
-    return np.zeros_like(step), damping
-
-
 def _result(
-    model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
+    model: ArmModel,
+    state: ArmEstimate,
+    normal: NormalEquations,
+    unobservable: list[Unobservable],
+    *,
+    judge: bool,
 ) -> ZeroOffsets:
     n = model.robot.nv
-    errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
-    mount = fitted.state.mount
+    # How each view fits what all others say.
+    others = [normal.left_out(k) for k in range(len(model.views))]
+    errors = tuple(
+        pose_error(model, state.moved(without.step), k, without.covariance, without.sigmas)
+        for k, without in enumerate(others)
+    )
+    mount = state.mount
     every = [
         np.sum(np.nan_to_num(mount.miss(one, model.intrinsics), nan=np.inf) ** 2, axis=1)
-        for one in model.samples(fitted.state)
+        for one in model.samples(state)
     ]
     outliers = [one.outlier for one in errors]
     if judge:
@@ -466,19 +427,13 @@ def _result(
     squares = [one for one, out in zip(every, outliers, strict=True) if not out]
     return ZeroOffsets(
         joints=model.robot.joints,
-        offsets=fitted.state.offsets,
-        covariance=fitted.normal.covariance[:n, :n],
+        offsets=state.offsets,
+        covariance=normal.covariance[:n, :n],
         unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
         errors=errors,
         residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
-        joint_noise=float(fitted.normal.noise.sizes[0]),
-        singular_values=np.sqrt(joint_information(fitted.normal, n)[0]),
+        joint_noise=float(normal.noise.sizes[0]),
+        singular_values=np.sqrt(joint_information(normal, n)[0]),
     )
-
-
-def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
-    """How one view fits what all others say."""
-    without = fitted.normal.left_out(view)
-    return pose_error(model, fitted.state.moved(without.step), view, without.covariance, without.sigmas)
