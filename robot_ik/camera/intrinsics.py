@@ -118,7 +118,7 @@ class CameraIntrinsics:
     @cached_property
     def radius_limit(self) -> float:
         """Largest ``|(X, Y)| / Z`` at which the lens model is still one to one; beyond it, it folds back."""
-        return lens.radius_limit(self.model, self.coefficients)
+        return lens.radius_limit(self)
 
     # ------------------------------------------------------------------------------ mapping
 
@@ -141,17 +141,14 @@ class CameraIntrinsics:
 
     def distort(self, normalized: Array) -> Array:
         """Undistorted normalised coordinates (n, 2) -> distorted pixels (n, 2)."""
-        distorted = lens.distort(self.model, self.coefficients, normalized)
-        return distorted * (self.fx, self.fy) + (self.cx, self.cy)
+        return lens.distort(self, normalized)
 
     def undistort(self, pixels: ArrayLike) -> Array:
         """Distorted pixels (n, 2) -> undistorted normalised coordinates (n, 2), exact to 1e-9.
 
         NaN where the lens model has no inverse.
         """
-        p = np.asarray(pixels, dtype=float).reshape(-1, 2)
-        distorted = (p - (self.cx, self.cy)) / (self.fx, self.fy)
-        return lens.undistort(self.model, self.coefficients, distorted, self.radius_limit)
+        return lens.undistort(self, np.asarray(pixels, dtype=float).reshape(-1, 2))
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""
@@ -162,8 +159,7 @@ class CameraIntrinsics:
 
     def pixel_jacobian(self, normalized: Array) -> Array:
         """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
-        distorted = lens.distort_jacobian(self.model, self.coefficients, normalized)
-        return distorted * np.array([self.fx, self.fy])[:, None]
+        return lens.pixel_jacobian(self, normalized)
 
     # ----------------------------------------------------------------------- size and sense
 
