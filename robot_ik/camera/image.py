@@ -230,9 +230,10 @@ def first_size(files: Sequence[Path]) -> tuple[int, int]:
 def natural_sort(paths: Iterable[Path]) -> list[Path]:
     """Paths sorted as people count: numbers in names by their value."""
 
-    def key(path: Path) -> list[tuple[int, int, str]]:
+    def key(path: Path) -> list[str | int]:
+        # Text and numbers take turns.
         parts = re.split(r"(\d+)", path.name.lower())
-        return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p]
+        return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
     return sorted(paths, key=lambda path: (key(path), path.name))
 

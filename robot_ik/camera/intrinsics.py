@@ -243,7 +243,7 @@ class CameraIntrinsics:
         Raises:
             CalibrationError: The file is missing, no camera file, lacks a key, or is implausible.
         """
-        return load_intrinsics(path)
+        return _load(Path(path))
 
     def save(self, path: Path | str) -> None:
         """Writes a file that OpenCV, ROS and any YAML reader understand; whole or not at all.
@@ -251,7 +251,7 @@ class CameraIntrinsics:
         Raises:
             OutputError: The file cannot be written.
         """
-        save_intrinsics(self, path)
+        write_atomically(Path(path), _text(self))
 
 
 # ------------------------------------------------------------------------------------------
@@ -290,9 +290,7 @@ def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, A
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
 
 
-def load_intrinsics(path: Path | str) -> CameraIntrinsics:
-    """Reads a calibration file; see ``CameraIntrinsics.load``."""
-    path = Path(path)
+def _load(path: Path) -> CameraIntrinsics:
     content = _read(path)
     size = (_whole(content, "image_width", path), _whole(content, "image_height", path))
     matrix = _numbers(_first(content, _MATRIX_KEYS, path), "camera matrix", path)
@@ -473,14 +471,3 @@ def _text(camera: CameraIntrinsics) -> str:
         # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
         text += f'calibration_time: "{camera.date}"\n'
     return text
-
-
-def save_intrinsics(camera: CameraIntrinsics, path: Path | str) -> None:
-    """Writes a calibration file; see ``CameraIntrinsics.save``.
-
-    The file appears whole or not at all.
-
-    Raises:
-        OutputError: The folder is missing or not writable.
-    """
-    write_atomically(Path(path), _text(camera))

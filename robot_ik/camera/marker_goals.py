@@ -317,9 +317,7 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
 
     A small rotation ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
     """
-    x, y, z = np.asarray(lever, dtype=float)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    jacobian = np.hstack([np.eye(3), -cross])
+    jacobian = np.hstack([np.eye(3), np.cross(np.asarray(lever, dtype=float), np.eye(3))])
     metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
     radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
     return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))

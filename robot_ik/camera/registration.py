@@ -50,7 +50,6 @@ class Seen:
         covariance: (6, 6) of it, as in ``BodyObservation``.
         points: Pixels (2,) where its corners were seen, by their names; ``board_points`` (3,) where they are
             on the board, metres.
-        board_points: See ``points``.
         marker: The other marker, when it was asked for and seen.
         error: RMS reprojection error, px.
         time: Of the picture.

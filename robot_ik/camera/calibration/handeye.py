@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView, cross_matrices, point_jacobian
+from robot_ik.camera.boards.board import BoardView, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
     LeftOut,
     LinearViews,
@@ -109,15 +109,20 @@ def view_derivatives(
     n = len(in_other)
     shared = np.empty((n, 2, 12))
     shared[:, :, :3] = -by_parent
-    shared[:, :, 3:6] = by_parent @ cross_matrices(in_parent - x.position)
+    shared[:, :, 3:6] = by_parent @ _cross(in_parent - x.position)
     shared[:, :, 6:9] = by_other
-    shared[:, :, 9:] = -by_other @ cross_matrices(in_other - y.position)
+    shared[:, :, 9:] = -by_other @ _cross(in_other - y.position)
     # Eye in hand, the points of a resting board move backwards in the hand; eye to hand they go with it.
     along, at, sign = (
         (by_parent, in_parent, -1.0) if mount.mounting == "eye_in_hand" else (by_other, in_other, 1.0)
     )
-    hand = np.concatenate([sign * along, -sign * along @ cross_matrices(at)], axis=2)
+    hand = np.concatenate([sign * along, -sign * along @ _cross(at)], axis=2)
     return miss.ravel(), shared.reshape(2 * n, 12), hand.reshape(2 * n, 6)
+
+
+def _cross(vectors: Array) -> Array:
+    """(n, 3, 3) matrices [v]x of vectors (n, 3)."""
+    return np.cross(np.eye(3), vectors[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,13 +216,6 @@ def mean_rotation(wxyz: Array, weights: Array | None = None) -> Array:
     return np.asarray(-mean if mean[0] < 0 else mean)
 
 
-def mean_pose(poses: Sequence[Pose], weights: Array | None = None) -> Pose:
-    """Weighted mean of positions and, by itself, of rotations."""
-    w = np.ones(len(poses)) if weights is None else np.asarray(weights, dtype=float)
-    position = np.average([pose.position for pose in poses], axis=0, weights=w)
-    return Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), w))
-
-
 def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
     """Mean that a minority of wrong poses hardly moves, and the weights (n,), 0 to 1, that it ended with.
 
@@ -232,7 +230,8 @@ def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
         far = np.array([mean.distance(pose) for pose in poses])
         scale = np.maximum(_MEDIAN_TO_SIGMA * np.median(far, axis=0), _LEAST_SCALE)
         weights = cauchy_weight(np.linalg.norm(far / scale, axis=1))
-        mean = mean_pose(poses, weights)
+        position = np.average([pose.position for pose in poses], axis=0, weights=weights)
+        mean = Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), weights))
     return mean, weights
 
 

@@ -36,65 +36,44 @@ _FAIR_RMS_PX = 0.5
 _HOLD_OUT_RATIO = 1.6
 
 
-@dataclass(frozen=True)
-class CalibrationQuality:
-    """The figures that a verdict rests on.
+def _focal_share(camera: CameraIntrinsics) -> float:
+    """Standard deviation of the focal length as a part of it: what every distance is worth."""
+    return max(camera.std[0] / camera.fx, camera.std[1] / camera.fy)
 
-    Attributes:
-        focal: fx and fy, px.
-        std: Standard deviations of fx, fy, cx, cy, … in px.
+
+def _doubts(
+    camera: CameraIntrinsics, rms: float, hold_out: float, views: int, coverage: Coverage
+) -> list[str]:
+    """What is wrong with a calibration; empty when nothing is.
+
+    Args:
+        camera: With its standard deviations.
         rms: Reprojection error on its own views, px; ``hold_out``: on views that it has not seen.
         hold_out: See ``rms``.
         views: Number of views used.
-        size: (width, height) of the pictures, px.
+        coverage: Of them.
     """
-
-    focal: tuple[float, float]
-    std: tuple[float, ...]
-    rms: float
-    hold_out: float
-    views: int
-    size: tuple[int, int]
-
-    @property
-    def focal_share(self) -> float:
-        """Standard deviation of the focal length as a part of it: what every distance is worth."""
-        return max(s / f for s, f in zip(self.std, self.focal, strict=False))
-
-    @property
-    def centre_px(self) -> float:
-        """Standard deviation of the principal point, px."""
-        return max(self.std[2:4])
-
-
-def doubts_of(quality: CalibrationQuality, coverage: Coverage) -> list[str]:
-    """What is wrong with a calibration; empty when nothing is."""
     found = []
-    if quality.views < ENOUGH_VIEWS:
-        found.append(f"only {quality.views} views: take {ENOUGH_VIEWS} or more")
-    if quality.focal_share > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * quality.focal_share:.1f} %: tilt more")
-    if quality.centre_px > _CENTRE_DOUBT * quality.size[0]:
-        found.append(
-            f"the principal point is only known to {quality.centre_px:.1f} px: tilt more, into the corners"
-        )
-    if quality.rms > _FAIR_RMS_PX:
-        found.append(
-            f"{quality.rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
-        )
-    if quality.hold_out > max(_HOLD_OUT_RATIO * quality.rms, quality.rms + 0.05):
-        found.append(
-            f"views that it has not seen fit worse ({quality.hold_out:.2f} px): too few of too many kinds"
-        )
+    if views < ENOUGH_VIEWS:
+        found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
+    if _focal_share(camera) > _FOCAL_DOUBT:
+        found.append(f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more")
+    centre = max(camera.std[2:4])
+    if centre > _CENTRE_DOUBT * camera.width:
+        found.append(f"the principal point is only known to {centre:.1f} px: tilt more, into the corners")
+    if rms > _FAIR_RMS_PX:
+        found.append(f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures")
+    if hold_out > max(_HOLD_OUT_RATIO * rms, rms + 0.05):
+        found.append(f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds")
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
-def verdict_of(quality: CalibrationQuality, doubtful: bool) -> str:
+def _verdict(camera: CameraIntrinsics, rms: float, hold_out: float, doubtful: bool) -> str:
     """One sentence."""
-    share = quality.focal_share
-    rms = f"{quality.rms:.2f} px on its own views, {quality.hold_out:.2f} px on others"
+    share = _focal_share(camera)
+    errors = f"{rms:.2f} px on its own views, {hold_out:.2f} px on others"
     reach = f"distances come out to {100 * share:.2f} % ({1e3 * share:.1f} mm in a metre)"
-    return f"{'usable, with doubts' if doubtful else 'good'}: {rms}; {reach}"
+    return f"{'usable, with doubts' if doubtful else 'good'}: {errors}; {reach}"
 
 
 Array = NDArray[np.float64]
@@ -223,13 +202,12 @@ def calibrate(
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
-    quality = CalibrationQuality((fx, fy), std, fit.rms, hold_out, len(used), size)
-    doubts = doubts_of(quality, coverage)
+    doubts = _doubts(intrinsics, fit.rms, hold_out, len(used), coverage)
     if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), std, hold_out, coverage,
-        verdict_of(quality, bool(doubts)), tuple(doubts), _tone_notes(tones),
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones),
     )  # fmt: skip
 
 

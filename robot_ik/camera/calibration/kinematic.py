@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView, cross_matrices
+from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     MOUNTINGS,
     HandEyeSample,
@@ -229,7 +229,7 @@ def pose_error(
     one, mount = model.views[view], state.mount
     carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
     vector, angle = model.deviation(state, one)
-    at_point = np.concatenate([np.eye(3), -cross_matrices(carried.position[None])[0]], axis=1)
+    at_point = np.concatenate([np.eye(3), np.cross(carried.position, np.eye(3))], axis=1)
     return PoseError(
         position=np.asarray(model.hand(state, one).apply(carried.position)),
         vector=vector,

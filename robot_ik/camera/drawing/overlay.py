@@ -51,13 +51,13 @@ def _outline_font() -> Any | None:
         return None
 
 
-def text_size(text: str, size: int, *, bold: bool = False) -> tuple[int, int]:
+def text_size(text: str, size: int) -> tuple[int, int]:
     """Width and height of capitals, pixels, of ``text`` in letters of ``size`` px."""
     font = _outline_font()
     if font is None:
         (width, _), _ = cv2.getTextSize(text.translate(_PLAIN), _HERSHEY, size / _HERSHEY_EM, 1)
         return int(width), round(0.72 * size)
-    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 700 if bold else 400)
+    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 400)
     return int(box[2]), round(0.72 * size)
 
 

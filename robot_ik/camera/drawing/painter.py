@@ -122,10 +122,7 @@ class Faces:
     Attributes:
         points: (v, 3) vertices in the camera frame, metres.
         pixels: (v, 2) the same through the lens; ``inverse`` (v,) one over depth, 1/m.
-        inverse: See ``pixels``.
         faces: (f, 4) vertices; ``chosen`` which of them to fill; ``geom`` (f,) model geom id.
-        chosen: See ``faces``.
-        geom: See ``faces``.
         lit: (f, 4, 2) diffuse light and highlight at the corners of what shows its outside.
         within: (v,) vertices that the lens can see; the others' pixels mean nothing.
         mesh: The faces before clipping, in geom frames.

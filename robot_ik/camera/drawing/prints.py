@@ -48,7 +48,6 @@ class Print:
 
     Attributes:
         x: (k + 1,) borders of the columns of cells, from one edge of the paper to the other; ``y``: (m + 1,).
-        y: See ``x``.
         ink: (m, k) in each cell, from 0 for paper to 1 for black.
     """
 

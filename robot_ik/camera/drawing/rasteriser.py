@@ -248,7 +248,7 @@ def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, 
 @kernel
 def through_lens(
     points: Any, lens: Any, near: float, limit: float, pixels: Any, inverse: Any, within: Any
-) -> bool:
+) -> None:
     """Where ``points`` (v, 3) of the camera frame are in the picture of a camera (``lens_vector``).
 
     Args:
@@ -259,35 +259,18 @@ def through_lens(
         pixels: (v, 2) gets the pixels, ``inverse`` (v,) one over depth, ``within`` (v,) what can be seen.
         inverse: See ``pixels``.
         within: See ``pixels``.
-
-    Returns:
-        Whether all can be seen.
     """
-    all_within = True
     for k in range(len(points)):
         z = points[k, 2]
         w = 1.0 / max(z, 0.5 * near)
         x, y = points[k, 0] * w, points[k, 1] * w
         r2 = x * x + y * y
         within[k] = z > near and r2 < limit * limit
-        if not within[k]:
-            all_within = False
-            if r2 > limit * limit:
-                shrink = limit / math.sqrt(r2)
-                x, y = x * shrink, y * shrink
+        if r2 > limit * limit:
+            shrink = limit / math.sqrt(r2)
+            x, y = x * shrink, y * shrink
         u, v, _, _, _ = distort_point(lens, x, y)
         pixels[k, 0], pixels[k, 1], inverse[k] = lens[FX] * u + lens[CX], lens[FY] * v + lens[CY], w
-    return all_within
-
-
-@pure
-def _from_behind(p: Any, face: Any) -> bool:
-    """Whether the lens sees the inside of both halves of a face."""
-    ax, ay, cx, cy = p[face[0], 0], p[face[0], 1], p[face[2], 0], p[face[2], 1]
-    bx, by, dx, dy = p[face[1], 0], p[face[1], 1], p[face[3], 0], p[face[3], 1]
-    one = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    two = (cx - ax) * (dy - ay) - (dx - ax) * (cy - ay)
-    return one >= 0.0 and two >= 0.0
 
 
 @kernel
@@ -316,20 +299,21 @@ def light_corners(
         lit: Gets the light.
     """
     for f in range(len(normals)):
-        if not every and _from_behind(pixels, faces[f]):
-            continue
+        a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+        if not every and _turn(pixels, a, b, c) >= 0.0 and _turn(pixels, a, c, d) >= 0.0:
+            continue  # the lens sees the inside of both halves
         g = owner[f]
-        for c in range(4):
-            n = normals[f, c]
+        for k in range(4):
+            n = normals[f, k]
             diffuse = n[0] * light[g, 0] + n[1] * light[g, 1] + n[2] * light[g, 2]
             shine = n[0] * half[g, 0] + n[1] * half[g, 1] + n[2] * half[g, 2]
             # half way round, so that the side away from the light is not flat
             wrapped = 0.5 + 0.5 * diffuse
-            lit[f, c, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
+            lit[f, k, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
             power = max(shine, 0.0)
             for _ in range(5):
                 power *= power
-            lit[f, c, 1] = power
+            lit[f, k, 1] = power
 
 
 # ------------------------------------------------------------------------------------------

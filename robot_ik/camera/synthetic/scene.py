@@ -12,15 +12,16 @@ from functools import lru_cache
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.raycast import Caster, ray_field, world_directions
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Point = tuple[float, float, float]
+Box = tuple[int, int, int, int]
 
 # ------------------------------------------------------------------------------------------
 # Where the light of a synthetic photograph comes from.
@@ -39,7 +40,6 @@ class Lights:
         lamp: Position of the lamp, metres, world.
         lamp_radius: Its radius: how soft its shadows are.
         ceiling: Centre of the bright ceiling; ``ceiling_radius`` its radius.
-        ceiling_radius: See ``ceiling``.
         window: Where the window is; it throws no shadows.
         strength: Of lamp, ceiling, window, ambient from above, ambient from below; they add up to about 1
             on a level sheet of paper.
@@ -88,6 +88,29 @@ class Lights:
         # a sunflower fills a disc evenly with any number of points
         r, angle = radius * np.sqrt((k + 0.5) / count), k * np.pi * (3.0 - np.sqrt(5.0))
         return np.asarray(centre + np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], axis=1))
+
+
+def lattice(field: RayField, box: Box, stride: int) -> tuple[Array, Array, Array]:
+    """Normalized coordinates (rows, columns, 2) of blocks of ``stride`` pixels that fill ``box``.
+
+    And the columns and rows of their centres in the picture.
+    """
+    x, y = (
+        np.asarray(low + (np.arange(-(-(high - low) // stride)) + 0.5) * stride - 0.5, dtype=float)
+        for low, high in ((box[0], box[2]), (box[1], box[3]))
+    )
+    return field.box(*box) if stride == 1 else field.grid(x, y), x, y
+
+
+def enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32:
+    """Blocks of ``stride`` pixels blown up smoothly and cropped to ``size`` (rows, columns)."""
+    small = np.ascontiguousarray(picture, dtype=np.float32)
+    if stride == 1:
+        return small
+    large = cv2.resize(
+        small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR
+    )
+    return np.ascontiguousarray(large[: size[0], : size[1]])
 
 
 # ------------------------------------------------------------------------------------------
@@ -287,18 +310,11 @@ class _StillScene:
 
     def _coarse(self, stride: int) -> tuple[Array, tuple[int, int]]:
         """Rays (n, 2) at the centres of blocks of ``stride`` pixels, and the (rows, columns) of blocks."""
-        w, h = self._field.intrinsics.size
-        if stride == 1:
-            return self._field.box(0, 0, w, h).reshape(-1, 2), (h, w)
-        columns, rows = -(-w // stride), -(-h // stride)
-        x, y = ((np.arange(n) + 0.5) * stride - 0.5 for n in (columns, rows))
-        return self._field.grid(x, y).reshape(-1, 2), (rows, columns)
+        normalized, _, _ = lattice(self._field, (0, 0, *self._field.intrinsics.size), stride)
+        return normalized.reshape(-1, 2), (normalized.shape[0], normalized.shape[1])
 
     def _enlarge(self, coarse: Array, shape: tuple[int, int], stride: int) -> Float32:
-        w, h = self._field.intrinsics.size
-        picture = np.ascontiguousarray(coarse.reshape(*shape, -1), dtype=np.float32)
-        large = cv2.resize(picture, (shape[1] * stride, shape[0] * stride), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(large[:h, :w], dtype=np.float32)
+        return enlarged(coarse.reshape(*shape, -1), stride, self._field.intrinsics.size[::-1])
 
     def _smooth_light(self, height: float) -> Float32:
         """Light (h, w, 3) on a level plane: smooth, so computed for blocks of pixels."""
