@@ -23,7 +23,6 @@ from robot_ik.kernels.jit import kernel, outlined
 if TYPE_CHECKING:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
-
 Array = NDArray[np.float64]
 
 COEFFICIENTS: dict[str, tuple[int, ...]] = {
@@ -85,10 +84,6 @@ def pixel_jacobian(intrinsics: CameraIntrinsics, normalized: Array) -> Array:
     jacobian = np.empty((len(normalized), 2, 2))
     _pixel_jacobians(lens_vector(intrinsics), np.ascontiguousarray(normalized, dtype=float), jacobian)
     return jacobian
-
-
-# ------------------------------------------------------------------------------------------
-# Compiled, point by point.
 
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false

@@ -29,10 +29,8 @@ from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_swi
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
 
-
-# ------------------------------------------------------------------------------------------
-# How old a goal is: the delay from the grab of its picture, measured where the goal is made and used.
-
+Array = NDArray[np.float64]
+Layout = Mapping[int, tuple[float, Pose]]
 
 # Delays kept; older ones are forgotten, so that the figures are of the last minute or so.
 _KEPT = 2000
@@ -198,10 +196,6 @@ class LatestGoals:
             self._stop.wait(max(0.0, begin + self._period - self._clock.now()))
 
 
-# ------------------------------------------------------------------------------------------
-# What shall happen when the marker that is followed stays unseen.
-
-
 LostPolicy = Literal["hold", "park", "stop"]
 
 
@@ -326,16 +320,6 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
 def goal_weight(sigma: float, trusted: float) -> float:
     """Weight of a goal that is known to ``sigma``: 1 up to ``trusted``, then trusted / σ, at least 0.05."""
     return max(LEAST_WEIGHT, min(1.0, trusted / sigma)) if sigma > 0.0 else 1.0
-
-
-# ------------------------------------------------------------------------------------------
-# A marker, or a body that carries several, in front of a camera as a source of goals.
-
-
-Array = NDArray[np.float64]
-Layout = Mapping[int, tuple[float, Pose]]
-
-# Without a new picture for this long the last goal is history.
 
 
 class MarkerGoalSource:

@@ -21,16 +21,9 @@ from robot_ik.camera.sources import Frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# The robot registered on a board that a camera sees, picture by picture, with Azuma's measures against delay.
-#
-# Drawn on the very picture that was tracked, a robot has no delay at all: that is ``sync="tracked"``.  With
-# ``"latest"`` the newest picture is shown and the robot is of an older one; then prediction or image shifting
-# make up for it (Azuma 1997, section 4.4: less delay, prediction, image deflection, matching the streams).
-
-
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
 #: Corners of a board by name.
 Points = Mapping[tuple[int, int], Array]
 Sync = Literal["tracked", "latest"]
@@ -161,7 +154,7 @@ def optical_motion(before: Points, after: Points) -> Array:
 
 @dataclass(frozen=True)
 class LatencyOptions:
-    """What is done about delay.
+    """What is done about delay: Azuma 1997, section 4.4.
 
     Attributes:
         sync: ``tracked`` shows the picture the pose was measured in: the video waits for the tracker.

@@ -34,6 +34,8 @@ from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
+Layout = Mapping[int, tuple[float, Pose]]
+
 # ------------------------------------------------------------------------------------------
 # Keeps both poses of a flat marker alive from picture to picture, so that a lucky error does not flip it.
 #
@@ -138,13 +140,6 @@ def _plausible(one: Pose, other: Pose, variance: float) -> float:
     """How well (log odds) the rotation from one pose to the other fits what is expected of it, rad^2."""
     angle = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
     return max(-0.5 * angle * angle / variance, -_MOST_BY_ROTATION)
-
-
-# ------------------------------------------------------------------------------------------
-# From a frame to marker observations: detect, refine on the edges, estimate the pose.
-
-
-Layout = Mapping[int, tuple[float, Pose]]
 
 
 class MarkerTracker:

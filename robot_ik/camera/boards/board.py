@@ -21,12 +21,7 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# One observation of a board: its known points, and where they were seen.
-
-
 Array = NDArray[np.float64]
-
 #: Marker id -> (side in metres, ``pose_board_marker``).
 Layout = Mapping[int, tuple[float, Pose]]
 

@@ -31,9 +31,8 @@ from robot_ik.camera.image import (
 )
 from robot_ik.errors import CalibrationError
 
-# ------------------------------------------------------------------------------------------
-# The corners of a pattern in one picture, fitted at the size in which they are measured best.
-
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 # Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
 FEWEST_CORNERS = 6
@@ -57,9 +56,6 @@ class FoundPattern:
     ids: NDArray[np.int64]
     blur: float = 0.0
 
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
 
 # How far from a corner its picture is its own, in gaps between square and marker: the nearest marker's corner
 # is the root of 2 away, and blur takes some of that.
@@ -385,10 +381,6 @@ def describe(pattern: Pattern) -> str:
         markers = f"markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}"
         return f"ChArUco board of {count} squares ({square}, {markers}{layout})"
     return f"chessboard of {count} inner corners (squares {square})"
-
-
-# ------------------------------------------------------------------------------------------
-# The patterns that are printed and calibrated with by name, and their usual sizes.
 
 
 PatternKind = Literal["charuco", "chessboard"]

@@ -33,6 +33,7 @@ from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, quat_multiply, rotation_log
 
 Array = NDArray[np.float64]
+
 Mounting = Literal["eye_in_hand", "eye_to_hand"]
 MOUNTINGS: tuple[Mounting, ...] = ("eye_in_hand", "eye_to_hand")
 
@@ -357,16 +358,6 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
     return np.asarray(position)
 
 
-# ------------------------------------------------------------------------------------------
-# Hand-eye calibration: where a camera sits on the arm, or stands beside it.
-#
-# An initial solution from AX = XB (``start_handeye``), then the joint least squares of all corners in all
-# pictures over both unknown poses.  Two errors are separated: that of the pixels and that of the arm, which
-# moves all corners of a picture together (servo ticks, gear play, geometry).  The size of the arm's is
-# estimated from the views themselves (restricted maximum likelihood), so that the stated uncertainty is
-# consistent with the errors.
-
-
 # The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
 _ALL = np.arange(12)
 _HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
@@ -445,6 +436,10 @@ def solve_handeye(
     samples: Sequence[HandEyeSample], intrinsics: CameraIntrinsics, *, mounting: Mounting
 ) -> HandEye:
     """Where the camera is, from pictures of one board taken while the arm stood in many ways.
+
+    All corners are fitted together over both poses.  The arm's own error, which moves all corners of one
+    picture alike, is told from that of the pixels and estimated from the views, so that the stated
+    uncertainty is consistent with the errors.
 
     Args:
         samples: At least 4, turned about two axes and more; 15 are good.

@@ -23,9 +23,7 @@ from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 
-# ------------------------------------------------------------------------------------------
-# What a calibration is worth, as text.
-
+Array = NDArray[np.float64]
 
 #: With fewer views the principal point is off by some pixels.
 ENOUGH_VIEWS = 15
@@ -75,8 +73,6 @@ def _verdict(camera: CameraIntrinsics, rms: float, hold_out: float, doubtful: bo
     reach = f"distances come out to {100 * share:.2f} % ({1e3 * share:.1f} mm in a metre)"
     return f"{'usable, with doubts' if doubtful else 'good'}: {errors}; {reach}"
 
-
-Array = NDArray[np.float64]
 
 # A homography gives two equations for five unknowns of a pinhole; lens and noise want many more.
 FEWEST_VIEWS = 6

@@ -1,4 +1,13 @@
-"""How far a camera sees a carried board from where the joints say it is: the error map of an arm."""
+"""How far a camera sees a carried board from where the joints say it is; and joint zeros found by that.
+
+Self-calibration fits all corners of all pictures together, over the joints' offsets and the poses of camera
+and board; what is known of the poses beforehand enters with its covariance.  A change of offsets moves the
+hand, so all unknowns enter the six numbers to which a view is boiled down (``handeye.compress``).  Offsets
+that the views cannot tell from other unknowns are held at 0 and named.
+
+Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
+Int. J. Robotics Research 15(6), 1996.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +41,7 @@ from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# What self-calibration sees: an arm whose joints may be off by constants, a camera and a board.
-#
-# Each view is boiled down to the twist of the hand that its picture asks for (``handeye.compress``); a
-# change of the joints' offsets moves the hand too, so all unknowns enter those six numbers linearly.
-
+Array = NDArray[np.float64]
 
 #: Numbers of the two poses: the camera's twist, then the board's.
 POSES = 12
@@ -180,8 +184,6 @@ class ArmModel:
         return found.position - expected.position, found.distance(expected)[1]
 
 
-Array = NDArray[np.float64]
-
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
 # and by more than this distance: below, print and lens are as good a reason.
 _OUTLIER, _OUTLIER_DISTANCE = 6.4, 5e-4
@@ -276,17 +278,6 @@ def measure_errors(
 
 def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board: Pose) -> Pose:
     return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
-
-
-# ------------------------------------------------------------------------------------------
-# Kinematic self-calibration: joint zero offsets from pictures of a board that the arm carries.
-#
-# All corners of all pictures are fitted together, over the joints' offsets and the poses of camera and board,
-# by Levenberg and Marquardt's method with robust weights.  What is known of the two poses beforehand enters
-# with its covariance.  Offsets that the views cannot tell from other unknowns are held at 0 and named.
-#
-# Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
-# Int. J. Robotics Research 15(6), 1996.
 
 
 #: Fewer views than this are refused.

@@ -12,15 +12,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Segments = tuple[int, ...]
+
 # ------------------------------------------------------------------------------------------
 # Surfaces of MuJoCo's geom kinds as faces: sphere, capsule, cylinder, box, ellipsoid, plane, mesh.
 #
 # Every round primitive is one *lathe*: a profile turned about z; a box is six grids.  A face is a quad of
 # vertex indices, seen counter-clockwise from outside; a triangle repeats its last index.
 
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # Faces round a lathe, multiples of 4: by radius in metres for those who do not know how large it is seen.
 SEGMENTS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 80, 96)
@@ -273,8 +274,6 @@ def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | 
         return _FLAT[kind](np.array(size))
     return _ROUND[kind](np.array(size), segments) if kind in _ROUND else None
 
-
-Segments = tuple[int, ...]
 
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)

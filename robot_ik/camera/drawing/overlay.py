@@ -29,6 +29,9 @@ from robot_ik.camera.drawing.painter import (
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
 # ------------------------------------------------------------------------------------------
 # Text on pictures: the built-in outline font where OpenCV has one (5.0 on), stroke letters otherwise.
 
@@ -122,8 +125,6 @@ def visible_lines(faces: Faces, samples: SurfaceSamples) -> Array:
     return np.stack([at(share, a, b)[seen], at(share + step, a, b)[seen]], axis=1)
 
 
-Image = NDArray[np.uint8]
-Colour = tuple[int, int, int]
 Style = Literal["solid", "outline", "registered"]
 
 GREEN: Colour = (90, 190, 60)

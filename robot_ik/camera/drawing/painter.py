@@ -23,12 +23,12 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import lens_vector
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# A drawn robot as a transparent sheet that is laid over pictures: over one, or over many, shifted.
-
-
 Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 EMPTY: Box = (0, 0, 0, 0)
 
@@ -88,11 +88,6 @@ class Layer:
         whole[y0:y1, x0:x1] = self.coverage
         return whole
 
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 # Nothing nearer to the lens is drawn, metres.
 NEAR = 0.02

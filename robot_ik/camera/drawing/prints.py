@@ -213,10 +213,6 @@ def blank_paper(side: float, ink: float = 0.0) -> Print:
     return Print(edges, edges, np.full((1, 1), ink))
 
 
-# ------------------------------------------------------------------------------------------
-# A print before a camera.
-
-
 @dataclass(frozen=True, eq=False)
 class SeenPrint:
     """A print as it falls on the pixels of ``box``.

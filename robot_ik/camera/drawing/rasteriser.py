@@ -229,10 +229,6 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
                     seen[i] = True
 
 
-# ------------------------------------------------------------------------------------------
-# Compiled: the corners of faces through pose and lens, and the light on them.
-
-
 @kernel
 def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
     """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
@@ -314,10 +310,6 @@ def light_corners(
             for _ in range(5):
                 power *= power
             lit[f, k, 1] = power
-
-
-# ------------------------------------------------------------------------------------------
-# Compiled: samples into pixels, and drawings over pictures.
 
 
 @pure

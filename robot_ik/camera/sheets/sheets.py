@@ -16,11 +16,8 @@ from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
 
-# ------------------------------------------------------------------------------------------
-# What sheets show: markers, boards, cubes and calibration patterns, laid out in millimetres.
-
-
 Area = tuple[float, float]
+Array = NDArray[np.float64]
 
 SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
@@ -229,8 +226,6 @@ MAKERS: dict[str, Maker] = {
     "marker": _markers, "board": _board, "cube": _cube, "charuco": _pattern, "chessboard": _pattern,
 }  # fmt: skip
 
-
-Array = NDArray[np.float64]
 
 #: Paper, mm, upright.
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}

@@ -29,9 +29,7 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
 
-# ------------------------------------------------------------------------------------------
-# Noise of a synthetic sensor.
-
+Array = NDArray[np.float64]
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256
@@ -57,8 +55,6 @@ def _larger_piece(shape: tuple[int, int, int], seed: int) -> NDArray[np.float32]
     piece.setflags(write=False)
     return piece
 
-
-Array = NDArray[np.float64]
 
 Condition = Literal["printed", "blank", "covered"]
 # Of the patch that covers a marker: reflectance, as ink on paper.
@@ -309,10 +305,6 @@ def _subject_distance(scene: SyntheticScene) -> float:
     else:
         centre = np.array(scene.robot.model.stat.center, dtype=float)
     return float(max(inverse.apply(centre)[2], 0.3))
-
-
-# ------------------------------------------------------------------------------------------
-# The synthetic camera on the arm's hand: it moves with the joints.
 
 
 class CarriedSource(ClosingSource):

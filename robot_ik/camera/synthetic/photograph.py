@@ -29,9 +29,9 @@ from robot_ik.camera.synthetic.scene import (
 )
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# One camera before one scene: viewing rays, what stands still, and which light gets past the robot.
-
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 # Neighbouring points ask different points of a light, in a repeating tile of this side; a blur over the
 # tile then gives soft shadows from few rays (interleaved sampling, Keller and Heidrich 2001).
@@ -274,10 +274,6 @@ class RobotRenderer:
         mean = total.reshape(len(rows), len(_ROOKS), 4).mean(axis=1)
         colour[rows, columns], coverage[rows, columns] = mean[:, :3], mean[:, 3]
 
-
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 # Reflectances of print and paper: a laser print in a lit room.
 INK, PAPER = 0.07, 0.93

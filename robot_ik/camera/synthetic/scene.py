@@ -23,9 +23,6 @@ Float32 = NDArray[np.float32]
 Point = tuple[float, float, float]
 Box = tuple[int, int, int, int]
 
-# ------------------------------------------------------------------------------------------
-# Where the light of a synthetic photograph comes from.
-
 
 def _point(values: Array) -> Point:
     x, y, z = values.tolist()
