@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import logging
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -118,7 +118,7 @@ class CameraIntrinsics:
     @cached_property
     def radius_limit(self) -> float:
         """Largest ``|(X, Y)| / Z`` at which the lens model is still one to one; beyond it, it folds back."""
-        return lens.radius_limit(self)
+        return float(lens.lens_vector(self)[lens.LIMIT])
 
     # ------------------------------------------------------------------------------ mapping
 
@@ -141,14 +141,14 @@ class CameraIntrinsics:
 
     def distort(self, normalized: Array) -> Array:
         """Undistorted normalised coordinates (n, 2) -> distorted pixels (n, 2)."""
-        return lens.distort(self, normalized)
+        return self._mapped(lens.distort_points, normalized, 2)
 
     def undistort(self, pixels: ArrayLike) -> Array:
         """Distorted pixels (n, 2) -> undistorted normalised coordinates (n, 2), exact to 1e-9.
 
         NaN where the lens model has no inverse.
         """
-        return lens.undistort(self, np.asarray(pixels, dtype=float).reshape(-1, 2))
+        return self._mapped(lens.undistort_points, np.asarray(pixels, dtype=float).reshape(-1, 2), 2)
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""
@@ -159,7 +159,13 @@ class CameraIntrinsics:
 
     def pixel_jacobian(self, normalized: Array) -> Array:
         """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
-        return lens.pixel_jacobian(self, normalized)
+        return self._mapped(lens.pixel_jacobians, normalized, 2, 2)
+
+    def _mapped(self, kernel: Callable[..., None], points: Array, *shape: int) -> Array:
+        """What a kernel of ``lens`` makes (n, *shape) of points (n, 2)."""
+        result = np.empty((len(points), *shape))
+        kernel(lens.lens_vector(self), np.ascontiguousarray(points, dtype=float), result)
+        return result
 
     # ----------------------------------------------------------------------- size and sense
 

@@ -32,7 +32,7 @@ COEFFICIENTS: dict[str, tuple[int, ...]] = {
 }
 
 # Places in the vector that stands for a camera: focal lengths, principal point, model, fold, coefficients.
-FX, FY, CX, CY, _EQUIDISTANT, _LIMIT, _K = 0, 1, 2, 3, 4, 5, 6
+FX, FY, CX, CY, _EQUIDISTANT, LIMIT, _K = 0, 1, 2, 3, 4, 5, 6
 _LENGTH = 14
 # Residual of the inverse in distorted coordinates: 1e-12 of a focal length is 1e-9 px; and what a stall at
 # rounding level may leave.
@@ -50,40 +50,8 @@ def lens_vector(intrinsics: CameraIntrinsics) -> Array:
     lens[:_EQUIDISTANT] = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
     lens[_EQUIDISTANT] = intrinsics.model == "equidistant"
     lens[_K : _K + len(intrinsics.distortion)] = intrinsics.distortion
-    lens[_LIMIT] = _fold(lens)
+    lens[LIMIT] = _fold(lens)
     return lens
-
-
-def radius_limit(intrinsics: CameraIntrinsics) -> float:
-    """Largest normalized radius up to which a larger angle means a larger distorted radius.
-
-    Beyond it the polynomial folds back, and points far outside the view would seem to be inside.
-    """
-    return float(lens_vector(intrinsics)[_LIMIT])
-
-
-def distort(intrinsics: CameraIntrinsics, normalized: Array) -> Array:
-    """Normalized coordinates (n, 2) -> distorted pixels (n, 2)."""
-    pixels = np.empty((len(normalized), 2))
-    _distort_points(lens_vector(intrinsics), np.ascontiguousarray(normalized, dtype=float), pixels)
-    return pixels
-
-
-def undistort(intrinsics: CameraIntrinsics, pixels: Array) -> Array:
-    """Distorted pixels (n, 2) -> normalized coordinates (n, 2), exact to about 1e-12.
-
-    NaN where the lens model has no inverse (beyond the radius at which its polynomial folds back).
-    """
-    normalized = np.empty((len(pixels), 2))
-    _undistort_points(lens_vector(intrinsics), np.ascontiguousarray(pixels, dtype=float), normalized)
-    return normalized
-
-
-def pixel_jacobian(intrinsics: CameraIntrinsics, normalized: Array) -> Array:
-    """Derivative of ``distort``: (n, 2, 2), rows pixels, columns normalized."""
-    jacobian = np.empty((len(normalized), 2, 2))
-    _pixel_jacobians(lens_vector(intrinsics), np.ascontiguousarray(normalized, dtype=float), jacobian)
-    return jacobian
 
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -149,14 +117,17 @@ def from_pixel(lens, px, py):
             scale *= 0.5
         if size < _INVERSE_RESIDUAL:
             break
-    if not size < _STALLED or x * x + y * y > lens[_LIMIT] * lens[_LIMIT]:
+    if not size < _STALLED or x * x + y * y > lens[LIMIT] * lens[LIMIT]:
         return math.nan, math.nan
     return x, y
 
 
 @kernel
 def _fold(lens):
-    """Largest of the radii that are tried up to which the distorted radius grows."""
+    """Largest normalized radius, of those tried, up to which a larger angle means a larger distorted radius.
+
+    Beyond it the polynomial folds back, and points far outside the view would seem to be inside.
+    """
     for k in range(_RADII + 1):
         r = k * _LARGEST_RADIUS / _RADII
         factor, slope = radial(lens, r * r)
@@ -166,20 +137,23 @@ def _fold(lens):
 
 
 @kernel
-def _distort_points(lens, normalized, pixels):
+def distort_points(lens, normalized, pixels):
+    """Normalized coordinates (n, 2) -> distorted pixels (n, 2)."""
     for k in range(len(normalized)):
         x, y, _, _, _ = distort_point(lens, normalized[k, 0], normalized[k, 1])
         pixels[k, 0], pixels[k, 1] = lens[FX] * x + lens[CX], lens[FY] * y + lens[CY]
 
 
 @kernel
-def _undistort_points(lens, pixels, normalized):
+def undistort_points(lens, pixels, normalized):
+    """The way back; see ``from_pixel``."""
     for k in range(len(pixels)):
         normalized[k, 0], normalized[k, 1] = from_pixel(lens, pixels[k, 0], pixels[k, 1])
 
 
 @kernel
-def _pixel_jacobians(lens, normalized, jacobian):
+def pixel_jacobians(lens, normalized, jacobian):
+    """Derivative (n, 2, 2) of pixels by normalized coordinates (n, 2)."""
     for k in range(len(normalized)):
         _, _, xx, xy, yy = distort_point(lens, normalized[k, 0], normalized[k, 1])
         jacobian[k, 0, 0], jacobian[k, 0, 1] = lens[FX] * xx, lens[FX] * xy

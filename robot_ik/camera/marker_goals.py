@@ -264,48 +264,6 @@ class PlacedObservation:
     tool_offset: Array | None = None
 
 
-class FlatMarkerChoice:
-    """Chooses between the two poses that a flat marker allows.
-
-    Args:
-        pose_marker_tool: Where the tool is wanted.
-        normal: Known world direction (3,) of the marker's z axis, or None.
-    """
-
-    def __init__(self, pose_marker_tool: Pose, normal: ArrayLike | None) -> None:
-        self._tool = pose_marker_tool
-        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
-
-    def of(
-        self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
-    ) -> PlacedObservation | None:
-        """The observation in the world, or None when it is unknown where the tool should go."""
-        own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
-        pose = pose_world_camera.compose(own)
-        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
-        covariance = rotation @ seen.covariance @ rotation.T
-        if seen.alternative is None:
-            return PlacedObservation(pose, covariance)
-        other = pose_world_camera.compose(seen.alternative)
-        if self._normal is not None:
-            return PlacedObservation(min((pose, other), key=self._tilt), covariance)
-        if seen.ambiguity <= AMBIGUITY_LIMIT:
-            return PlacedObservation(pose, covariance)
-        one, two = (branch.apply(self._tool.position) for branch in (pose, other))
-        if np.linalg.norm(one - two) > _SAME_POSITION:
-            return None
-        unsure = np.zeros((6, 6))
-        unsure[:3, :3] = covariance[:3, :3]
-        unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
-        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
-
-    def _tilt(self, pose: Pose) -> float:
-        """Angle between the marker's z axis and the direction it is known to have; smaller is better."""
-        assert self._normal is not None
-        cosine = pose.rotation[:, 2] @ self._normal / np.linalg.norm(self._normal)
-        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
 def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
     """Standard deviations (m, rad) in the worst direction of a point ``lever`` (3,) away from the origin.
 
@@ -393,7 +351,7 @@ class MarkerGoalSource:
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
-        self._choice = FlatMarkerChoice(pose_marker_tool, normal)
+        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
@@ -479,10 +437,35 @@ class MarkerGoalSource:
             _log.warning("marker %d is in view %d times; holding", self.marker, len(seen))
         return seen[0] if len(seen) == 1 else None
 
+    def _placed(
+        self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
+    ) -> PlacedObservation | None:
+        """The observation in the world, or None when it is unknown where the tool should go."""
+        own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
+        pose = pose_world_camera.compose(own)
+        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
+        covariance = rotation @ seen.covariance @ rotation.T
+        if seen.alternative is None:
+            return PlacedObservation(pose, covariance)
+        other = pose_world_camera.compose(seen.alternative)
+        if self._normal is not None:
+            # The one whose z axis is nearer to the known direction.
+            cosines = [branch.rotation[:, 2] @ self._normal for branch in (pose, other)]
+            return PlacedObservation(pose if cosines[0] >= cosines[1] else other, covariance)
+        if seen.ambiguity <= AMBIGUITY_LIMIT:
+            return PlacedObservation(pose, covariance)
+        one, two = (branch.apply(self.pose_marker_tool.position) for branch in (pose, other))
+        if np.linalg.norm(one - two) > _SAME_POSITION:
+            return None
+        unsure = np.zeros((6, 6))
+        unsure[:3, :3] = covariance[:3, :3]
+        unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
+        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
+
     def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
-        observation = None if seen is None else self._choice.of(seen, pose)
+        observation = None if seen is None else self._placed(seen, pose)
         if observation is None:
             self._observation = None
             return

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
+    LEAST_VIEWS,
     MOUNTINGS,
     HandEyeSample,
     Mount,
@@ -280,10 +281,8 @@ def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board
     return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
 
 
-#: Fewer views than this are refused.
-LEAST_VIEWS = 4
-#: Offsets known worse than this count as not told apart, rad.
-UNCLEAR = float(np.deg2rad(0.25))
+# A combination of offsets with a larger standard deviation than this, rad, is not determined.
+_UNCLEAR = float(np.deg2rad(0.25))
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,7 +338,6 @@ def fit_zero_offsets(
     board: KnownPose,
     mounting: Mounting = "eye_to_hand",
     hold: Sequence[str] = (),
-    unclear: float = UNCLEAR,
 ) -> ZeroOffsets:
     """By how much the joints are ahead of what their servos say.
 
@@ -352,7 +350,6 @@ def fit_zero_offsets(
         board: The same of the board, seen from the other of the two.
         mounting: Who is carried.
         hold: Joints whose offset is 0 for sure.
-        unclear: A combination of offsets with a larger standard deviation, rad, is not determined.
 
     Raises:
         CalibrationError: Too few views, an unknown mounting, joints that are no vector, or views that no
@@ -369,7 +366,7 @@ def fit_zero_offsets(
         # From the start each time: an offset that nothing determines may have gone anywhere.
         unknowns = np.array([*free, *range(robot.nv, robot.nv + POSES)])
         state, normal = fit_views(model.linear, model.start(), unknowns)
-        worst = find_unobservable(normal, robot.joints, unclear, parent, other)
+        worst = find_unobservable(normal, robot.joints, _UNCLEAR, parent, other)
         if worst is None:
             # With all joints held it is the arm's errors that are asked for, however large.
             return _result(model, state, normal, unobservable, judge=not set(hold) >= set(robot.joints))

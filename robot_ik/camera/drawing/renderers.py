@@ -185,16 +185,9 @@ def finished(
 
 
 class PainterArtist:
-    """Faces filled with a depth buffer: quick, smooth, nothing but NumPy and compiled code.
-
-    Args:
-        samples: Places in each pixel at which it is asked what is nearest: 1, 4, 8 or 16.
-    """
+    """Faces filled with a depth buffer: quick, smooth, nothing but NumPy and compiled code."""
 
     name = "painter"
-
-    def __init__(self, samples: int = 4) -> None:
-        self._samples = samples
 
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
@@ -202,7 +195,7 @@ class PainterArtist:
         faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
         if box == EMPTY:
             return Drawing()
-        samples = painter.SurfaceSamples(box, self._samples)
+        samples = painter.SurfaceSamples(box)
         if occluders is not None:
             samples.fill(occluders, occluders=True)
         samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)

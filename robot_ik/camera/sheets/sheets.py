@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -235,8 +235,6 @@ _MARGIN = 7.0
 _FOOT, _SIDE = 14.0, 6.0
 _BAR, _TICK = 100.0, 0.3
 _TEXT, _LINE = 2.1, 2.8
-# Options that the command on the sheet names when they are not the usual ones.
-_NAMED = ("size_mm", "columns", "rows", "ids", "dictionary", "gap_mm", "edge_mm", "marker_mm", "page")
 
 
 def make_sheet_page(request: SheetRequest) -> PrintedPage:
@@ -347,12 +345,12 @@ def _bar(x: float, y: float, *, upright: bool = False) -> Array:
 
 def _command(request: SheetRequest) -> str:
     text = f"robot-ik camera print {request.kind}"
-    for name in _NAMED:
-        value = getattr(request, name)
-        if value != SheetRequest.__dataclass_fields__[name].default:
+    for option in fields(request)[1:]:  # all but the kind, where they are not the usual ones
+        value = getattr(request, option.name)
+        if value != option.default:
             values = value if isinstance(value, tuple) else (value,)
             shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
-            text += f" --{name.replace('_', '-')} {shown}"
+            text += f" --{option.name.replace('_', '-')} {shown}"
     return text
 
 

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
 from robot_ik.camera.synthetic.scene import Lights, SceneTable
@@ -276,16 +277,11 @@ class SyntheticSource(ClosingSource):
             "pose_world_marker": {m.id: p for m, p, _ in seen},
             "pose_camera_marker": {m.id: inverse.compose(p) for m, p, _ in seen},
             "corners": {
-                m.id: scene.intrinsics.project(inverse.compose(p).apply(_corners(m.size))) for m, p, _ in seen
+                m.id: scene.intrinsics.project(inverse.compose(p).apply(marker_points(m.size)))
+                for m, p, _ in seen
             },
             "visible": {m.id: part for m, _, part in seen},
         }
-
-
-def _corners(size: float) -> Array:
-    """Outer corners (4, 3) of a marker in its own frame, OpenCV's order."""
-    half = size / 2
-    return np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
 
 
 def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:

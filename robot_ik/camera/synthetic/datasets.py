@@ -62,7 +62,7 @@ def render_marker(
     size: float = STANDARD_SIZE,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 0,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Image:
     """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
     return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, sensor=sensor)
@@ -74,7 +74,7 @@ def render_markers(
     rng: np.random.Generator,
     *,
     dictionary: str = "DICT_4X4_50",
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
 ) -> Image:
@@ -89,7 +89,6 @@ def render_markers(
         margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
-    sensor = sensor or LINEAR
     light = marker_light(
         camera, markers, rng, dictionary=dictionary, sensor=sensor, margin=margin, cover=cover
     )
@@ -194,7 +193,7 @@ def standard_set(
     marker_id: int = 7,
     size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
 ) -> Iterator[MarkerView]:
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
@@ -253,10 +252,9 @@ def render_pattern(
     camera: CameraIntrinsics,
     pose: Pose,
     rng: np.random.Generator,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
-    sensor = sensor or LINEAR
     # A grey wall.
     canvas = np.full((camera.height, camera.width), 0.5 * (sensor.black + sensor.white))
     _lay(canvas, pattern_print(pattern), pose, camera, sensor)
@@ -309,7 +307,7 @@ def pattern_set(
     count: int,
     *,
     seed: int = 0,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Iterator[PatternView]:
     """Pictures as a calibration wants them; the same seed gives the same ones."""
     rng = np.random.default_rng([seed, count])

@@ -64,13 +64,8 @@ class Lights:
 
         def facing(source: Point) -> Array:
             to_light = source - points
-            return np.asarray(
-                np.maximum(
-                    np.einsum("ij,ij->i", to_light, normals)
-                    / np.maximum(np.linalg.norm(to_light, axis=1), 1e-9),
-                    0.0,
-                )
-            )
+            length = np.maximum(np.linalg.norm(to_light, axis=1), 1e-9)
+            return np.asarray(np.maximum(np.einsum("ij,ij->i", to_light, normals) / length, 0.0))
 
         up = 0.5 + 0.5 * normals[:, 2]
         ambient = below + (above - below) * up + window * facing(self.window)
