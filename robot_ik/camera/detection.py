@@ -174,9 +174,6 @@ class MarkerDetector:
         """As ``detect``, two times faster, with one threshold: enough for markers that are easily seen.
 
         A large picture is searched in a smaller size only.
-
-        Args:
-            image: (h, w) or (h, w, 3) uint8.
         """
         times = times_smaller(image)
         gray = reduced(to_gray(image), times)
@@ -250,10 +247,8 @@ def shortest_side(corners: Array) -> float:
 def _parameters(window: int, accuracy: float, corrected: float) -> cv2.aruco.DetectorParameters:
     """All that matters is set, because the defaults differ between OpenCV releases.
 
-    Args:
-        window: Of the threshold, px.
-        accuracy: By how much an outline may leave its polygon, in parts of its length.
-        corrected: Share of the bits that a dictionary can correct that may be wrong.
+    The threshold looks at a ``window`` of pixels, an outline may leave its polygon by ``accuracy`` of its
+    length, ``corrected`` of the bits that a dictionary can correct may be wrong.
     """
     p = cv2.aruco.DetectorParameters()
     p.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE

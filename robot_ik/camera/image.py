@@ -89,10 +89,7 @@ def marker_bits(name: str, marker_id: int) -> Image:
 def marker_boxes(name: str, marker_id: int, size: float) -> Array:
     """A marker's black cells (n, 4): x, y (down), width and height from its upper left corner.
 
-    Args:
-        name: Of the dictionary.
-        marker_id: In it.
-        size: Side of the black border, in any unit.
+    ``size`` is the side of its black border, in any unit.
 
     Raises:
         CameraError: Unknown dictionary, or an id beyond it.

@@ -65,6 +65,7 @@ class BoardWatcher:
         intrinsics: Of the pictures' size.
         other: Id and side in metres of a marker that is not on the board.
         window: Search only near the last find (Azuma's first measure: less delay).
+        dictionary: Of that marker, where the board has none.
     """
 
     def __init__(

@@ -114,12 +114,8 @@ class Pattern(ABC):
     ) -> FoundPattern | None:
         """Refines corners and takes away those that were none; None when too few are left.
 
-        Args:
-            gray: (h, w), the whole picture.
-            times: So many times smaller was the one in which the corners were found.
-            start: (n, 2) pixels of that smaller one, to within about 1.5 px.
-            ids: (n,) their numbers.
-            reach: Radius round a corner, in squares, in which there is no third edge.
+        They are those of numbers ``ids`` (n,), found at ``start`` (n, 2) to within about 1.5 px in a picture
+        that is ``times`` smaller than ``gray``; no third edge is within ``reach`` squares of one.
         """
         columns = self.corners[0]
         grid_position = np.stack([ids % columns, ids // columns], axis=1).astype(float)

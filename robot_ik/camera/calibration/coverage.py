@@ -51,13 +51,7 @@ class Coverage:
 
 
 def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]) -> Coverage:
-    """Accounts for the views.
-
-    Args:
-        found: Corners of each view.
-        rotations: (3, 3) ``rotation_camera_board`` of each view.
-        size: (width, height) of the pictures, px.
-    """
+    """Accounts for views of pictures of ``size`` px, each with its ``rotation_camera_board`` (3, 3)."""
     parts = np.zeros((3, 3), dtype=np.int64)
     for view in found:
         cell = np.clip((view.pixels / size * 3).astype(int), 0, 2)

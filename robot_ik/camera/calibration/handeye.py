@@ -166,14 +166,7 @@ def compress(
     intrinsics: CameraIntrinsics,
     weights: Sequence[Array] | None = None,
 ) -> Compressed:
-    """Each view linear at ``mount``.
-
-    Args:
-        mount: Where camera and board are thought to be.
-        samples: The views.
-        intrinsics: Of the pictures' size.
-        weights: Of each corner of each view, (k,) each; 1 when not given.
-    """
+    """Each view linear at ``mount``, with ``weights`` (k,) of the corners of each; 1 when not given."""
     pseudo_measurements, covariances, rows, left = [], [], [], []
     for k, sample in enumerate(samples):
         miss, shared, hand = view_derivatives(mount, sample, intrinsics)
@@ -473,12 +466,7 @@ def solve_handeye(
 def require_explained(
     pixels: Sequence[float], outliers: Sequence[bool], intrinsics: CameraIntrinsics
 ) -> None:
-    """Checks that a result explains the views that it is of.
-
-    Args:
-        pixels: RMS distance of each view's corners from where the result puts them, px.
-        outliers: Which views contradict the others.
-        intrinsics: Of the pictures.
+    """Checks that a result explains its views: given the RMS miss of each in ``pixels``, and the outliers.
 
     Raises:
         CalibrationError: It does not; there is nothing to be written then.

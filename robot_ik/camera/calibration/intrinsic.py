@@ -44,12 +44,7 @@ def _doubts(
 ) -> list[str]:
     """What is wrong with a calibration; empty when nothing is.
 
-    Args:
-        camera: With its standard deviations.
-        rms: Reprojection error on its own views, px; ``hold_out``: on views that it has not seen.
-        hold_out: See ``rms``.
-        views: Number of views used.
-        coverage: Of them.
+    Reprojection errors in px: ``rms`` on its own views, ``hold_out`` on those that it has not seen.
     """
     found = []
     if views < ENOUGH_VIEWS:

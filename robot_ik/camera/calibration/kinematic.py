@@ -220,14 +220,9 @@ class PoseError:
 def pose_error(
     model: ArmModel, state: ArmEstimate, view: int, covariance: Array, sigmas: float = 0.0
 ) -> PoseError:
-    """One view at a state.
+    """View number ``view`` at a state; ``sigmas`` as in ``PoseError``.
 
-    Args:
-        model: Of all views.
-        state: Offsets, camera and board.
-        view: Which.
-        covariance: (6, 6) of the twist of the hand, in its axes, that separates picture and joints.
-        sigmas: As in ``PoseError``.
+    ``covariance`` (6, 6) is of the twist of the hand, in its axes, that separates picture and joints.
     """
     one, mount = model.views[view], state.mount
     carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera

@@ -229,10 +229,7 @@ def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise
     unequal, Biometrika 58(3), 1971.  Weights are those of a multivariate Student's t (Lange, Little &
     Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
 
-    Args:
-        views: Linear at the solution so far.
-        free: (f,) indices of the unknowns that are sought.
-        before: The solution of an earlier round, to start from.
+    ``views`` are linear at the solution so far, ``before`` is that of an earlier round, to start from.
     """
     weights = _first_weights(views) if before is None else before.weights
     for _ in range(_ROUNDS if before is None else 1):
@@ -354,12 +351,7 @@ def find_unobservable(
 ) -> Unobservable | None:
     """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
 
-    Args:
-        normal: At the solution.
-        names: Of all joints.
-        unclear: Largest standard deviation that counts as told apart.
-        parent: What the camera is seen from.
-        other: What the board is seen from.
+    ``names`` are of all joints; ``parent`` and ``other`` are what camera and board are seen from.
     """
     values, directions, along = joint_information(normal, len(names))
     if len(values) == 0 or values[-1] >= unclear**-2:

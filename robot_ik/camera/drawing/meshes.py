@@ -453,16 +453,11 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
 
 
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
-    """How finely each round geom must be cut so that no corners are seen: one of ``SEGMENTS`` each.
+    """How finely each round geom must be cut so that no corners are seen: one of ``SEGMENTS``, 0 for others.
 
     Cut so, an outline is off by at most ``ROUND_PX`` in the picture, at the geom's nearest point: inwards at
-    the middles of faces, outwards at corners.
-
-    Args:
-        model: The model; geoms that are not round get 0.
-        axes: (ngeom, 3) each geom's z axis in the camera frame.
-        centres: (ngeom, 3) in the camera frame.
-        focal: Pixels.
+    the middles of faces, outwards at corners.  ``axes`` and ``centres`` (ngeom, 3) are the geoms' z axes and
+    origins in the camera frame, ``focal`` is in pixels.
     """
     kept = _kept(model)
     nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius

@@ -58,12 +58,9 @@ class Layer:
             rasteriser.lay_over(image, self.colour, self.coverage, float(alpha), self.box[0], self.box[1])
 
     def shifted(self, motion: Array, width: int, height: int) -> Layer:
-        """The drawing moved in the picture: Azuma's image shifting.
+        """The drawing moved in a picture of this size, and cut off there: Azuma's image shifting.
 
-        Args:
-            motion: (2, 3) where pixels (x, y, 1) of this drawing go.
-            width: Of the picture; what leaves it is cut off.
-            height: See ``width``.
+        ``motion`` (2, 3) says where pixels (x, y, 1) of this drawing go.
         """
         if not self.coverage.size:
             return self

@@ -185,25 +185,18 @@ def fill_faces(
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
-    Args:
-        pixels: (v, 2) where the vertices are; ``inverse`` (v,) one over their depth, 1/m.
-        inverse: See ``pixels``.
-        lit: (f, 4, 2) light at the corners.
-        faces: (f, 4) vertices; ``chosen`` (k,) which faces to fill.
-        chosen: See ``faces``.
-        offset: Number of faces that are in the buffers already.
-        left: Pixel column of the buffers' first, ``top`` the row.
-        top: See ``left``.
-        across: (w lanes,) float32 columns of the samples in a row of cells, ``down`` rows off its middle.
-        down: See ``across``.
-        tall: Rows of pixels in a cell.
-        lanes: Samples in a cell.
-        reach: Farthest column and row of a sample off the middle of its cell.
-        depth: (h, w lanes) float32 seen as int32, which are in the same order; 0 where nothing is.
-        whose: (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``.
-        planes: (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
-            is below 0 in the second half of a face; and by how much of that the first two change there.
-        extent: (h, 2) first column of each row that is touched, and the one after the last.
+    * ``pixels`` (v, 2): where the vertices are; ``inverse`` (v,): one over their depth, 1/m;
+    * ``lit`` (f, 4, 2): light at the corners; ``faces`` (f, 4): vertices; ``chosen`` (k,): which to fill;
+    * ``offset``: number of faces that are in the buffers already; ``left``, ``top``: the buffers' first
+      pixel;
+    * ``across`` (w lanes,) float32: columns of the samples in a row of cells; ``down``: rows off its middle;
+    * ``tall``: rows of pixels in a cell; ``lanes``: samples in it; ``reach``: the farthest column and row of
+      one off its middle;
+    * ``depth`` (h, w lanes): float32 seen as int32, which are in the same order; 0 where nothing is;
+    * ``whose`` (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``;
+    * ``planes`` (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
+      is below 0 in the second half of a face; and by how much of that the first two change there;
+    * ``extent`` (h, 2): first column of each row that is touched, and the one after the last.
     """
     for i in range(len(chosen)):
         _fill_face(
@@ -247,14 +240,9 @@ def through_lens(
 ) -> None:
     """Where ``points`` (v, 3) of the camera frame are in the picture of a camera (``lens_vector``).
 
-    Args:
-        points: Metres.
-        lens: (14,) of the camera.
-        near: What is not beyond this, metres, cannot be seen.
-        limit: Nor what is farther off the axis than this, of its depth; it is put there.
-        pixels: (v, 2) gets the pixels, ``inverse`` (v,) one over depth, ``within`` (v,) what can be seen.
-        inverse: See ``pixels``.
-        within: See ``pixels``.
+    What is not beyond ``near``, metres, cannot be seen, nor what is farther off the axis than ``limit`` of
+    its depth, which is put there.  ``pixels`` (v, 2) gets the pixels, ``inverse`` (v,) one over depth,
+    ``within`` (v,) what can be seen.
     """
     for k in range(len(points)):
         z = points[k, 2]
@@ -283,16 +271,10 @@ def light_corners(
 ) -> None:
     """``lit`` (f, 4, 2): diffuse light and highlight at each corner of each face that shows its outside.
 
-    Args:
-        normals: (f, 4, 3) at the corners, in geom frames.
-        faces: (f, 4) into ``pixels`` (v, 2); ``owner`` (f,) geom of each.
-        owner: See ``faces``.
-        pixels: See ``faces``.
-        every: Light all, also what shows its inside.
-        light: (g, 3) unit direction to the light in each geom's frame.
-        half: (g, 3) the one halfway to the viewer (Blinn 1977).
-        ambient: Light everywhere.
-        lit: Gets the light.
+    * ``normals`` (f, 4, 3): at the corners, in geom frames; ``faces`` (f, 4): into ``pixels`` (v, 2);
+    * ``owner`` (f,): geom of each; ``every``: light all, also what shows its inside;
+    * ``light`` (g, 3): unit direction to the light in each geom's frame; ``half``: the one halfway to the
+      viewer (Blinn 1977); ``ambient``: light everywhere.
     """
     for f in range(len(normals)):
         a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
@@ -384,17 +366,11 @@ def resolve(
 ) -> None:  # fmt: skip
     """Samples into pixels.
 
-    Args:
-        whose: As filled, with ``planes`` and ``extent``; ``tall`` rows of pixels in a cell.
-        tall: See ``whose``.
-        samples: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
-        planes: See ``whose``.
-        extent: See ``whose``.
-        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or an occluder.
-        base: (m, 3) float32 colours 0..255; ``gloss`` of the highlights likewise.
-        gloss: See ``base``.
-        colour: (h, w, 3) uint8, 0 before: colour times coverage; ``coverage`` (h, w).
-        coverage: See ``colour``.
+    * ``whose``, ``planes``, ``extent``: as filled; ``tall``: rows of pixels in a cell;
+    * ``samples``: tuple with as many numbers as a pixel has samples, so that this is compiled for as many;
+    * ``owner`` (f + 1,): row in ``base`` of each number in ``whose``; below 0 nothing or an occluder;
+    * ``base`` (m, 3): float32 colours 0..255; ``gloss``: of the highlights likewise;
+    * ``colour`` (h, w, 3) uint8, 0 before: gets colour times coverage; ``coverage`` (h, w).
     """
     for row in range(len(colour)):
         _resolve_row(row, whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage)

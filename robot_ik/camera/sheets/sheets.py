@@ -443,12 +443,7 @@ def body_of(request: SheetRequest) -> MarkerBody:
 
 
 def body_file(request: SheetRequest, name: str) -> str:
-    """The text of a file for ``robot_ik.camera.bodies.load_bodies``.
-
-    Args:
-        request: The sheet.
-        name: Of the body.
-    """
+    """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
     lines += [f'name = "{name}"', f'dictionary = "{request.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(request).markers.items():

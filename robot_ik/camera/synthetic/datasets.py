@@ -198,16 +198,8 @@ def standard_set(
 ) -> Iterator[MarkerView]:
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
 
-    Args:
-        distance: Depth of the marker's centre in metres; the set has 0.3, 0.6 and 1.0.
-        count: Number of pictures.
-        seed: Of the random generator.
-        dictionary: Of the marker.
-        marker_id: Of the marker.
-        size: Side of the black square, metres.
-        camera: The optics.
-        sensor: Blur, noise, light.
-        tilt_deg: Range of tilts in degrees.
+    ``distance`` is the depth of the marker's centre in metres (the set has 0.3, 0.6 and 1.0), ``tilt_deg``
+    the range of tilts in degrees; the rest as in ``render_marker``.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
@@ -271,12 +263,8 @@ def pattern_pose(
 ) -> Pose:
     """A ``pose_camera_board`` as a person holds a board: tilted any way, here and there in the picture.
 
-    Args:
-        pattern: The board.
-        camera: The optics.
-        rng: Source of chance.
-        tilt_deg: Range of the angle between board and picture plane.
-        fill: Range of the print's width in the picture, in picture widths, were it not tilted.
+    ``tilt_deg`` is the range of the angle between board and picture plane, ``fill`` that of the print's width
+    in the picture, in picture widths, were it not tilted.
     """
     centre = np.array([*(np.array(pattern.origin) + np.array(pattern.size) / 2), 0.0])
     while True:

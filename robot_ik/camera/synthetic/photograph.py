@@ -318,10 +318,7 @@ class Photographer:
     ) -> tuple[Float32, list[SeenPrint | None]]:
         """The light on the sensor (h, w, 3), 1 is white, and each sheet as it fell on the pixels.
 
-        Args:
-            qpos: (model.nq,) true configuration.
-            sheets: Markers to paint.
-            quality: How finely.
+        ``qpos`` is the true configuration (model.nq,).
         """
         self._view.robot.place(qpos)
         lit = self._view.ground_light(quality, _SHADOW_REACH)

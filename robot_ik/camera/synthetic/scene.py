@@ -217,12 +217,7 @@ def still_picture(
 ) -> StillPicture:
     """The (cached) empty scene that a camera sees; its arrays are not to be written to.
 
-    Args:
-        intrinsics: The lens.
-        pose_world_camera: Where the camera stands.
-        table: What stands on the floor.
-        lights: What lights it.
-        subject: What the camera looks at, world: floor fades into backdrop around it.
+    ``subject`` is what the camera looks at, world: floor fades into backdrop around it.
     """
     return _StillScene(intrinsics, pose_world_camera, table, lights, subject).render()
 
