@@ -24,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
-from robot_ik.camera.drawing.painter import EMPTY, Layer
+from robot_ik.camera.drawing.painter import Layer
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRobot, finished, seen_faces
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, RobotView
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
@@ -142,7 +142,7 @@ def write_frustum(camera: Any, intrinsics: CameraIntrinsics) -> None:
     camera.frustum_width = w * _NEAR / (2.0 * intrinsics.fx)
 
 
-class GlArtist:
+class GlArtist(Artist):
     """Renders with MuJoCo's OpenGL renderer: materials, lights and shadows of the model itself.
 
     Args:
@@ -162,23 +162,17 @@ class GlArtist:
             renderer.close()
         self._renderers.clear()
 
-    def draw(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> Drawing:
-        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        if box == EMPTY:
-            return Drawing()
-        pinhole, (map_x, map_y) = self._lens(intrinsics)
-        colour, mask = self._render(figure, qpos, pinhole, pose_board_camera)
-        x0, y0, x1, y1 = box
+    def _robot(self, view: RobotView) -> Layer:
+        pinhole, (map_x, map_y) = self._lens(view.intrinsics)
+        colour, mask = self._render(view, pinhole)
+        x0, y0, x1, y1 = view.box
         crop = (slice(y0, y1), slice(x0, x1))
         # the finer picture is averaged over a pixel before it is sampled
-        blur = max(0.3, 0.35 * pinhole.fx / intrinsics.fx)
+        blur = max(0.3, 0.35 * pinhole.fx / view.intrinsics.fx)
         sheet = np.dstack([np.where(mask[..., None] > 0, colour, 0), mask]).astype(np.uint8)
         sheet = np.asarray(cv2.GaussianBlur(sheet, (0, 0), blur), dtype=np.uint8)
         seen = np.asarray(cv2.remap(sheet, map_x[crop], map_y[crop], cv2.INTER_LINEAR), dtype=np.uint8)
-        robot = Layer(box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
-        return finished(robot, figure, faces, occluders, intrinsics, pose_board_camera)
+        return Layer(view.box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
 
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:
@@ -188,19 +182,16 @@ class GlArtist:
             self._maps[intrinsics] = pinhole, tuple(part.astype(np.float32) for part in maps)
         return self._maps[intrinsics]
 
-    def _render(
-        self, figure: DrawnRobot, qpos: ArrayLike, pinhole: CameraIntrinsics, pose_board_camera: Pose
-    ) -> tuple[Image, Image]:
+    def _render(self, view: RobotView, pinhole: CameraIntrinsics) -> tuple[Image, Image]:
         """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, occluders taken away."""
-        camera = figure.camera(pose_board_camera)
-        pictures = self._pictures(figure.model, qpos, pinhole, camera)
-        colour, geom, depth = pictures
+        figure, camera = view.figure, view.figure.camera(view.pose_board_camera)
+        colour, geom, depth = self._pictures(figure.model, view.qpos, pinhole, camera)
         hidden = geom < 0
         if figure.occluder_geoms is not None:
             hidden |= (geom >= 0) & figure.occluder_geoms[geom]
         if figure.occluders is not None:
             occluders = figure.occluders
-            _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, pose_board_camera)
+            _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, view.pose_board_camera)
             hidden |= (other >= 0) & (before < depth * figure.scale)
         return colour, np.where(hidden, 0, 255).astype(np.uint8)
 

@@ -96,11 +96,15 @@ _HALFWAY = (LIGHT - [0.0, 0.0, 1.0]) / np.linalg.norm(LIGHT - [0.0, 0.0, 1.0])
 _AMBIENT, _GLOSS = 0.36, 55.0
 
 
-#: Sample positions in a pixel, its centre at 0, by their number: no two in one row or column.
-SAMPLES: dict[int, Array] = {
-    1: np.zeros((1, 2)),
-    4: (np.array([[1, 0], [3, 1], [0, 2], [2, 3]]) + 0.5) / 4 - 0.5,
-}
+def _samples(count: int) -> Array:
+    """Places (count, 2) in a pixel, its centre at 0: a lattice with no two in one row or column."""
+    k = np.arange(count)
+    column = np.array([1, 3, 0, 2]) if count == 4 else (k * {8: 3, 16: 7}[count]) % count
+    return np.stack([(column + 0.5) / count - 0.5, (k + 0.5) / count - 0.5], axis=1)
+
+
+#: Sample positions in a pixel by their number.
+SAMPLES: dict[int, Array] = {1: np.zeros((1, 2)), 4: _samples(4), 8: _samples(8), 16: _samples(16)}
 
 
 @dataclass(frozen=True)

@@ -165,10 +165,11 @@ def test_the_outline_of_a_round_thing_is_true_to_a_part_of_a_pixel(
     assert farthest(rays, mask) <= ROUND_PX * fine + 1.0
 
 
-def test_one_sample_a_pixel_covers_the_same(model_of: Callable[..., mujoco.MjModel]) -> None:
+@pytest.mark.parametrize("count", [1, 8, 16])
+def test_any_number_of_samples_covers_the_same(model_of: Callable[..., mujoco.MjModel], count: int) -> None:
     model = model_of("<geom type='box' size='.1 .2 .15' pos='.05 -.02 1.2' euler='20 30 40'/>")
     faces = faces_in_picture(model, [], LENS, Pose())
-    usual, other = (paint_mask((251, 301), faces, (200, 101), n).astype(int) for n in (4, 1))
+    usual, other = (paint_mask((251, 301), faces, (200, 101), n).astype(int) for n in (4, count))
     assert usual.sum() > 0.1 * 255 * usual.size
     assert other.sum() == pytest.approx(usual.sum(), rel=2e-3)
     inside = cv2.erode((usual > 0).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
