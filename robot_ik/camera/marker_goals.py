@@ -10,7 +10,7 @@ import contextlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_switch_interval
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
 
 Array = NDArray[np.float64]
-Layout = Mapping[int, tuple[float, Pose]]
 
 # Delays kept; older ones are forgotten, so that the figures are of the last minute or so.
 _KEPT = 2000

@@ -188,13 +188,7 @@ class BodyObservation:
 
 @dataclass(frozen=True, eq=False)
 class BodyBranches:
-    """The poses that fit the markers of a body.
-
-    Attributes:
-        branches: The poses, fitted to the markers ``ids``.
-        ids: Markers used.
-        rejected: Markers seen but left out.
-    """
+    """The poses that fit the markers ``ids`` of a body; ``rejected`` were seen but left out."""
 
     branches: Branches
     ids: tuple[int, ...]

@@ -103,7 +103,8 @@ class BoardWatcher:
             return None
         found = tracker.corners(frame)
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
-        board_points = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
+        sides = {i: layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids}
+        board_points = {(i, k): sides[i][k] for i in body.ids for k in range(4)}
         return Seen(
             body.pose_camera_body,
             body.covariance,
@@ -129,11 +130,6 @@ class BoardWatcher:
         board_points = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
         pose = view.pose_camera_board.compose(middle)
         return Seen(pose, np.diag(sigma), points, board_points, marker, error, frame.time)
-
-
-def _corners(square: tuple[float, Pose]) -> Array:
-    """Corners (4, 3) of a marker of the board, board frame."""
-    return np.asarray(square[1].apply(marker_points(square[0])))
 
 
 def optical_motion(before: Points, after: Points) -> Array:

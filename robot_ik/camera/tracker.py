@@ -34,6 +34,7 @@ from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
+#: Marker id -> (side in metres, its pose seen from the body or board).
 Layout = Mapping[int, tuple[float, Pose]]
 
 # ------------------------------------------------------------------------------------------
@@ -60,12 +61,7 @@ _FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
 
 @dataclass(frozen=True, eq=False)
 class BranchChoice:
-    """Which branch, and how sure.
-
-    Attributes:
-        index: Of the branch.
-        ambiguity: As in ``MarkerObservation``, with the evidence of the last pictures.
-    """
+    """Which branch, and its ambiguity as in ``MarkerObservation``, with the evidence of the last pictures."""
 
     index: int
     ambiguity: float

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +16,11 @@ from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
-#: Marker id -> (side in metres, ``pose_board_marker``).
-Layout = Mapping[int, tuple[float, Pose]]
 
 
 @dataclass(frozen=True, eq=False)

@@ -43,12 +43,7 @@ _NEAREST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class HandEyeSample:
-    """The arm stood still, and a picture was taken.
-
-    Attributes:
-        pose_world_hand: Where the arm says that its hand was.
-        view: The board in the picture.
-    """
+    """The arm stood still, by its own account with the hand at ``pose_world_hand``, and saw the board."""
 
     pose_world_hand: Pose
     view: BoardView

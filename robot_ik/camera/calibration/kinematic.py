@@ -81,12 +81,7 @@ class KnownPose:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationStation:
-    """The arm stood still, its joints were read, a picture was taken.
-
-    Attributes:
-        q: (nq,) as the servos say.
-        view: The board in the picture.
-    """
+    """The arm stood still with its joints at ``q`` (nq,), as the servos say, and a picture showed the board."""
 
     q: Array
     view: BoardView
@@ -94,12 +89,7 @@ class CalibrationStation:
 
 @dataclass(frozen=True, eq=False)
 class ArmEstimate:
-    """The unknowns.
-
-    Attributes:
-        offsets: (nv,) to be added to what the servos say, rad (m for slides).
-        mount: Camera and board.
-    """
+    """The unknowns: ``offsets`` (nv,) to be added to what the servos say, rad (m for slides), and the poses."""
 
     offsets: Array
     mount: Mount

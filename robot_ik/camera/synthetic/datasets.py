@@ -219,12 +219,7 @@ _MARGIN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PatternView:
-    """A picture and its truth.
-
-    Attributes:
-        image: (height, width) uint8.
-        pose: True ``pose_camera_board``.
-    """
+    """A picture (height, width) uint8 and the true ``pose_camera_board``."""
 
     image: Image
     pose: Pose

@@ -222,22 +222,21 @@ def still_picture(
     return _StillScene(intrinsics, pose_world_camera, table, lights, subject).render()
 
 
+@dataclass(eq=False)
 class _StillScene:
     """Table, floor and backdrop seen by one camera."""
 
-    def __init__(
-        self,
-        intrinsics: CameraIntrinsics,
-        pose_world_camera: Pose,
-        table: SceneTable | None,
-        lights: Lights,
-        subject: Point,
-    ) -> None:
-        self._floor = table.floor_height if table is not None else 0.0
-        self._caster = Caster(_environment(table, self._floor))
+    intrinsics: CameraIntrinsics
+    _camera: Pose
+    table: SceneTable | None
+    _lights: Lights
+    _subject: Point
+
+    def __post_init__(self) -> None:
+        self._floor = self.table.floor_height if self.table is not None else 0.0
+        self._caster = Caster(_environment(self.table, self._floor))
         self._caster.place(np.zeros(0))
-        self._camera, self._lights, self._subject = pose_world_camera, lights, subject
-        self._field = ray_field(intrinsics)
+        self._field = ray_field(self.intrinsics)
 
     def _backdrop(self, rays: Array) -> Array:
         rise = rays[:, 2] / np.linalg.norm(rays, axis=1)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
+from robot_ik.camera.boards.board import Board, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
@@ -19,6 +19,7 @@ from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.tracker import Layout
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import JobReport, Progress
