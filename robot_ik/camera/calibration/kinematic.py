@@ -81,7 +81,7 @@ class KnownPose:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationStation:
-    """The arm stood still with its joints at ``q`` (nq,), as the servos say, and a picture showed the board."""
+    """The arm stood still with its joints at ``q`` (nq,), as the servos say, and the board was seen."""
 
     q: Array
     view: BoardView
@@ -89,7 +89,7 @@ class CalibrationStation:
 
 @dataclass(frozen=True, eq=False)
 class ArmEstimate:
-    """The unknowns: ``offsets`` (nv,) to be added to what the servos say, rad (m for slides), and the poses."""
+    """The unknowns: ``offsets`` (nv,) to be added to what the servos say, rad (m for slides); poses."""
 
     offsets: Array
     mount: Mount
