@@ -92,6 +92,14 @@ class CameraIntrinsics:
                 "all numbers must be finite, sizes and focal lengths positive"
             )
 
+    @cached_property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and greatest normalised coordinates (2,) on the rim of the picture."""
+        x, y = np.linspace(-0.5, self.width - 0.5, 65), np.linspace(-0.5, self.height - 0.5, 65)
+        sides = [(x, 0 * x + v) for v in y[[0, -1]]] + [(0 * y + v, y) for v in x[[0, -1]]]
+        rim = self.undistort(np.concatenate([np.stack(side, axis=1) for side in sides]))
+        return np.nanmin(rim, axis=0), np.nanmax(rim, axis=0)
+
     @property
     def matrix(self) -> Array:
         """Camera matrix (3, 3)."""

@@ -163,18 +163,17 @@ def calibrate(
         for k, v in enumerate(views)
     ]
     left_out = _blurred(named)
-    used = [k for k in range(len(named)) if k not in left_out]
-    _require_views(len(used), len(named))
-    fit = _fit([named[k].found for k in used], size, coefficients)
-    _require_tilt(fit.tilts)
-    for k, error in zip(list(used), fit.per_view, strict=True):
-        if error > max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view))):
-            left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
-    if len(used) > len([k for k in used if k not in left_out]):
-        used = [k for k in used if k not in left_out]
+    for last in (False, True):
+        used = [k for k in range(len(named)) if k not in left_out]
         _require_views(len(used), len(named))
         fit = _fit([named[k].found for k in used], size, coefficients)
         _require_tilt(fit.tilts)
+        worst = max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view)))
+        if last or fit.per_view.max() <= worst:
+            break
+        for k, error in zip(used, fit.per_view, strict=True):
+            if error > worst:
+                left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
     if fit.rms > _WORST_RMS_PX:
         raise CalibrationError(
             f"the calibration leaves {fit.rms:.2f} px RMS; more than {_WORST_RMS_PX:g} px is none",

@@ -113,13 +113,7 @@ def _context_of(backend: str) -> Iterator[None]:
 
 def pinhole_for(intrinsics: CameraIntrinsics, finer: float) -> CameraIntrinsics:
     """A camera without distortion that sees all that this one sees, drawn ``finer`` in its middle."""
-    field = ray_field(intrinsics)
-    w, h = intrinsics.size
-    x, y = np.linspace(-0.5, w - 0.5, 65), np.linspace(-0.5, h - 0.5, 65)
-    edges = [np.stack([x, 0 * x + v], axis=1) for v in (-0.5, h - 0.5)]
-    edges += [np.stack([0 * y + v, y], axis=1) for v in (-0.5, w - 0.5)]
-    border = field.points(np.concatenate(edges))
-    low, high = border.min(axis=0), border.max(axis=0)
+    low, high = intrinsics.extent
     fx, fy = finer * intrinsics.fx, finer * intrinsics.fy
     shrink = min(1.0, _LARGEST / max(fx * (high[0] - low[0]), fy * (high[1] - low[1])))
     fx, fy = fx * shrink, fy * shrink

@@ -407,12 +407,7 @@ _MARGIN = 0.06
 @lru_cache(maxsize=16)
 def view_planes(intrinsics: CameraIntrinsics, near: float) -> Array:
     """Inward planes (5, 4) round the view, n . p + d >= 0 inside: near (metres), left, right, top, bottom."""
-    x = np.linspace(-0.5, intrinsics.width - 0.5, 33)
-    y = np.linspace(-0.5, intrinsics.height - 0.5, 33)
-    edges = [(x, np.full(33, y[0])), (x, np.full(33, y[-1])), (np.full(33, x[0]), y), (np.full(33, x[-1]), y)]
-    border = intrinsics.undistort(np.concatenate([np.stack(e, axis=1) for e in edges]))
-    border = border[np.isfinite(border).all(axis=1)]
-    low, high = border.min(axis=0), border.max(axis=0)
+    low, high = intrinsics.extent
     low, high = low - _MARGIN * (high - low), high + _MARGIN * (high - low)
     return np.array(
         [
