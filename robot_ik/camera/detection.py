@@ -1,5 +1,6 @@
-"""Finds markers in a picture, to about a pixel.
+"""Finds markers in a picture, to about a pixel: ``corner_refinement`` makes that a tenth.
 
+OpenCV's own refinement pulls corners inwards by up to a pixel: it only makes up for a reduced picture.
 Also where to look in the next picture, and which dictionary markers are of when it is not the one given.
 """
 
@@ -26,17 +27,9 @@ from robot_ik.camera.image import (
 )
 from robot_ik.errors import CameraError
 
-# ------------------------------------------------------------------------------------------
-# Finds square markers in a picture: ids and rough corners.
-#
-# The corners are OpenCV's unrefined ones, good to about a pixel; ``robot_ik.camera.corner_refinement``
-# makes them good to
-# a tenth.  OpenCV's own refinement pulls them inwards by up to a pixel: it only makes up for a reduced
-# picture.
-
-
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Box = tuple[int, int, int, int]
 
 # Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
 _LEAST_CELL = 1.2
@@ -181,9 +174,6 @@ class MarkerDetector:
         """As ``detect``, two times faster, with one threshold: enough for markers that are easily seen.
 
         A large picture is searched in a smaller size only.
-
-        Args:
-            image: (h, w) or (h, w, 3) uint8.
         """
         times = times_smaller(image)
         gray = reduced(to_gray(image), times)
@@ -257,10 +247,8 @@ def shortest_side(corners: Array) -> float:
 def _parameters(window: int, accuracy: float, corrected: float) -> cv2.aruco.DetectorParameters:
     """All that matters is set, because the defaults differ between OpenCV releases.
 
-    Args:
-        window: Of the threshold, px.
-        accuracy: By how much an outline may leave its polygon, in parts of its length.
-        corrected: Share of the bits that a dictionary can correct that may be wrong.
+    The threshold looks at a ``window`` of pixels, an outline may leave its polygon by ``accuracy`` of its
+    length, ``corrected`` of the bits that a dictionary can correct may be wrong.
     """
     p = cv2.aruco.DetectorParameters()
     p.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
@@ -335,7 +323,6 @@ def _shrunk(gray: Image) -> Image:
 # Where in the next picture the markers of the last ones will be.
 
 
-Box = tuple[int, int, int, int]
 # The x of the four corners and their y, as plain numbers: quicker than arrays of four.
 _Corners = tuple[list[float], ...]
 

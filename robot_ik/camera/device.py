@@ -19,15 +19,8 @@ from robot_ik.camera.image import Image, quiet
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
-# ------------------------------------------------------------------------------------------
-# Which cameras this machine shows, without opening any of them.
-#
-# Linux tells it in ``/sys/class/video4linux``.  macOS and Windows tell it only to programs that use their own
-# video interfaces, which OpenCV's Python wheel does not expose: there the list is empty and ``CAN_LIST``
-# False.
-
-
-#: Whether this system lets its cameras be listed.
+#: Whether this system lets its cameras be listed, without opening any.  macOS and Windows tell them only to
+#: programs that use their own video interfaces, which OpenCV's Python wheel does not expose.
 CAN_LIST = sys.platform.startswith("linux")
 
 

@@ -86,19 +86,15 @@ def marker_bits(name: str, marker_id: int) -> Image:
     return np.asarray(cv2.aruco.generateImageMarker(dictionary, int(marker_id), side), dtype=np.uint8)
 
 
-def marker_boxes(name: str, marker_id: int, size: float, quarter_turns: int = 0) -> Array:
+def marker_boxes(name: str, marker_id: int, size: float) -> Array:
     """A marker's black cells (n, 4): x, y (down), width and height from its upper left corner.
 
-    Args:
-        name: Of the dictionary.
-        marker_id: In it.
-        size: Side of the black border, in any unit.
-        quarter_turns: Quarter turns to the left.
+    ``size`` is the side of its black border, in any unit.
 
     Raises:
         CameraError: Unknown dictionary, or an id beyond it.
     """
-    bits = np.rot90(marker_bits(name, marker_id), quarter_turns)
+    bits = marker_bits(name, marker_id)
     cell = size / len(bits)
     row, column = np.nonzero(bits == 0)
     return np.stack([column * cell, row * cell, np.full(len(row), cell), np.full(len(row), cell)], axis=1)
@@ -231,9 +227,10 @@ def first_size(files: Sequence[Path]) -> tuple[int, int]:
 def natural_sort(paths: Iterable[Path]) -> list[Path]:
     """Paths sorted as people count: numbers in names by their value."""
 
-    def key(path: Path) -> list[tuple[int, int, str]]:
+    def key(path: Path) -> list[str | int]:
+        # Text and numbers take turns.
         parts = re.split(r"(\d+)", path.name.lower())
-        return [(0, int(p), "") if p.isdigit() else (1, 0, p) for p in parts if p]
+        return [int(part) if k % 2 else part for k, part in enumerate(parts)]
 
     return sorted(paths, key=lambda path: (key(path), path.name))
 

@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import logging
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -92,6 +92,14 @@ class CameraIntrinsics:
                 "all numbers must be finite, sizes and focal lengths positive"
             )
 
+    @cached_property
+    def extent(self) -> tuple[Array, Array]:
+        """Least and greatest normalised coordinates (2,) on the rim of the picture."""
+        x, y = np.linspace(-0.5, self.width - 0.5, 65), np.linspace(-0.5, self.height - 0.5, 65)
+        sides = [(x, 0 * x + v) for v in y[[0, -1]]] + [(0 * y + v, y) for v in x[[0, -1]]]
+        rim = self.undistort(np.concatenate([np.stack(side, axis=1) for side in sides]))
+        return np.nanmin(rim, axis=0), np.nanmax(rim, axis=0)
+
     @property
     def matrix(self) -> Array:
         """Camera matrix (3, 3)."""
@@ -118,7 +126,7 @@ class CameraIntrinsics:
     @cached_property
     def radius_limit(self) -> float:
         """Largest ``|(X, Y)| / Z`` at which the lens model is still one to one; beyond it, it folds back."""
-        return lens.radius_limit(self.model, self.coefficients)
+        return float(lens.lens_vector(self)[lens.LIMIT])
 
     # ------------------------------------------------------------------------------ mapping
 
@@ -141,17 +149,14 @@ class CameraIntrinsics:
 
     def distort(self, normalized: Array) -> Array:
         """Undistorted normalised coordinates (n, 2) -> distorted pixels (n, 2)."""
-        distorted = lens.distort(self.model, self.coefficients, normalized)
-        return distorted * (self.fx, self.fy) + (self.cx, self.cy)
+        return self._mapped(lens.distort_points, normalized, 2)
 
     def undistort(self, pixels: ArrayLike) -> Array:
         """Distorted pixels (n, 2) -> undistorted normalised coordinates (n, 2), exact to 1e-9.
 
         NaN where the lens model has no inverse.
         """
-        p = np.asarray(pixels, dtype=float).reshape(-1, 2)
-        distorted = (p - (self.cx, self.cy)) / (self.fx, self.fy)
-        return lens.undistort(self.model, self.coefficients, distorted, self.radius_limit)
+        return self._mapped(lens.undistort_points, np.asarray(pixels, dtype=float).reshape(-1, 2), 2)
 
     def unproject(self, pixels: ArrayLike) -> Array:
         """Rays (n, 3) or (3,) with z = 1 in the camera frame, of pixels (n, 2) or (2,)."""
@@ -162,8 +167,13 @@ class CameraIntrinsics:
 
     def pixel_jacobian(self, normalized: Array) -> Array:
         """Derivative (n, 2, 2) of pixels with respect to undistorted normalised coordinates (n, 2)."""
-        distorted = lens.distort_jacobian(self.model, self.coefficients, normalized)
-        return distorted * np.array([self.fx, self.fy])[:, None]
+        return self._mapped(lens.pixel_jacobians, normalized, 2, 2)
+
+    def _mapped(self, kernel: Callable[..., None], points: Array, *shape: int) -> Array:
+        """What a kernel of ``lens`` makes (n, *shape) of points (n, 2)."""
+        result = np.empty((len(points), *shape))
+        kernel(lens.lens_vector(self), np.ascontiguousarray(points, dtype=float), result)
+        return result
 
     # ----------------------------------------------------------------------- size and sense
 
@@ -247,7 +257,7 @@ class CameraIntrinsics:
         Raises:
             CalibrationError: The file is missing, no camera file, lacks a key, or is implausible.
         """
-        return load_intrinsics(path)
+        return _load(Path(path))
 
     def save(self, path: Path | str) -> None:
         """Writes a file that OpenCV, ROS and any YAML reader understand; whole or not at all.
@@ -255,7 +265,7 @@ class CameraIntrinsics:
         Raises:
             OutputError: The file cannot be written.
         """
-        save_intrinsics(self, path)
+        write_atomically(Path(path), _text(self))
 
 
 # ------------------------------------------------------------------------------------------
@@ -294,9 +304,7 @@ def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, A
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
 
 
-def load_intrinsics(path: Path | str) -> CameraIntrinsics:
-    """Reads a calibration file; see ``CameraIntrinsics.load``."""
-    path = Path(path)
+def _load(path: Path) -> CameraIntrinsics:
     content = _read(path)
     size = (_whole(content, "image_width", path), _whole(content, "image_height", path))
     matrix = _numbers(_first(content, _MATRIX_KEYS, path), "camera matrix", path)
@@ -477,14 +485,3 @@ def _text(camera: CameraIntrinsics) -> str:
         # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
         text += f'calibration_time: "{camera.date}"\n'
     return text
-
-
-def save_intrinsics(camera: CameraIntrinsics, path: Path | str) -> None:
-    """Writes a calibration file; see ``CameraIntrinsics.save``.
-
-    The file appears whole or not at all.
-
-    Raises:
-        OutputError: The folder is missing or not writable.
-    """
-    write_atomically(Path(path), _text(camera))

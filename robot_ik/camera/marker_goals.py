@@ -10,7 +10,7 @@ import contextlib
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_switch_interval
@@ -29,10 +29,7 @@ from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_swi
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
 
-
-# ------------------------------------------------------------------------------------------
-# How old a goal is: the delay from the grab of its picture, measured where the goal is made and used.
-
+Array = NDArray[np.float64]
 
 # Delays kept; older ones are forgotten, so that the figures are of the last minute or so.
 _KEPT = 2000
@@ -198,10 +195,6 @@ class LatestGoals:
             self._stop.wait(max(0.0, begin + self._period - self._clock.now()))
 
 
-# ------------------------------------------------------------------------------------------
-# What shall happen when the marker that is followed stays unseen.
-
-
 LostPolicy = Literal["hold", "park", "stop"]
 
 
@@ -270,56 +263,12 @@ class PlacedObservation:
     tool_offset: Array | None = None
 
 
-class FlatMarkerChoice:
-    """Chooses between the two poses that a flat marker allows.
-
-    Args:
-        pose_marker_tool: Where the tool is wanted.
-        normal: Known world direction (3,) of the marker's z axis, or None.
-    """
-
-    def __init__(self, pose_marker_tool: Pose, normal: ArrayLike | None) -> None:
-        self._tool = pose_marker_tool
-        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
-
-    def of(
-        self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
-    ) -> PlacedObservation | None:
-        """The observation in the world, or None when it is unknown where the tool should go."""
-        own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
-        pose = pose_world_camera.compose(own)
-        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
-        covariance = rotation @ seen.covariance @ rotation.T
-        if seen.alternative is None:
-            return PlacedObservation(pose, covariance)
-        other = pose_world_camera.compose(seen.alternative)
-        if self._normal is not None:
-            return PlacedObservation(min((pose, other), key=self._tilt), covariance)
-        if seen.ambiguity <= AMBIGUITY_LIMIT:
-            return PlacedObservation(pose, covariance)
-        one, two = (branch.apply(self._tool.position) for branch in (pose, other))
-        if np.linalg.norm(one - two) > _SAME_POSITION:
-            return None
-        unsure = np.zeros((6, 6))
-        unsure[:3, :3] = covariance[:3, :3]
-        unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
-        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
-
-    def _tilt(self, pose: Pose) -> float:
-        """Angle between the marker's z axis and the direction it is known to have; smaller is better."""
-        assert self._normal is not None
-        cosine = pose.rotation[:, 2] @ self._normal / np.linalg.norm(self._normal)
-        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
 def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
     """Standard deviations (m, rad) in the worst direction of a point ``lever`` (3,) away from the origin.
 
     A small rotation ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
     """
-    x, y, z = np.asarray(lever, dtype=float)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    jacobian = np.hstack([np.eye(3), -cross])
+    jacobian = np.hstack([np.eye(3), np.cross(np.asarray(lever, dtype=float), np.eye(3))])
     metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
     radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
     return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))
@@ -328,16 +277,6 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
 def goal_weight(sigma: float, trusted: float) -> float:
     """Weight of a goal that is known to ``sigma``: 1 up to ``trusted``, then trusted / σ, at least 0.05."""
     return max(LEAST_WEIGHT, min(1.0, trusted / sigma)) if sigma > 0.0 else 1.0
-
-
-# ------------------------------------------------------------------------------------------
-# A marker, or a body that carries several, in front of a camera as a source of goals.
-
-
-Array = NDArray[np.float64]
-Layout = Mapping[int, tuple[float, Pose]]
-
-# Without a new picture for this long the last goal is history.
 
 
 class MarkerGoalSource:
@@ -411,7 +350,7 @@ class MarkerGoalSource:
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
-        self._choice = FlatMarkerChoice(pose_marker_tool, normal)
+        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
@@ -497,10 +436,35 @@ class MarkerGoalSource:
             _log.warning("marker %d is in view %d times; holding", self.marker, len(seen))
         return seen[0] if len(seen) == 1 else None
 
+    def _placed(
+        self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
+    ) -> PlacedObservation | None:
+        """The observation in the world, or None when it is unknown where the tool should go."""
+        own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
+        pose = pose_world_camera.compose(own)
+        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
+        covariance = rotation @ seen.covariance @ rotation.T
+        if seen.alternative is None:
+            return PlacedObservation(pose, covariance)
+        other = pose_world_camera.compose(seen.alternative)
+        if self._normal is not None:
+            # The one whose z axis is nearer to the known direction.
+            cosines = [branch.rotation[:, 2] @ self._normal for branch in (pose, other)]
+            return PlacedObservation(pose if cosines[0] >= cosines[1] else other, covariance)
+        if seen.ambiguity <= AMBIGUITY_LIMIT:
+            return PlacedObservation(pose, covariance)
+        one, two = (branch.apply(self.pose_marker_tool.position) for branch in (pose, other))
+        if np.linalg.norm(one - two) > _SAME_POSITION:
+            return None
+        unsure = np.zeros((6, 6))
+        unsure[:3, :3] = covariance[:3, :3]
+        unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
+        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
+
     def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
-        observation = None if seen is None else self._choice.of(seen, pose)
+        observation = None if seen is None else self._placed(seen, pose)
         if observation is None:
             self._observation = None
             return

@@ -273,6 +273,10 @@ def _symmetric(matrix: Array) -> Array:
 # The 1 € filter: calms a pose that is shown, or that an arm rests at.
 
 
+# Hz of cut-off more for each m/s, and for each rad/s; and cut-off of the speed itself, Hz.
+_MORE_CUTOFF, _RATE_CUTOFF = (20.0, 2.0), 1.0
+
+
 class OneEuro:
     """The 1 € filter (Casiez, Roussel & Vogel 2012) on a pose: calm at rest, quick in motion, always behind.
 
@@ -280,19 +284,12 @@ class OneEuro:
 
     Args:
         cutoff: Least cut-off frequency, Hz: lower is calmer at rest.
-        speed_coefficient: Hz of cut-off more for each m/s, and for each rad/s.
-        rate_cutoff: Cut-off of the speed itself, Hz.
     """
 
-    def __init__(
-        self,
-        cutoff: float = 1.0,
-        speed_coefficient: tuple[float, float] = (20.0, 2.0),
-        rate_cutoff: float = 1.0,
-    ) -> None:
-        if not (cutoff > 0.0 and rate_cutoff > 0.0 and min(speed_coefficient) >= 0.0):
-            raise CameraError("a 1 € filter needs positive cut-off frequencies", hint="for example 1.0 Hz")
-        self._cutoff, self._coefficient, self._rate_cutoff = cutoff, speed_coefficient, rate_cutoff
+    def __init__(self, cutoff: float = 1.0) -> None:
+        if not cutoff > 0.0:
+            raise CameraError("a 1 € filter needs a positive cut-off frequency", hint="for example 1.0 Hz")
+        self._cutoff = cutoff
         self.reset()
 
     def reset(self) -> None:
@@ -309,11 +306,11 @@ class OneEuro:
         span = time - self._time
         if not span > 0.0:
             return self._shown
-        self._rate += _share(self._rate_cutoff, span) * (difference(pose, self._raw) / span - self._rate)
+        self._rate += _share(_RATE_CUTOFF, span) * (difference(pose, self._raw) / span - self._rate)
         speeds = np.linalg.norm(self._rate.reshape(2, 3), axis=1)
         shares = [
             _share(self._cutoff + k * float(speed), span)
-            for k, speed in zip(self._coefficient, speeds, strict=True)
+            for k, speed in zip(_MORE_CUTOFF, speeds, strict=True)
         ]
         self._shown = moved(self._shown, np.repeat(shares, 3) * difference(pose, self._shown))
         self._time, self._raw = time, pose

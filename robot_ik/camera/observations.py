@@ -1,7 +1,8 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
-``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``; the
-fit of the whole print to the pixels is in ``photometric_corners``.
+``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``, in
+undistorted normalised coordinates with residuals in standard deviations of the corners; the fit of the whole
+print to the pixels is in ``photometric_corners``.
 """
 
 from __future__ import annotations
@@ -25,9 +26,7 @@ from robot_ik.camera.pose_fit import (
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# Pose of a single square marker from its corners in one picture.
-
+Array = NDArray[np.float64]
 
 # A marker size beyond this is millimetres where metres are wanted.
 _LARGEST_SIZE = 2.0
@@ -150,15 +149,6 @@ def estimate_marker(
     return None if branches is None else marker_observation(id, seen, branches, time)
 
 
-# ------------------------------------------------------------------------------------------
-# Pose of a marker, or of a rigid body with several markers, from corners in one picture.
-#
-# All fitting happens in undistorted normalised coordinates, with residuals weighted by the derivative of the
-# lens mapping and by the covariance of the corners, so they are in units of standard deviations.
-
-
-Array = NDArray[np.float64]
-
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
 # by more than this many pixels: half hidden, or not where the layout says.
 _OUTLIER_SIGMAS, _OUTLIER_PIXELS = 4.0, 0.3
@@ -198,13 +188,7 @@ class BodyObservation:
 
 @dataclass(frozen=True, eq=False)
 class BodyBranches:
-    """The poses that fit the markers of a body.
-
-    Attributes:
-        branches: The poses, fitted to the markers ``ids``.
-        ids: Markers used.
-        rejected: Markers seen but left out.
-    """
+    """The poses that fit the markers ``ids`` of a body; ``rejected`` were seen but left out."""
 
     branches: Branches
     ids: tuple[int, ...]

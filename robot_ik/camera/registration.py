@@ -21,16 +21,9 @@ from robot_ik.camera.sources import Frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# The robot registered on a board that a camera sees, picture by picture, with Azuma's measures against delay.
-#
-# Drawn on the very picture that was tracked, a robot has no delay at all: that is ``sync="tracked"``.  With
-# ``"latest"`` the newest picture is shown and the robot is of an older one; then prediction or image shifting
-# make up for it (Azuma 1997, section 4.4: less delay, prediction, image deflection, matching the streams).
-
-
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+
 #: Corners of a board by name.
 Points = Mapping[tuple[int, int], Array]
 Sync = Literal["tracked", "latest"]
@@ -50,7 +43,6 @@ class Seen:
         covariance: (6, 6) of it, as in ``BodyObservation``.
         points: Pixels (2,) where its corners were seen, by their names; ``board_points`` (3,) where they are
             on the board, metres.
-        board_points: See ``points``.
         marker: The other marker, when it was asked for and seen.
         error: RMS reprojection error, px.
         time: Of the picture.
@@ -73,6 +65,7 @@ class BoardWatcher:
         intrinsics: Of the pictures' size.
         other: Id and side in metres of a marker that is not on the board.
         window: Search only near the last find (Azuma's first measure: less delay).
+        dictionary: Of that marker, where the board has none.
     """
 
     def __init__(
@@ -110,7 +103,8 @@ class BoardWatcher:
             return None
         found = tracker.corners(frame)
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
-        board_points = {(i, k): p for i in body.ids for k, p in enumerate(_corners(layout[i]))}
+        sides = {i: layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids}
+        board_points = {(i, k): sides[i][k] for i in body.ids for k in range(4)}
         return Seen(
             body.pose_camera_body,
             body.covariance,
@@ -138,11 +132,6 @@ class BoardWatcher:
         return Seen(pose, np.diag(sigma), points, board_points, marker, error, frame.time)
 
 
-def _corners(square: tuple[float, Pose]) -> Array:
-    """Corners (4, 3) of a marker of the board, board frame."""
-    return np.asarray(square[1].apply(marker_points(square[0])))
-
-
 def optical_motion(before: Points, after: Points) -> Array:
     """Shift, rotation and zoom (2, 3) in the picture from the corners of one observation to the next.
 
@@ -162,7 +151,7 @@ def optical_motion(before: Points, after: Points) -> Array:
 
 @dataclass(frozen=True)
 class LatencyOptions:
-    """What is done about delay.
+    """What is done about delay: Azuma 1997, section 4.4.
 
     Attributes:
         sync: ``tracked`` shows the picture the pose was measured in: the video waits for the tracker.

@@ -39,14 +39,6 @@ _OPENERS = {
     "synthetic": ("robot_ik.camera.synthetic.moving", "open_moving"),
 }
 
-
-# ------------------------------------------------------------------------------------------
-# Where pictures come from: one text opens a photograph, a folder, a video, a camera or a stream.
-#
-# A ``Frame`` carries its time: seconds on the machine's monotonic clock at the moment it was grabbed (for
-# files: opening time plus position in the film), so that the delay up to the goal is known.
-
-
 _DEFAULT_RATE_HZ = 30.0  # of films that do not state theirs
 
 
@@ -56,7 +48,8 @@ class Frame:
 
     Attributes:
         image: (height, width, 3) uint8, BGR, raw (with lens distortion).
-        time: Seconds, monotonic, when it was grabbed.
+        time: Seconds on the machine's monotonic clock when it was grabbed; of files: opening time plus
+            position in the film.
         sequence: Counts the source's pictures from 0; a gap means pictures were skipped.
         truth: What a synthetic camera knows about the scene.  For tests only: nothing that tracks may
             read it; hand over ``without_truth()``.

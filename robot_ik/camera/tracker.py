@@ -34,6 +34,9 @@ from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
+#: Marker id -> (side in metres, its pose seen from the body or board).
+Layout = Mapping[int, tuple[float, Pose]]
+
 # ------------------------------------------------------------------------------------------
 # Keeps both poses of a flat marker alive from picture to picture, so that a lucky error does not flip it.
 #
@@ -58,12 +61,7 @@ _FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
 
 @dataclass(frozen=True, eq=False)
 class BranchChoice:
-    """Which branch, and how sure.
-
-    Attributes:
-        index: Of the branch.
-        ambiguity: As in ``MarkerObservation``, with the evidence of the last pictures.
-    """
+    """Which branch, and its ambiguity as in ``MarkerObservation``, with the evidence of the last pictures."""
 
     index: int
     ambiguity: float
@@ -138,13 +136,6 @@ def _plausible(one: Pose, other: Pose, variance: float) -> float:
     """How well (log odds) the rotation from one pose to the other fits what is expected of it, rad^2."""
     angle = 2.0 * math.acos(min(1.0, abs(float(one.wxyz @ other.wxyz))))
     return max(-0.5 * angle * angle / variance, -_MOST_BY_ROTATION)
-
-
-# ------------------------------------------------------------------------------------------
-# From a frame to marker observations: detect, refine on the edges, estimate the pose.
-
-
-Layout = Mapping[int, tuple[float, Pose]]
 
 
 class MarkerTracker:
@@ -331,9 +322,7 @@ class MarkerTracker:
 # What is in a picture, in plain values: markers, bodies, their poses; and drawn over it.
 
 
-# Of the drawing: subpixel bits, colours (BGR), length of the axes in marker sizes.
-_SHIFT = 4
-_OUTLINE, _FIRST_CORNER = (0, 220, 0), (0, 0, 255)
+# Length of drawn axes in marker sizes.
 _AXES = 0.6
 
 
@@ -463,12 +452,7 @@ def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
         "corners": marker.corners.tolist(),
         "corner_sigma": marker.sigma,
         "refined": marker.refined,
-        "pose": _pose_values(marker.pose),
-        "alternative": _pose_values(marker.alternative),
-        "reprojection_error": marker.reprojection_error,
-        "ambiguity": marker.ambiguity,
-        "covariance": marker.covariance.tolist(),
-    }
+    } | _fit_values(marker, marker.pose)
 
 
 def _body_values(name: str, seen: BodyObservation) -> dict[str, Any]:
@@ -476,7 +460,12 @@ def _body_values(name: str, seen: BodyObservation) -> dict[str, Any]:
         "name": name,
         "ids": list(seen.ids),
         "rejected": list(seen.rejected),
-        "pose": _pose_values(seen.pose_camera_body),
+    } | _fit_values(seen, seen.pose_camera_body)
+
+
+def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
+    return {
+        "pose": _pose_values(pose),
         "alternative": _pose_values(seen.alternative),
         "reprojection_error": seen.reprojection_error,
         "ambiguity": seen.ambiguity,
@@ -493,22 +482,15 @@ def _pose_values(pose: Pose | None) -> dict[str, list[float]] | None:
 
 def drawn(sighting: Sighting, intrinsics: CameraIntrinsics | None) -> Image:
     """The picture with outlines (the first corner marked), ids, and axes where poses are known."""
-    from robot_ik.camera.drawing.overlay import (
-        draw_axes,  # imported here: drawing needs MuJoCo, looking does not
-    )
+    # Imported here: drawing needs MuJoCo, looking does not.
+    from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
 
     image = sighting.frame.image.copy()
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     for marker in sighting.markers:
         corners = marker.seen.corners if isinstance(marker, Corners) else marker.corners
-        outline = np.rint(corners * 2**_SHIFT).astype(np.int32)
-        cv2.polylines(image, [outline], True, _OUTLINE, 2, cv2.LINE_AA, _SHIFT)
-        first = (int(outline[0, 0]), int(outline[0, 1]))
-        cv2.circle(image, first, 4 * 2**_SHIFT, _FIRST_CORNER, -1, cv2.LINE_AA, _SHIFT)
-        position = (int(corners[:, 0].min()), int(corners[:, 1].min()) - 6)
-        cv2.putText(image, str(marker.id), position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.putText(image, str(marker.id), position, cv2.FONT_HERSHEY_SIMPLEX, 0.6, _OUTLINE, 2, cv2.LINE_AA)
+        image = draw_marker_outline(image, corners, label=str(marker.id))
         if isinstance(marker, MarkerObservation) and intrinsics is not None:
             side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
             length = _AXES * side * marker.pose.position[2] / intrinsics.fx

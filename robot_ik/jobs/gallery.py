@@ -21,10 +21,6 @@ from robot_ik.camera.synthetic.photograph import (
     Quality,
     RobotRenderer,
     SyntheticView,
-    enlarged,
-    lattice,
-    softened,
-    tiles,
 )
 from robot_ik.camera.synthetic.scene import Lights, StillPicture
 from robot_ik.errors import ModelError, OutputError
@@ -110,7 +106,7 @@ def photograph(
     lights = replace(Lights.beside(camera, distance), strength=_STRENGTH)
     view = SyntheticView(field, camera, lights, Caster(model), _seamless(field, camera, floor))
     view.robot.place(qpos)
-    lit = _floor_light(view)
+    lit = view.ground_light(_QUALITY)
     picture = view.still.ambient + view.still.lamp * lit[..., :1] + view.still.ceiling * lit[..., 1:]
     coverage = np.zeros(picture.shape[:2], dtype=np.float32)
     layer = RobotRenderer(view, model).render(qpos, _QUALITY)
@@ -133,22 +129,6 @@ def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
     tone = np.broadcast_to(np.array(TONE, dtype=np.float32), (h, w, 3))
     rest = 1.0 - _LAMP_SHARE - _CEILING_SHARE
     return StillPicture(tone * rest, tone * _LAMP_SHARE, tone * _CEILING_SHARE, depth)
-
-
-def _floor_light(view: SyntheticView) -> NDArray[np.float32]:
-    """Part (h, w, 2) of lamp and ceiling that the robot leaves to the floor."""
-    w, h = view.field.intrinsics.size
-    stride = _QUALITY.ground_stride
-    x, y = lattice((0, 0, w, h), stride)
-    rays = view.world(view.field.grid(x, y).reshape(-1, 2))
-    rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
-    depth = view.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
-    seen = np.ones((len(rays), 2), dtype=np.float32)
-    near = np.flatnonzero(np.isfinite(depth))
-    points = view.camera.position + rays[near] * depth[near, None]
-    index = tiles((len(y), len(x))).reshape(-1)[near]
-    seen[near] = view.visibility(points, index, _QUALITY.ground_spots)
-    return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
 
 Image = NDArray[np.uint8]

@@ -97,13 +97,6 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
     assert max(softness) <= 3.0
 
 
-def test_depth_by_rays_is_that_of_the_scaled_robot() -> None:
-    figure, qpos = standing(0.25)
-    seen = RayArtist().render_depth(figure, qpos, BENT, EYE)
-    assert seen.depth[seen.geom >= 0].min() > 0.5
-    assert seen.depth[seen.geom >= 0].max() < 1.2
-
-
 @pytest.mark.parametrize("artist", [PainterArtist(), RayArtist()], ids=["painter", "ray"])
 def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
     misses = accuracy.projection_identity(artist, BENT)

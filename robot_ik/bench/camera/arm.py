@@ -14,16 +14,17 @@ import numpy as np
 
 from robot_ik.bench.camera import Effort, Quantity
 from robot_ik.bench.camera.accuracy import factor, frame_of, rms
-from robot_ik.camera.boards.board import BoardView, Layout, MarkerBoard
+from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
-from robot_ik.camera.calibration.handeye import HandEyeSample, moved, solve_handeye
+from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
-from robot_ik.camera.motion_filter import MotionFilter, OneEuro
+from robot_ik.camera.motion_filter import MotionFilter, OneEuro, moved
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.camera.synthetic.sensor import WEBCAM
+from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
 from robot_ik.jobs.scene import scene_for

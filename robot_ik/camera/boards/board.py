@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body, load_bodies
@@ -18,18 +16,11 @@ from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# One observation of a board: its known points, and where they were seen.
-
-
 Array = NDArray[np.float64]
-
-#: Marker id -> (side in metres, ``pose_board_marker``).
-Layout = Mapping[int, tuple[float, Pose]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,41 +42,16 @@ class BoardView:
     pose_camera_board: Pose
     sigma: float = 0.1
 
-    def __init__(
-        self, points: ArrayLike, pixels: ArrayLike, pose_camera_board: Pose, sigma: float = 0.1
-    ) -> None:
-        p, x = np.array(points, dtype=float), np.array(pixels, dtype=float)
+    def __post_init__(self) -> None:
+        p, x = np.array(self.points, dtype=float), np.array(self.pixels, dtype=float)
         if p.ndim != 2 or p.shape[1] != 3 or x.shape != (len(p), 2):
             raise CameraError(f"points (n, 3) and pixels (n, 2) are asked for, not {p.shape} and {x.shape}")
         if len(p) < 4:
             raise CameraError(f"{len(p)} points do not fix a pose", hint="at least 4 are needed")
-        if not (np.isfinite(p).all() and np.isfinite(x).all() and 0.0 < sigma < np.inf):
+        if not (np.isfinite(p).all() and np.isfinite(x).all() and 0.0 < self.sigma < np.inf):
             raise CameraError("a point, a pixel or the standard deviation of the pixels is not finite")
         object.__setattr__(self, "points", p)
         object.__setattr__(self, "pixels", x)
-        object.__setattr__(self, "pose_camera_board", pose_camera_board)
-        object.__setattr__(self, "sigma", float(sigma))
-
-
-def see_board(tracker: MarkerTracker, frame: Frame, layout: Layout) -> BoardView | None:
-    """The markers of ``layout`` in a frame; None when none of them gives a pose.
-
-    Ids that come twice are left out, markers that contradict the others, and those whose edges could not be
-    measured where others' could.
-    """
-    seen = tracker.observe(frame)
-    seen = [one for one in seen if one.refined] or seen
-    count = Counter(one.id for one in seen)
-    used = {one.id: one for one in seen if one.id in layout and count[one.id] == 1}
-    if not used:
-        return None
-    body = estimate_body({i: one.corners for i, one in used.items()}, layout, tracker.intrinsics)
-    if body is None:
-        return None
-    points = [layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids]
-    pixels = [used[i].corners for i in body.ids]
-    sigma = float(np.sqrt(np.mean([used[i].sigma ** 2 for i in body.ids])))
-    return BoardView(np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma)
 
 
 def point_jacobian(intrinsics: CameraIntrinsics, points: Array) -> Array:
@@ -95,13 +61,6 @@ def point_jacobian(intrinsics: CameraIntrinsics, points: Array) -> Array:
     by_point[:, 0, 0] = by_point[:, 1, 1] = 1 / z
     by_point[:, :, 2] = -points[:, :2] / z[:, None] ** 2
     return np.asarray(intrinsics.pixel_jacobian(points[:, :2] / z[:, None]) @ by_point)
-
-
-def cross_matrices(vectors: Array) -> Array:
-    """(n, 3, 3) matrices [v]x of vectors (n, 3)."""
-    made = np.zeros((len(vectors), 3, 3))
-    made[:, 0, 1], made[:, 0, 2], made[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    return made - made.transpose(0, 2, 1)
 
 
 # Corners of patterns are found to about this, px (measured by the calibration).
@@ -115,36 +74,40 @@ _KINDS = (
 )
 
 
-class Board(Protocol):
-    """A rigid object with known points.
-
-    Attributes:
-        layout: Squares that should be in the picture when views are planned: number -> (side in metres,
-            ``pose_board_square``), z out of the print.
-    """
-
-    @property
-    def layout(self) -> Layout: ...
-
-    def see(self, frame: Frame, intrinsics: CameraIntrinsics) -> BoardView | None:
-        """The board in a frame; None when it is not found."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class MarkerBoard:
     """Markers on a rigid body.
 
     The frame is the body's; a grid has its origin in the middle, x right, y up, z out of the print.
+
+    Attributes:
+        layout: Marker id -> (side in metres, ``pose_board_marker``).
+        dictionary: Of the markers.
     """
 
     layout: Layout
     dictionary: str = _DICTIONARY
 
     def see(self, frame: Frame, intrinsics: CameraIntrinsics) -> BoardView | None:
-        """The markers of the body that are seen."""
+        """The markers of the body that are seen; None when none of them gives a pose.
+
+        Ids that come twice are left out, markers that contradict the others, and those whose edges could not
+        be measured where others' could.
+        """
         sizes = {id: side for id, (side, _) in self.layout.items()}
-        return see_board(MarkerTracker(intrinsics, self.dictionary, sizes), frame, self.layout)
+        seen = MarkerTracker(intrinsics, self.dictionary, sizes).observe(frame)
+        seen = [one for one in seen if one.refined] or seen
+        count = Counter(one.id for one in seen)
+        used = {one.id: one for one in seen if count[one.id] == 1}
+        if not used:
+            return None
+        body = estimate_body({i: one.corners for i, one in used.items()}, self.layout, intrinsics)
+        if body is None:
+            return None
+        points = [self.layout[i][1].apply(marker_points(self.layout[i][0])) for i in body.ids]
+        pixels = [used[i].corners for i in body.ids]
+        sigma = float(np.sqrt(np.mean([used[i].sigma ** 2 for i in body.ids])))
+        return BoardView(np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +118,7 @@ class PatternBoard:
 
     @property
     def layout(self) -> Layout:
+        """One square that should be in the picture when views are planned, z out of the print."""
         width, height = self.pattern.size
         middle = np.array(self.pattern.origin) + 0.5 * np.array([width, height])
         return {0: (0.8 * min(width, height), Pose((*middle, 0.0), (0.0, 1.0, 0.0, 0.0)))}
@@ -179,7 +143,10 @@ class PatternBoard:
         return BoardView(found.points_board, found.pixels, pose, _PATTERN_SIGMA)
 
 
-def parse_board(text: str, dictionary: str = "") -> MarkerBoard | PatternBoard:
+Board = MarkerBoard | PatternBoard
+
+
+def parse_board(text: str, dictionary: str = "") -> Board:
     """A board from its text, lengths in millimetres.
 
     Args:

@@ -8,10 +8,11 @@ right and y down.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Hashable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -30,9 +31,8 @@ from robot_ik.camera.image import (
 )
 from robot_ik.errors import CalibrationError
 
-# ------------------------------------------------------------------------------------------
-# The corners of a pattern in one picture, fitted at the size in which they are measured best.
-
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
 
 # Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
 FEWEST_CORNERS = 6
@@ -57,56 +57,6 @@ class FoundPattern:
     blur: float = 0.0
 
 
-@dataclass(frozen=True)
-class CornerGrid:
-    """Where the inner corners of a pattern are.
-
-    Attributes:
-        columns: How many there are in a row.
-        square: Side of a square, metres.
-        first: x and y of the first one in the board frame, metres.
-        reach: Radius round a corner, in squares, in which there is no third edge.
-    """
-
-    columns: int
-    square: float
-    first: tuple[float, float]
-    reach: float
-
-
-def fitted_pattern(
-    gray: Image, times: int, start: Array, ids: NDArray[np.int64], grid: CornerGrid
-) -> FoundPattern | None:
-    """Refines corners and takes away those that were none; None when too few are left.
-
-    Args:
-        gray: (h, w), the whole picture.
-        times: So many times smaller was the one in which the corners were found.
-        start: (n, 2) pixels of that smaller one, to within about 1.5 px.
-        ids: (n,) their numbers.
-        grid: Whose they are.
-    """
-    grid_position = np.stack([ids % grid.columns, ids // grid.columns], axis=1).astype(float)
-    pixels, good, blur = refine_corners(reduced(gray, times), start, grid_position, grid.reach)
-    softness = float(np.median(blur[good])) if good.any() else 0.0
-    best = max(1, int(times * softness / _SOFT))
-    if good.any() and best != times:
-        again = to_reduced(from_reduced(np.where(good[:, None], pixels, start), times), best)
-        other = refine_corners(reduced(gray, best), again, grid_position, grid.reach)
-        if other[1].sum() >= good.sum():
-            times, (pixels, good, blur) = best, other
-    if good.sum() < FEWEST_CORNERS:
-        return None
-    points = np.hstack(
-        [np.array(grid.first) + grid_position * grid.square, np.zeros((len(grid_position), 1))]
-    )
-    there = from_reduced(pixels[good], times)
-    return FoundPattern(points[good], there, ids[good], times * float(np.median(blur[good])))
-
-
-Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
-
 # How far from a corner its picture is its own, in gaps between square and marker: the nearest marker's corner
 # is the root of 2 away, and blur takes some of that.
 _GAP_REACH = 1.2
@@ -118,55 +68,75 @@ _PLAIN = 0.4
 _FEWEST_LINES = 2
 
 
-class Pattern(Hashable, Protocol):
-    """What a calibration pattern can do."""
+@dataclass(frozen=True)
+class Pattern(ABC):
+    """What both kinds of calibration pattern share.
+
+    Attributes:
+        columns, rows: How many, counted as OpenCV counts them for this pattern.
+        square: Side of a square, metres.
+    """
+
+    columns: int
+    rows: int
+    square: float
 
     @property
-    def columns(self) -> int:
-        """How many columns, counted as OpenCV counts them for this pattern."""
-        ...
-
-    @property
-    def rows(self) -> int:
-        """How many rows, counted likewise."""
-        ...
-
-    @property
-    def square(self) -> float:
-        """Side of a square, metres."""
-        ...
-
-    @property
+    @abstractmethod
     def corners(self) -> tuple[int, int]:
         """Inner corners along the columns and rows."""
-        ...
 
     @property
+    @abstractmethod
     def size(self) -> tuple[float, float]:
         """Width and height of the print, metres."""
-        ...
 
     @property
+    @abstractmethod
     def origin(self) -> tuple[float, float]:
         """Where the print's upper left corner is in the board frame, metres."""
-        ...
 
     @property
     def plain(self) -> float:
         """How far from an edge between two squares there is one tone only, in squares."""
-        ...
+        return _PLAIN
 
+    @abstractmethod
     def find(self, image: Image) -> FoundPattern | None:
         """The pattern in a picture, grey or BGR; None when it is not there."""
-        ...
 
+    @abstractmethod
     def black(self) -> Array:
         """The print: black rectangles (n, 4) as x, y, width, height in the board frame, metres."""
-        ...
+
+    def _fitted(
+        self, gray: Image, times: int, start: Array, ids: NDArray[np.int64], reach: float
+    ) -> FoundPattern | None:
+        """Refines corners and takes away those that were none; None when too few are left.
+
+        They are those of numbers ``ids`` (n,), found at ``start`` (n, 2) to within about 1.5 px in a picture
+        that is ``times`` smaller than ``gray``; no third edge is within ``reach`` squares of one.
+        """
+        columns = self.corners[0]
+        grid_position = np.stack([ids % columns, ids // columns], axis=1).astype(float)
+        pixels, good, blur = refine_corners(reduced(gray, times), start, grid_position, reach)
+        softness = float(np.median(blur[good])) if good.any() else 0.0
+        best = max(1, int(times * softness / _SOFT))
+        if good.any() and best != times:
+            again = to_reduced(from_reduced(np.where(good[:, None], pixels, start), times), best)
+            other = refine_corners(reduced(gray, best), again, grid_position, reach)
+            if other[1].sum() >= good.sum():
+                times, (pixels, good, blur) = best, other
+        if good.sum() < FEWEST_CORNERS:
+            return None
+        first = np.array(self.origin) + self.square
+        points = np.hstack([first + grid_position * self.square, np.zeros((len(ids), 1))])
+        there = from_reduced(pixels[good], times)
+        return FoundPattern(points[good], there, ids[good], times * float(np.median(blur[good])))
 
 
 @dataclass(frozen=True)
-class ChessboardPattern:
+class ChessboardPattern(Pattern):
     """A chessboard, counted by its inner corners as OpenCV and ROS do.
 
     Attributes:
@@ -176,10 +146,6 @@ class ChessboardPattern:
     Raises:
         CalibrationError: Fewer than 3 x 3 inner corners, or a size that cannot be meant.
     """
-
-    columns: int
-    rows: int
-    square: float
 
     def __post_init__(self) -> None:
         _check_count("chessboard", "inner corners", self.columns, self.rows, 3)
@@ -197,10 +163,6 @@ class ChessboardPattern:
     def origin(self) -> tuple[float, float]:
         return -self.square, -self.square
 
-    @property
-    def plain(self) -> float:
-        return _PLAIN
-
     def find(self, image: Image) -> FoundPattern | None:
         gray = _gray(image)
         times = times_smaller(gray)
@@ -212,15 +174,14 @@ class ChessboardPattern:
         if not good or corners is None:
             return None
         start = np.asarray(corners, dtype=float).reshape(-1, 2)
-        ids = np.arange(len(start))
-        return fitted_pattern(gray, times, start, ids, _grid(self, _SQUARE_REACH))
+        return self._fitted(gray, times, start, np.arange(len(start)), _SQUARE_REACH)
 
     def black(self) -> Array:
         return _black_squares(self.columns + 1, self.rows + 1, self.square, self.origin)
 
 
 @dataclass(frozen=True)
-class CharucoPattern:
+class CharucoPattern(Pattern):
     """A chessboard with markers in its white squares: found in part, and never turned the wrong way.
 
     Attributes:
@@ -235,9 +196,6 @@ class CharucoPattern:
             or a size that cannot be meant.
     """
 
-    columns: int
-    rows: int
-    square: float
     marker: float
     dictionary: str = "DICT_5X5_50"
     legacy: bool = False
@@ -298,7 +256,7 @@ class CharucoPattern:
         if len(numbers) < FEWEST_CORNERS or min(lines) < _FEWEST_LINES:
             return None
         gap = (self.square - self.marker) / 2 / self.square
-        return fitted_pattern(gray, times, start, numbers, _grid(self, _GAP_REACH * gap))
+        return self._fitted(gray, times, start, numbers, _GAP_REACH * gap)
 
     def black(self) -> Array:
         first = 0 if self._starts_black else 1
@@ -326,11 +284,6 @@ def _charuco_detector(pattern: CharucoPattern) -> Any:
     )
     board.setLegacyPattern(pattern.legacy)
     return cv2.aruco.CharucoDetector(board)
-
-
-def _grid(pattern: Pattern, reach: float) -> CornerGrid:
-    x, y = pattern.origin
-    return CornerGrid(pattern.corners[0], pattern.square, (x + pattern.square, y + pattern.square), reach)
 
 
 def _black_squares(
@@ -410,12 +363,10 @@ def _relatives(pattern: Pattern) -> list[Pattern]:
         transposed = dataclasses.replace(pattern, columns=pattern.rows, rows=pattern.columns)
         both = [dataclasses.replace(p, legacy=old) for p in (pattern, transposed) for old in (False, True)]
         return [p for p in both if p != pattern]
-    if isinstance(pattern, ChessboardPattern):
-        c, r = pattern.columns, pattern.rows
-        sizes = [(c - 1, r - 1), (r, c), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
-        good = [s for s in dict.fromkeys(sizes) if min(s) >= 3 and s != (c, r)]
-        return [ChessboardPattern(a, b, pattern.square) for a, b in good]
-    return []
+    c, r = pattern.columns, pattern.rows
+    sizes = [(c - 1, r - 1), (r, c), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
+    good = [s for s in dict.fromkeys(sizes) if min(s) >= 3 and s != (c, r)]
+    return [ChessboardPattern(a, b, pattern.square) for a, b in good]
 
 
 def describe(pattern: Pattern) -> str:
@@ -426,10 +377,6 @@ def describe(pattern: Pattern) -> str:
         markers = f"markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}"
         return f"ChArUco board of {count} squares ({square}, {markers}{layout})"
     return f"chessboard of {count} inner corners (squares {square})"
-
-
-# ------------------------------------------------------------------------------------------
-# The patterns that are printed and calibrated with by name, and their usual sizes.
 
 
 PatternKind = Literal["charuco", "chessboard"]

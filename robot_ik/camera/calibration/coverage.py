@@ -51,13 +51,7 @@ class Coverage:
 
 
 def cover(found: Sequence[FoundPattern], rotations: Sequence[Array], size: tuple[int, int]) -> Coverage:
-    """Accounts for the views.
-
-    Args:
-        found: Corners of each view.
-        rotations: (3, 3) ``rotation_camera_board`` of each view.
-        size: (width, height) of the pictures, px.
-    """
+    """Accounts for views of pictures of ``size`` px, each with its ``rotation_camera_board`` (3, 3)."""
     parts = np.zeros((3, 3), dtype=np.int64)
     for view in found:
         cell = np.clip((view.pixels / size * 3).astype(int), 0, 2)
@@ -98,13 +92,7 @@ def _missing(parts: NDArray[np.int64], tilts: Array, spacings: Array) -> list[st
 
 # ------------------------------------------------------------------------------- as a picture
 
-_PAPER, _INK, _DOT, _GOOD, _LACK = (
-    (255, 255, 255),
-    (60, 60, 60),
-    (170, 90, 20),
-    (226, 240, 226),
-    (196, 200, 250),
-)
+_INK, _DOT, _GOOD, _LACK = (60, 60, 60), (170, 90, 20), (226, 240, 226), (196, 200, 250)
 _RIM = 28
 
 
@@ -114,15 +102,11 @@ def coverage_picture(coverage: Coverage, width: int = 900) -> Image:
     shown = width - disc - 3 * _RIM
     height = round(shown * coverage.size[1] / coverage.size[0])
     tall = max(height, disc) + 3 * _RIM
-    canvas = np.full((tall, width, 3), _PAPER, dtype=np.uint8)
+    canvas = np.full((tall, width, 3), 255, dtype=np.uint8)
     _draw_parts(canvas[2 * _RIM : 2 * _RIM + height, _RIM : _RIM + shown], coverage)
     _draw_tilts(canvas[2 * _RIM : 2 * _RIM + disc, width - disc - _RIM : width - _RIM], coverage)
     _write(canvas, f"corners of {len(coverage.tilts)} views (views to a part)", (_RIM, 2 * _RIM - 10))
-    _write(
-        canvas,
-        "tilts: rings 20, 40, 60 deg",
-        (width - disc - _RIM, 2 * _RIM - 10),
-    )
+    _write(canvas, "tilts: rings 20, 40, 60 deg", (width - disc - _RIM, 2 * _RIM - 10))
     return canvas
 
 

@@ -21,10 +21,10 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     HandEyeSample,
     Mount,
-    cauchy_weight,
+    compress,
     robust_mean_pose,
-    view_derivatives,
 )
+from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import write_atomically
@@ -33,7 +33,7 @@ from robot_ik.tables import Position, Table, Wxyz, read_table
 
 Array = NDArray[np.float64]
 
-_ROUNDS, _DONE = 30, 1e-10
+_CAMERA = np.arange(6)
 # The stated standard deviation of a pixel weighs as much as so many measured ones.
 _PRIOR = 6.0
 # Corners of a board at rest before a camera at rest stay within this from picture to picture, and are met
@@ -164,23 +164,27 @@ def locate_camera(
     start, _ = robust_mean_pose([view.pose_camera_board for view in views])
     view = _averaged(views, start)
     sample = HandEyeSample(Pose(), view)
-    mount, weights = _fitted(
-        Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand"), sample, intrinsics
-    )
-    miss, shared, _ = view_derivatives(mount, sample, intrinsics)
-    w, rows = np.repeat(weights, 2), shared[:, :6]
-    squares, dof = float(w @ miss**2), max(float(w.sum()) - 6.0, 0.0)
-    variance = (_PRIOR * view.sigma**2 + squares) / (_PRIOR + dof)
-    normal = rows.T @ (w[:, None] * rows)
-    covariance = np.asarray(variance * np.linalg.pinv(normal, rcond=1e-14, hermitian=True), dtype=float)
-    pixels = float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
+
+    def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
+        data = compress(mount, [sample], intrinsics, weights)
+        # There is no arm that could be off.
+        return data.views(1.0, data.by_shared, np.zeros((0, 1, 6, 6))), data.misses(_scale(data.left[0]))
+
+    mount = Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand")
+    mount, normal = fit_views(linear, mount, _CAMERA)
+    # How far off each corner is, in standard deviations as stated.
+    left = np.linalg.norm(mount.miss(sample, intrinsics), axis=1) / view.sigma
+    weights = cauchy_weight(left / np.sqrt(2.0) / _scale(left))
+    squares, dof = float(weights @ left**2), max(2.0 * float(weights.sum()) - 6.0, 0.0)
+    covariance = (_PRIOR + squares) / (_PRIOR + dof) * normal.covariance[:6, :6]
+    pixels = view.sigma * float(np.sqrt(squares / max(float(weights.sum()), 1e-9)))
     depth = float(np.median(mount.pose_camera_board(sample).apply(view.points)[:, 2]))
     if not (np.isfinite(pixels) and depth > 0.0):
         raise CameraError(
             "no pose of the camera explains what was seen of the board",
             hint="check the sizes of the board and that the whole of it is flat and in the picture",
         )
-    far = float(np.median(np.linalg.norm(miss.reshape(-1, 2), axis=1)))
+    far = view.sigma * float(np.median(left))
     if far > _ABSURD_PX:
         raise CalibrationError(
             f"the best pose of the camera leaves the board's corners {far:.1f} px off (median); a good one "
@@ -194,21 +198,9 @@ def locate_camera(
     )  # fmt: skip
 
 
-def _fitted(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> tuple[Mount, Array]:
-    """The camera's pose that fits the points best, and the weights (n,) of the points."""
-    view = sample.view
-    weights = np.ones(len(view.points))
-    for _ in range(_ROUNDS):
-        miss, shared, _ = view_derivatives(mount, sample, intrinsics)
-        w, rows = np.repeat(weights, 2), shared[:, :6]
-        normal = rows.T @ (w[:, None] * rows)
-        step = -np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (rows.T @ (w * miss))
-        mount = mount.moved(np.concatenate([step, np.zeros(6)]))
-        far = np.linalg.norm(miss.reshape(-1, 2), axis=1)
-        weights = cauchy_weight(far / np.sqrt(2.0) / max(float(np.median(far)) / 1.1774, view.sigma))
-        if np.abs(step).max() < _DONE:
-            break
-    return mount, weights
+def _scale(left: Array) -> float:
+    """Standard deviation of the pixels in units of the stated one, which is the least that is believed."""
+    return max(float(np.median(left)) / 1.1774, 1.0)
 
 
 def _averaged(views: Sequence[BoardView], start: Pose) -> BoardView:

@@ -19,20 +19,21 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView, cross_matrices, point_jacobian
+from robot_ik.camera.boards.board import BoardView, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
-    ArmNoise,
     LeftOut,
     LinearViews,
     NormalEquations,
-    estimate_noise,
-    normal_equations,
+    cauchy_weight,
+    fit_views,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import moved
 from robot_ik.errors import CalibrationError
-from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.geometry import Pose, quat_multiply, rotation_log
 
 Array = NDArray[np.float64]
+
 Mounting = Literal["eye_in_hand", "eye_to_hand"]
 MOUNTINGS: tuple[Mounting, ...] = ("eye_in_hand", "eye_to_hand")
 
@@ -42,12 +43,7 @@ _NEAREST = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class HandEyeSample:
-    """The arm stood still, and a picture was taken.
-
-    Attributes:
-        pose_world_hand: Where the arm says that its hand was.
-        view: The board in the picture.
-    """
+    """The arm stood still, by its own account with the hand at ``pose_world_hand``, and saw the board."""
 
     pose_world_hand: Pose
     view: BoardView
@@ -88,11 +84,6 @@ class Mount:
         return np.asarray(intrinsics.project(self.pose_camera_board(sample).apply(view.points)) - view.pixels)
 
 
-def moved(pose: Pose, twist: Array) -> Pose:
-    """``pose`` moved by a twist (6,) along the axes it is seen from, rotation about its own origin."""
-    return Pose(pose.position + twist[:3], quat_multiply(rotation_exp(twist[3:]), pose.wxyz))
-
-
 def view_derivatives(
     mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics
 ) -> tuple[Array, Array, Array]:
@@ -114,15 +105,20 @@ def view_derivatives(
     n = len(in_other)
     shared = np.empty((n, 2, 12))
     shared[:, :, :3] = -by_parent
-    shared[:, :, 3:6] = by_parent @ cross_matrices(in_parent - x.position)
+    shared[:, :, 3:6] = by_parent @ _cross(in_parent - x.position)
     shared[:, :, 6:9] = by_other
-    shared[:, :, 9:] = -by_other @ cross_matrices(in_other - y.position)
+    shared[:, :, 9:] = -by_other @ _cross(in_other - y.position)
     # Eye in hand, the points of a resting board move backwards in the hand; eye to hand they go with it.
     along, at, sign = (
         (by_parent, in_parent, -1.0) if mount.mounting == "eye_in_hand" else (by_other, in_other, 1.0)
     )
-    hand = np.concatenate([sign * along, -sign * along @ cross_matrices(at)], axis=2)
+    hand = np.concatenate([sign * along, -sign * along @ _cross(at)], axis=2)
     return miss.ravel(), shared.reshape(2 * n, 12), hand.reshape(2 * n, 6)
+
+
+def _cross(vectors: Array) -> Array:
+    """(n, 3, 3) matrices [v]x of vectors (n, 3)."""
+    return np.cross(np.eye(3), vectors[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +142,18 @@ class Compressed:
     left: tuple[Array, ...]
     dof: int
 
+    def views(
+        self, scale: float, rows: Array, sources: Array, prior: Array | None = None, off: Array | None = None
+    ) -> LinearViews:
+        """For a fit; as in ``LinearViews``, with pixels of ``scale`` times the stated standard deviation."""
+        if prior is None or off is None:
+            prior, off = np.zeros((rows.shape[2],) * 2), np.zeros(rows.shape[2])
+        return LinearViews(self.pseudo_measurement, self.covariance * scale**2, rows, sources, prior, off)
+
+    def misses(self, scale: float) -> list[Array]:
+        """``left`` in standard deviations of one coordinate."""
+        return [one / np.sqrt(2.0) / scale for one in self.left]
+
 
 def compress(
     mount: Mount,
@@ -153,14 +161,7 @@ def compress(
     intrinsics: CameraIntrinsics,
     weights: Sequence[Array] | None = None,
 ) -> Compressed:
-    """Each view linear at ``mount``.
-
-    Args:
-        mount: Where camera and board are thought to be.
-        samples: The views.
-        intrinsics: Of the pictures' size.
-        weights: Of each corner of each view, (k,) each; 1 when not given.
-    """
+    """Each view linear at ``mount``, with ``weights`` (k,) of the corners of each; 1 when not given."""
     pseudo_measurements, covariances, rows, left = [], [], [], []
     for k, sample in enumerate(samples):
         miss, shared, hand = view_derivatives(mount, sample, intrinsics)
@@ -204,13 +205,6 @@ def mean_rotation(wxyz: Array, weights: Array | None = None) -> Array:
     return np.asarray(-mean if mean[0] < 0 else mean)
 
 
-def mean_pose(poses: Sequence[Pose], weights: Array | None = None) -> Pose:
-    """Weighted mean of positions and, by itself, of rotations."""
-    w = np.ones(len(poses)) if weights is None else np.asarray(weights, dtype=float)
-    position = np.average([pose.position for pose in poses], axis=0, weights=w)
-    return Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), w))
-
-
 def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
     """Mean that a minority of wrong poses hardly moves, and the weights (n,), 0 to 1, that it ended with.
 
@@ -225,13 +219,9 @@ def robust_mean_pose(poses: Sequence[Pose]) -> tuple[Pose, Array]:
         far = np.array([mean.distance(pose) for pose in poses])
         scale = np.maximum(_MEDIAN_TO_SIGMA * np.median(far, axis=0), _LEAST_SCALE)
         weights = cauchy_weight(np.linalg.norm(far / scale, axis=1))
-        mean = mean_pose(poses, weights)
+        position = np.average([pose.position for pose in poses], axis=0, weights=weights)
+        mean = Pose(position, mean_rotation(np.array([pose.wxyz for pose in poses]), weights))
     return mean, weights
-
-
-def cauchy_weight(misses: Array) -> Array:
-    """Weights of misses in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
-    return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
 
 
 def rotation_spread(rotations: Sequence[Array]) -> Array:
@@ -356,22 +346,9 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
     return np.asarray(position)
 
 
-# ------------------------------------------------------------------------------------------
-# Hand-eye calibration: where a camera sits on the arm, or stands beside it.
-#
-# An initial solution from AX = XB (``start_handeye``), then the joint least squares of all corners in all
-# pictures over both unknown poses.  Two errors are separated: that of the pixels and that of the arm, which
-# moves all corners of a picture together (servo ticks, gear play, geometry).  The size of the arm's is
-# estimated from the views themselves (restricted maximum likelihood), so that the stated uncertainty is
-# consistent with the errors.
-
-
-_ROUNDS = 25
 # The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
 _ALL = np.arange(12)
 _HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
-# Steps smaller than this (metres, rad) end the iteration; larger than _LARGEST_STEP they are shortened.
-_DONE, _LARGEST_STEP = 1e-7, 0.5
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
 # and by more than this many pixels: below, print and lens are as good a reason.
 _OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
@@ -448,6 +425,10 @@ def solve_handeye(
 ) -> HandEye:
     """Where the camera is, from pictures of one board taken while the arm stood in many ways.
 
+    All corners are fitted together over both poses.  The arm's own error, which moves all corners of one
+    picture alike, is told from that of the pixels and estimated from the views, so that the stated
+    uncertainty is consistent with the errors.
+
     Args:
         samples: At least 4, turned about two axes and more; 15 are good.
         intrinsics: Of the pictures' size.
@@ -461,21 +442,15 @@ def solve_handeye(
     if mounting not in MOUNTINGS:
         raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
     spread = require_diversity(samples)
-    mount = start_handeye(samples, mounting)
-    corners: list[Array] | None = None
-    before: ArmNoise | None = None
-    for _ in range(_ROUNDS):
-        data = compress(mount, samples, intrinsics, corners)
+    # The hand is off, position and angle; nothing is known beforehand.
+    hand = np.broadcast_to(_HAND[:, None], (2, len(samples), 6, 6))
+
+    def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
+        data = compress(mount, samples, intrinsics, weights)
         scale = pixel_scale(data)
-        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        views = _linear(data, scale)
-        before = estimate_noise(views, _ALL, before)
-        normal = normal_equations(views, before, _ALL)
-        step = normal.step()
-        step *= min(1.0, _LARGEST_STEP / max(float(np.abs(step).max()), 1e-300))
-        mount = mount.moved(step)
-        if np.abs(step).max() < _DONE:
-            break
+        return data.views(scale, data.by_shared, hand), data.misses(scale)
+
+    mount, normal = fit_views(linear, start_handeye(samples, mounting), _ALL)
     found = _result(mount, samples, intrinsics, normal, spread)
     require_explained(
         [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
@@ -486,12 +461,7 @@ def solve_handeye(
 def require_explained(
     pixels: Sequence[float], outliers: Sequence[bool], intrinsics: CameraIntrinsics
 ) -> None:
-    """Checks that a result explains the views that it is of.
-
-    Args:
-        pixels: RMS distance of each view's corners from where the result puts them, px.
-        outliers: Which views contradict the others.
-        intrinsics: Of the pictures.
+    """Checks that a result explains its views: given the RMS miss of each in ``pixels``, and the outliers.
 
     Raises:
         CalibrationError: It does not; there is nothing to be written then.
@@ -518,15 +488,6 @@ def pixel_scale(data: Compressed) -> float:
         return 1.0
     dof, prior = float(data.dof), 10.0
     return float(np.sqrt((prior + dof * robust**2 / share) / (prior + dof)))
-
-
-def _linear(data: Compressed, pixel_scale: float) -> LinearViews:
-    """The views for the fit of camera and board: the hand is off, position and angle; nothing is known."""
-    sources = np.broadcast_to(_HAND[:, None], (2, len(data.covariance), 6, 6))
-    return LinearViews(
-        data.pseudo_measurement, data.covariance * pixel_scale**2, data.by_shared, sources,
-        np.zeros((12, 12)), np.zeros(12),
-    )  # fmt: skip
 
 
 def _result(

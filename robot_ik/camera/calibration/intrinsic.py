@@ -23,9 +23,7 @@ from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
 
-# ------------------------------------------------------------------------------------------
-# What a calibration is worth, as text.
-
+Array = NDArray[np.float64]
 
 #: With fewer views the principal point is off by some pixels.
 ENOUGH_VIEWS = 15
@@ -36,68 +34,40 @@ _FAIR_RMS_PX = 0.5
 _HOLD_OUT_RATIO = 1.6
 
 
-@dataclass(frozen=True)
-class CalibrationQuality:
-    """The figures that a verdict rests on.
+def _focal_share(camera: CameraIntrinsics) -> float:
+    """Standard deviation of the focal length as a part of it: what every distance is worth."""
+    return max(camera.std[0] / camera.fx, camera.std[1] / camera.fy)
 
-    Attributes:
-        focal: fx and fy, px.
-        std: Standard deviations of fx, fy, cx, cy, … in px.
-        rms: Reprojection error on its own views, px; ``hold_out``: on views that it has not seen.
-        hold_out: See ``rms``.
-        views: Number of views used.
-        size: (width, height) of the pictures, px.
+
+def _doubts(
+    camera: CameraIntrinsics, rms: float, hold_out: float, views: int, coverage: Coverage
+) -> list[str]:
+    """What is wrong with a calibration; empty when nothing is.
+
+    Reprojection errors in px: ``rms`` on its own views, ``hold_out`` on those that it has not seen.
     """
-
-    focal: tuple[float, float]
-    std: tuple[float, ...]
-    rms: float
-    hold_out: float
-    views: int
-    size: tuple[int, int]
-
-    @property
-    def focal_share(self) -> float:
-        """Standard deviation of the focal length as a part of it: what every distance is worth."""
-        return max(s / f for s, f in zip(self.std, self.focal, strict=False))
-
-    @property
-    def centre_px(self) -> float:
-        """Standard deviation of the principal point, px."""
-        return max(self.std[2:4])
-
-
-def doubts_of(quality: CalibrationQuality, coverage: Coverage) -> list[str]:
-    """What is wrong with a calibration; empty when nothing is."""
     found = []
-    if quality.views < ENOUGH_VIEWS:
-        found.append(f"only {quality.views} views: take {ENOUGH_VIEWS} or more")
-    if quality.focal_share > _FOCAL_DOUBT:
-        found.append(f"the focal length is only known to {100 * quality.focal_share:.1f} %: tilt more")
-    if quality.centre_px > _CENTRE_DOUBT * quality.size[0]:
-        found.append(
-            f"the principal point is only known to {quality.centre_px:.1f} px: tilt more, into the corners"
-        )
-    if quality.rms > _FAIR_RMS_PX:
-        found.append(
-            f"{quality.rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures"
-        )
-    if quality.hold_out > max(_HOLD_OUT_RATIO * quality.rms, quality.rms + 0.05):
-        found.append(
-            f"views that it has not seen fit worse ({quality.hold_out:.2f} px): too few of too many kinds"
-        )
+    if views < ENOUGH_VIEWS:
+        found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
+    if _focal_share(camera) > _FOCAL_DOUBT:
+        found.append(f"the focal length is only known to {100 * _focal_share(camera):.1f} %: tilt more")
+    centre = max(camera.std[2:4])
+    if centre > _CENTRE_DOUBT * camera.width:
+        found.append(f"the principal point is only known to {centre:.1f} px: tilt more, into the corners")
+    if rms > _FAIR_RMS_PX:
+        found.append(f"{rms:.2f} px RMS is high: a bent board, a moved camera, or motion in the pictures")
+    if hold_out > max(_HOLD_OUT_RATIO * rms, rms + 0.05):
+        found.append(f"views that it has not seen fit worse ({hold_out:.2f} px): too few of too many kinds")
     return found + [f"missing: {what}" for what in coverage.missing]
 
 
-def verdict_of(quality: CalibrationQuality, doubtful: bool) -> str:
+def _verdict(camera: CameraIntrinsics, rms: float, hold_out: float, doubtful: bool) -> str:
     """One sentence."""
-    share = quality.focal_share
-    rms = f"{quality.rms:.2f} px on its own views, {quality.hold_out:.2f} px on others"
+    share = _focal_share(camera)
+    errors = f"{rms:.2f} px on its own views, {hold_out:.2f} px on others"
     reach = f"distances come out to {100 * share:.2f} % ({1e3 * share:.1f} mm in a metre)"
-    return f"{'usable, with doubts' if doubtful else 'good'}: {rms}; {reach}"
+    return f"{'usable, with doubts' if doubtful else 'good'}: {errors}; {reach}"
 
-
-Array = NDArray[np.float64]
 
 # A homography gives two equations for five unknowns of a pinhole; lens and noise want many more.
 FEWEST_VIEWS = 6
@@ -193,18 +163,17 @@ def calibrate(
         for k, v in enumerate(views)
     ]
     left_out = _blurred(named)
-    used = [k for k in range(len(named)) if k not in left_out]
-    _require_views(len(used), len(named))
-    fit = _fit([named[k].found for k in used], size, coefficients)
-    _require_tilt(fit.tilts)
-    for k, error in zip(list(used), fit.per_view, strict=True):
-        if error > max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view))):
-            left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
-    if len(used) > len([k for k in used if k not in left_out]):
-        used = [k for k in used if k not in left_out]
+    for last in (False, True):
+        used = [k for k in range(len(named)) if k not in left_out]
         _require_views(len(used), len(named))
         fit = _fit([named[k].found for k in used], size, coefficients)
         _require_tilt(fit.tilts)
+        worst = max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view)))
+        if last or fit.per_view.max() <= worst:
+            break
+        for k, error in zip(used, fit.per_view, strict=True):
+            if error > worst:
+                left_out[k] = f"{error:.2f} px: does not fit the other views (moved, bent, or a wrong corner)"
     if fit.rms > _WORST_RMS_PX:
         raise CalibrationError(
             f"the calibration leaves {fit.rms:.2f} px RMS; more than {_WORST_RMS_PX:g} px is none",
@@ -223,13 +192,12 @@ def calibrate(
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
-    quality = CalibrationQuality((fx, fy), std, fit.rms, hold_out, len(used), size)
-    doubts = doubts_of(quality, coverage)
+    doubts = _doubts(intrinsics, fit.rms, hold_out, len(used), coverage)
     if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), std, hold_out, coverage,
-        verdict_of(quality, bool(doubts)), tuple(doubts), _tone_notes(tones),
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones),
     )  # fmt: skip
 
 

@@ -1,4 +1,13 @@
-"""How far a camera sees a carried board from where the joints say it is: the error map of an arm."""
+"""How far a camera sees a carried board from where the joints say it is; and joint zeros found by that.
+
+Self-calibration fits all corners of all pictures together, over the joints' offsets and the poses of camera
+and board; what is known of the poses beforehand enters with its covariance.  A change of offsets moves the
+hand, so all unknowns enter the six numbers to which a view is boiled down (``handeye.compress``).  Offsets
+that the views cannot tell from other unknowns are held at 0 and named.
+
+Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
+Int. J. Robotics Research 15(6), 1996.
+"""
 
 from __future__ import annotations
 
@@ -6,41 +15,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from robot_ik.camera.boards.board import BoardView, cross_matrices
+from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
+    LEAST_VIEWS,
     MOUNTINGS,
-    Compressed,
     HandEyeSample,
     Mount,
     Mounting,
-    cauchy_weight,
     compress,
     pixel_scale,
     require_explained,
 )
 from robot_ik.camera.calibration.least_squares import (
-    ArmNoise,
     LinearViews,
     NormalEquations,
     Unobservable,
-    estimate_noise,
     find_unobservable,
+    fit_views,
     joint_information,
-    normal_equations,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import difference
 from robot_ik.errors import CalibrationError, UnknownJointError
-from robot_ik.geometry import Pose, quat_multiply, rotation_log
+from robot_ik.geometry import Pose
 from robot_ik.robot import Robot
 
-# ------------------------------------------------------------------------------------------
-# What self-calibration sees: an arm whose joints may be off by constants, a camera and a board.
-#
-# Each view is boiled down to the twist of the hand that its picture asks for (``handeye.compress``); a
-# change of the joints' offsets moves the hand too, so all unknowns enter those six numbers linearly.
-
+Array = NDArray[np.float64]
 
 #: Numbers of the two poses: the camera's twist, then the board's.
 POSES = 12
@@ -62,14 +64,13 @@ class KnownPose:
     pose: Pose
     covariance: Array
 
-    def __init__(self, pose: Pose, covariance: ArrayLike) -> None:
-        c = np.array(covariance, dtype=float)
+    def __post_init__(self) -> None:
+        c = np.array(self.covariance, dtype=float)
         if c.shape != (6, 6) or not np.isfinite(c).all() or np.linalg.eigvalsh(c)[0] <= 0.0:
             raise CalibrationError(
                 "how well a pose is known is a positive definite (6, 6) covariance",
                 hint="a pose known exactly: give a small standard deviation, not 0",
             )
-        object.__setattr__(self, "pose", pose)
         object.__setattr__(self, "covariance", c)
 
     @classmethod
@@ -77,21 +78,10 @@ class KnownPose:
         """Known to these standard deviations of each axis, metres and rad."""
         return cls(pose, np.diag([position**2] * 3 + [angle**2] * 3))
 
-    def off(self, pose: Pose) -> Array:
-        """Twist (6,) from this pose to another: ``moved(self.pose, twist)`` is that one."""
-        inverse = self.pose.wxyz * (1.0, -1.0, -1.0, -1.0)
-        rotation_vector = rotation_log(quat_multiply(pose.wxyz, inverse))
-        return np.concatenate([pose.position - self.pose.position, rotation_vector])
-
 
 @dataclass(frozen=True, eq=False)
 class CalibrationStation:
-    """The arm stood still, its joints were read, a picture was taken.
-
-    Attributes:
-        q: (nq,) as the servos say.
-        view: The board in the picture.
-    """
+    """The arm stood still with its joints at ``q`` (nq,), as the servos say, and the board was seen."""
 
     q: Array
     view: BoardView
@@ -99,12 +89,7 @@ class CalibrationStation:
 
 @dataclass(frozen=True, eq=False)
 class ArmEstimate:
-    """The unknowns.
-
-    Attributes:
-        offsets: (nv,) to be added to what the servos say, rad (m for slides).
-        mount: Camera and board.
-    """
+    """The unknowns: ``offsets`` (nv,) to be added to what the servos say, rad (m for slides); poses."""
 
     offsets: Array
     mount: Mount
@@ -150,9 +135,9 @@ class ArmModel:
         return [HandEyeSample(self.hand(state, one), one.view) for one in self.views]
 
     def linear(
-        self, state: ArmEstimate, weights: Sequence[Array] | None = None
-    ) -> tuple[LinearViews, Compressed]:
-        """All views at ``state``, and what ``compress`` made of them with ``weights`` of their corners.
+        self, state: ArmEstimate, weights: Sequence[Array] | None
+    ) -> tuple[LinearViews, Sequence[Array]]:
+        """All views at ``state``, for ``fit_views``.
 
         The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
         """
@@ -162,11 +147,11 @@ class ArmModel:
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
-        off[n : n + 6] = self.camera.off(state.mount.pose_parent_camera)
-        off[n + 6 :] = self.board.off(state.mount.pose_other_board)
+        off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
+        off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
         rows = np.concatenate([-by_joint, data.by_shared], axis=2)
-        pixels, joints = data.covariance * pixel_scale(data) ** 2, by_joint @ by_joint.transpose(0, 2, 1)
-        return LinearViews(data.pseudo_measurement, pixels, rows, joints[None], prior, off), data
+        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(data)
+        return data.views(scale, rows, joints[None], prior, off), data.misses(scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -189,8 +174,6 @@ class ArmModel:
             expected = hand.compose(mount.pose_parent_camera)
         return found.position - expected.position, found.distance(expected)[1]
 
-
-Array = NDArray[np.float64]
 
 # A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
 # and by more than this distance: below, print and lens are as good a reason.
@@ -227,19 +210,14 @@ class PoseError:
 def pose_error(
     model: ArmModel, state: ArmEstimate, view: int, covariance: Array, sigmas: float = 0.0
 ) -> PoseError:
-    """One view at a state.
+    """View number ``view`` at a state; ``sigmas`` as in ``PoseError``.
 
-    Args:
-        model: Of all views.
-        state: Offsets, camera and board.
-        view: Which.
-        covariance: (6, 6) of the twist of the hand, in its axes, that separates picture and joints.
-        sigmas: As in ``PoseError``.
+    ``covariance`` (6, 6) is of the twist of the hand, in its axes, that separates picture and joints.
     """
     one, mount = model.views[view], state.mount
     carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
     vector, angle = model.deviation(state, one)
-    at_point = np.concatenate([np.eye(3), -cross_matrices(carried.position[None])[0]], axis=1)
+    at_point = np.concatenate([np.eye(3), np.cross(carried.position, np.eye(3))], axis=1)
     return PoseError(
         position=np.asarray(model.hand(state, one).apply(carried.position)),
         vector=vector,
@@ -288,25 +266,8 @@ def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board
     return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
 
 
-# ------------------------------------------------------------------------------------------
-# Kinematic self-calibration: joint zero offsets from pictures of a board that the arm carries.
-#
-# All corners of all pictures are fitted together, over the joints' offsets and the poses of camera and board,
-# by Levenberg and Marquardt's method with robust weights.  What is known of the two poses beforehand enters
-# with its covariance.  Offsets that the views cannot tell from other unknowns are held at 0 and named.
-#
-# Source: Hollerbach & Wampler, The calibration index and taxonomy for robot kinematic calibration methods,
-# Int. J. Robotics Research 15(6), 1996.
-
-
-#: Fewer views than this are refused.
-LEAST_VIEWS = 4
-#: Offsets known worse than this count as not told apart, rad.
-UNCLEAR = float(np.deg2rad(0.25))
-_ROUNDS, _TRIES = 30, 8
-# Steps smaller than this (rad, metres) end the iteration; so small that nothing is bent: not tried first.
-_DONE, _SMALL = 1e-6, 1e-3
-_FIRST_DAMPING = 1e-9
+# A combination of offsets with a larger standard deviation than this, rad, is not determined.
+_UNCLEAR = float(np.deg2rad(0.25))
 
 
 @dataclass(frozen=True, eq=False)
@@ -362,7 +323,6 @@ def fit_zero_offsets(
     board: KnownPose,
     mounting: Mounting = "eye_to_hand",
     hold: Sequence[str] = (),
-    unclear: float = UNCLEAR,
 ) -> ZeroOffsets:
     """By how much the joints are ahead of what their servos say.
 
@@ -375,7 +335,6 @@ def fit_zero_offsets(
         board: The same of the board, seen from the other of the two.
         mounting: Who is carried.
         hold: Joints whose offset is 0 for sure.
-        unclear: A combination of offsets with a larger standard deviation, rad, is not determined.
 
     Raises:
         CalibrationError: Too few views, an unknown mounting, joints that are no vector, or views that no
@@ -387,18 +346,17 @@ def fit_zero_offsets(
     held = set(hold)
     unobservable: list[Unobservable] = []
     parent, other = (frame, "the world") if mounting == "eye_in_hand" else ("the world", frame)
-    state = model.start()
     while True:
         free = [k for k, name in enumerate(robot.joints) if name not in held]
-        fitted = _fit(model, state, np.array([*free, *range(robot.nv, robot.nv + 12)]))
-        worst = find_unobservable(fitted.normal, robot.joints, unclear, parent, other)
+        # From the start each time: an offset that nothing determines may have gone anywhere.
+        unknowns = np.array([*free, *range(robot.nv, robot.nv + POSES)])
+        state, normal = fit_views(model.linear, model.start(), unknowns)
+        worst = find_unobservable(normal, robot.joints, _UNCLEAR, parent, other)
         if worst is None:
             # With all joints held it is the arm's errors that are asked for, however large.
-            return _result(model, fitted, unobservable, judge=not set(hold) >= set(robot.joints))
+            return _result(model, state, normal, unobservable, judge=not set(hold) >= set(robot.joints))
         unobservable.append(worst)
         held.add(worst.joint)
-        # From the start again: an offset that nothing determines may have gone anywhere.
-        state = model.start()
 
 
 def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
@@ -416,55 +374,25 @@ def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hol
             raise UnknownJointError(name, robot.joints)
 
 
-@dataclass(frozen=True, eq=False)
-class _Fitted:
-    """The end of an iteration: where, and the views linear there."""
-
-    state: ArmEstimate
-    normal: NormalEquations
-
-
-def _fit(model: ArmModel, state: ArmEstimate, free: NDArray[np.int64]) -> _Fitted:
-    corners: list[Array] | None = None
-    noise: ArmNoise | None = None
-    damping = _FIRST_DAMPING
-    for _ in range(_ROUNDS):
-        views, data = model.linear(state, corners)
-        noise = estimate_noise(views, free, noise)
-        normal = normal_equations(views, noise, free)
-        step, damping = _descent_step(model, state, corners, normal, damping)
-        state, scale = state.moved(step), pixel_scale(data)
-        corners = [cauchy_weight(one / np.sqrt(2.0) / scale) for one in data.left]
-        if np.abs(step).max() < _DONE:
-            break
-    return _Fitted(state, normal)
-
-
-def _descent_step(
-    model: ArmModel, state: ArmEstimate, corners: list[Array] | None, normal: NormalEquations, damping: float
-) -> tuple[Array, float]:
-    """A step that lowers the cost, and the damping for the next one; zeros where none does."""
-    now = normal.views.cost(normal.noise)
-    for _ in range(_TRIES):
-        step = normal.step(damping)
-        if np.abs(step).max() < _SMALL:
-            return step, damping
-        there, _ = model.linear(state.moved(step), corners)
-        if there.cost(normal.noise) < now:
-            return step, max(0.1 * damping, 1e-9)
-        damping = 10.0 * max(damping, 1e-6)
-    return np.zeros_like(step), damping
-
-
 def _result(
-    model: ArmModel, fitted: _Fitted, unobservable: list[Unobservable], *, judge: bool
+    model: ArmModel,
+    state: ArmEstimate,
+    normal: NormalEquations,
+    unobservable: list[Unobservable],
+    *,
+    judge: bool,
 ) -> ZeroOffsets:
     n = model.robot.nv
-    errors = tuple(_left_out(model, fitted, k) for k in range(len(model.views)))
-    mount = fitted.state.mount
+    # How each view fits what all others say.
+    others = [normal.left_out(k) for k in range(len(model.views))]
+    errors = tuple(
+        pose_error(model, state.moved(without.step), k, without.covariance, without.sigmas)
+        for k, without in enumerate(others)
+    )
+    mount = state.mount
     every = [
         np.sum(np.nan_to_num(mount.miss(one, model.intrinsics), nan=np.inf) ** 2, axis=1)
-        for one in model.samples(fitted.state)
+        for one in model.samples(state)
     ]
     outliers = [one.outlier for one in errors]
     if judge:
@@ -472,19 +400,13 @@ def _result(
     squares = [one for one, out in zip(every, outliers, strict=True) if not out]
     return ZeroOffsets(
         joints=model.robot.joints,
-        offsets=fitted.state.offsets,
-        covariance=fitted.normal.covariance[:n, :n],
+        offsets=state.offsets,
+        covariance=normal.covariance[:n, :n],
         unobservable=tuple(unobservable),
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
         errors=errors,
         residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
-        joint_noise=float(fitted.normal.noise.sizes[0]),
-        singular_values=np.sqrt(joint_information(fitted.normal, n)[0]),
+        joint_noise=float(normal.noise.sizes[0]),
+        singular_values=np.sqrt(joint_information(normal, n)[0]),
     )
-
-
-def _left_out(model: ArmModel, fitted: _Fitted, view: int) -> PoseError:
-    """How one view fits what all others say."""
-    without = fitted.normal.left_out(view)
-    return pose_error(model, fitted.state.moved(without.step), view, without.covariance, without.sigmas)

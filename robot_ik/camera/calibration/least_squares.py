@@ -1,4 +1,4 @@
-"""The one least-squares core of calibrations with an arm: neither pixels nor the hand are exact.
+"""The one least-squares core of extrinsics, hand-eye and joint zeros: neither pixels nor the hand are exact.
 
 Each view is boiled down to the twist of the hand that its picture asks for, e_i (6,).  A step x of the
 unknowns leaves e_i + A_i x, with an error of covariance P_i + sum_k s_k^2 G_ki: P_i of the pixels, which is
@@ -10,8 +10,9 @@ less, and what was known of the unknowns before enters with its covariance.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,10 @@ _ZOOMS = 5
 # Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
 _FREEDOM, _TWIST = 5.0, 6
 _ROUNDS = 3
+# Of the fit: rounds, tries to find a step that lowers the cost, and the first damping.
+_ITERATIONS, _TRIES, _FIRST_DAMPING = 30, 8, 1e-9
+# Steps smaller than this (rad, metres) end the fit; so small that nothing is bent: not tried first.
+_DONE, _SMALL = 1e-7, 1e-3
 # A prior that weighs as much as nothing: keeps the fit solvable where the views say nothing.
 _NOTHING = 1e-9
 
@@ -155,6 +160,67 @@ def normal_equations(views: LinearViews, noise: ArmNoise, free: NDArray[np.int64
     return NormalEquations(views, noise, parts.sum(axis=0) + prior, right, parts, rights, free)
 
 
+class State(Protocol):
+    """Unknowns on a manifold."""
+
+    def moved(self, step: Array) -> Self:
+        """Moved by (m,) of all unknowns."""
+        ...
+
+
+S = TypeVar("S", bound=State)
+#: All views linear at a state, with these weights of the corners of each (None: 1); and how far off each
+#: corner is, in standard deviations of one coordinate.
+Linear = Callable[[S, Sequence[Array] | None], tuple[LinearViews, Sequence[Array]]]
+
+
+def fit_views(linear: Linear[S], state: S, free: NDArray[np.int64]) -> tuple[S, NormalEquations]:
+    """The unknowns that all views agree on, by Levenberg and Marquardt's method with robust weights.
+
+    Args:
+        linear: The views.
+        state: To start from.
+        free: (f,) indices of the unknowns that are sought.
+
+    Returns:
+        The solution, and the normal equations there.
+    """
+    corners: list[Array] | None = None
+    noise: ArmNoise | None = None
+    damping = _FIRST_DAMPING
+    for _ in range(_ITERATIONS):
+        views, misses = linear(state, corners)
+        noise = estimate_noise(views, free, noise)
+        normal = normal_equations(views, noise, free)
+        step, damping = _descent_step(linear, state, corners, normal, damping)
+        weighted, state, corners = corners is not None, state.moved(step), [cauchy_weight(m) for m in misses]
+        # A start may be the solution with all corners alike.
+        if weighted and np.abs(step).max() < _DONE:
+            break
+    return state, normal
+
+
+def _descent_step(
+    linear: Linear[S], state: S, corners: list[Array] | None, normal: NormalEquations, damping: float
+) -> tuple[Array, float]:
+    """A step that lowers the cost, and the damping for the next one; zeros where none does."""
+    now = normal.views.cost(normal.noise)
+    for _ in range(_TRIES):
+        step = normal.step(damping)
+        if np.abs(step).max() < _SMALL:
+            return step, damping
+        there, _ = linear(state.moved(step), corners)
+        if there.cost(normal.noise) < now:
+            return step, max(0.1 * damping, _FIRST_DAMPING)
+        damping = 10.0 * max(damping, 1e-6)
+    return np.zeros_like(step), damping
+
+
+def cauchy_weight(misses: Array) -> Array:
+    """Weights of misses in standard deviations: 1 at 0, 95 % efficient on Gaussian noise (c = 2.385)."""
+    return np.asarray(1.0 / (1.0 + (misses / 2.385) ** 2))
+
+
 def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise | None = None) -> ArmNoise:
     """The sizes of the arm's error, by restricted maximum likelihood, and the weight of each view, in turns.
 
@@ -163,10 +229,7 @@ def estimate_noise(views: LinearViews, free: NDArray[np.int64], before: ArmNoise
     unequal, Biometrika 58(3), 1971.  Weights are those of a multivariate Student's t (Lange, Little &
     Taylor, Robust Statistical Modeling Using the t Distribution, JASA 84, 1989).
 
-    Args:
-        views: Linear at the solution so far.
-        free: (f,) indices of the unknowns that are sought.
-        before: The solution of an earlier round, to start from.
+    ``views`` are linear at the solution so far, ``before`` is that of an earlier round, to start from.
     """
     weights = _first_weights(views) if before is None else before.weights
     for _ in range(_ROUNDS if before is None else 1):
@@ -288,12 +351,7 @@ def find_unobservable(
 ) -> Unobservable | None:
     """The worst determined combination of offsets, if its standard deviation is beyond ``unclear`` rad.
 
-    Args:
-        normal: At the solution.
-        names: Of all joints.
-        unclear: Largest standard deviation that counts as told apart.
-        parent: What the camera is seen from.
-        other: What the board is seen from.
+    ``names`` are of all joints; ``parent`` and ``other`` are what camera and board are seen from.
     """
     values, directions, along = joint_information(normal, len(names))
     if len(values) == 0 or values[-1] >= unclear**-2:

@@ -15,7 +15,6 @@ import os
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +24,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
-from robot_ik.camera.drawing.painter import EMPTY, Layer
+from robot_ik.camera.drawing.painter import Layer
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.drawing.renderers import ARTISTS, Artist, Drawing, DrawnRobot, seen_faces, shadow_sheet
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, RobotView
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
@@ -46,26 +45,19 @@ _FINER = 1.5
 _LARGEST = 3000
 
 
-@dataclass(frozen=True)
-class GlChoice:
-    """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none, and why."""
+def choose_gl() -> tuple[str, str]:
+    """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none; and why.
 
-    backend: str
-    reason: str
-
-
-def choose_gl() -> GlChoice:
-    """The first back end that draws a picture in a child process; asked once on a machine.
-
-    A failure is not kept longer than the process: the library may be installed in the meantime.
+    It is the first back end that draws a picture in a child process, asked once on a machine.  A failure is
+    not kept longer than the process: the library may be installed in the meantime.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if asked in GL_OFF and asked:
-        return GlChoice("", f"MUJOCO_GL={asked} forbids it")
+        return "", f"MUJOCO_GL={asked} forbids it"
     cache = _cache_file(asked)
     try:
         kept = read_json(cache, "what worked before")
-        return GlChoice(str(kept["backend"]), "worked before")
+        return str(kept["backend"]), "worked before"
     except (OSError, ValueError, KeyError, TypeError):
         pass
     reasons = []
@@ -74,9 +66,9 @@ def choose_gl() -> GlChoice:
         if probe.ok:
             with contextlib.suppress(OSError):  # then it is asked again
                 cache.write_text(json.dumps({"backend": backend}))
-            return GlChoice(backend, probe.text)
+            return backend, probe.text
         reasons.append(f"{backend}: {probe.text}")
-    return GlChoice("", "; ".join(reasons))
+    return "", "; ".join(reasons)
 
 
 def _cache_file(asked: str) -> Path:
@@ -100,10 +92,10 @@ def make_artist(name: str) -> tuple[Artist, str]:
         return ARTISTS[name](), ""
     if name != "gl":
         raise CameraError(f"unknown back end {name!r}", hint=f"known: {', '.join(ARTISTS)}, gl")
-    choice = choose_gl()
-    if not choice.backend:
-        return ARTISTS["painter"](), f"no OpenGL here ({choice.reason}): the painter draws instead"
-    return GlArtist(choice.backend), ""
+    backend, reason = choose_gl()
+    if not backend:
+        return ARTISTS["painter"](), f"no OpenGL here ({reason}): the painter draws instead"
+    return GlArtist(backend), ""
 
 
 @contextlib.contextmanager
@@ -121,13 +113,7 @@ def _context_of(backend: str) -> Iterator[None]:
 
 def pinhole_for(intrinsics: CameraIntrinsics, finer: float) -> CameraIntrinsics:
     """A camera without distortion that sees all that this one sees, drawn ``finer`` in its middle."""
-    field = ray_field(intrinsics)
-    w, h = intrinsics.size
-    x, y = np.linspace(-0.5, w - 0.5, 65), np.linspace(-0.5, h - 0.5, 65)
-    edges = [np.stack([x, 0 * x + v], axis=1) for v in (-0.5, h - 0.5)]
-    edges += [np.stack([0 * y + v, y], axis=1) for v in (-0.5, w - 0.5)]
-    border = field.points(np.concatenate(edges))
-    low, high = border.min(axis=0), border.max(axis=0)
+    low, high = intrinsics.extent
     fx, fy = finer * intrinsics.fx, finer * intrinsics.fy
     shrink = min(1.0, _LARGEST / max(fx * (high[0] - low[0]), fy * (high[1] - low[1])))
     fx, fy = fx * shrink, fy * shrink
@@ -150,7 +136,7 @@ def write_frustum(camera: Any, intrinsics: CameraIntrinsics) -> None:
     camera.frustum_width = w * _NEAR / (2.0 * intrinsics.fx)
 
 
-class GlArtist:
+class GlArtist(Artist):
     """Renders with MuJoCo's OpenGL renderer: materials, lights and shadows of the model itself.
 
     Args:
@@ -170,25 +156,17 @@ class GlArtist:
             renderer.close()
         self._renderers.clear()
 
-    def draw(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> Drawing:
-        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        if box == EMPTY:
-            return Drawing()
-        pinhole, (map_x, map_y) = self._lens(intrinsics)
-        colour, mask = self._render(figure, qpos, pinhole, pose_board_camera)
-        x0, y0, x1, y1 = box
+    def _robot(self, view: RobotView) -> Layer:
+        pinhole, (map_x, map_y) = self._lens(view.intrinsics)
+        colour, mask = self._render(view, pinhole)
+        x0, y0, x1, y1 = view.box
         crop = (slice(y0, y1), slice(x0, x1))
         # the finer picture is averaged over a pixel before it is sampled
-        blur = max(0.3, 0.35 * pinhole.fx / intrinsics.fx)
+        blur = max(0.3, 0.35 * pinhole.fx / view.intrinsics.fx)
         sheet = np.dstack([np.where(mask[..., None] > 0, colour, 0), mask]).astype(np.uint8)
         sheet = np.asarray(cv2.GaussianBlur(sheet, (0, 0), blur), dtype=np.uint8)
         seen = np.asarray(cv2.remap(sheet, map_x[crop], map_y[crop], cv2.INTER_LINEAR), dtype=np.uint8)
-        robot = Layer(box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
-        if not figure.shadow:
-            return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
+        return Layer(view.box, np.ascontiguousarray(seen[..., :3]), np.ascontiguousarray(seen[..., 3]))
 
     def _lens(self, intrinsics: CameraIntrinsics) -> tuple[CameraIntrinsics, Any]:
         if intrinsics not in self._maps:
@@ -198,19 +176,16 @@ class GlArtist:
             self._maps[intrinsics] = pinhole, tuple(part.astype(np.float32) for part in maps)
         return self._maps[intrinsics]
 
-    def _render(
-        self, figure: DrawnRobot, qpos: ArrayLike, pinhole: CameraIntrinsics, pose_board_camera: Pose
-    ) -> tuple[Image, Image]:
+    def _render(self, view: RobotView, pinhole: CameraIntrinsics) -> tuple[Image, Image]:
         """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, occluders taken away."""
-        camera = figure.camera(pose_board_camera)
-        pictures = self._pictures(figure.model, qpos, pinhole, camera)
-        colour, geom, depth = pictures
+        figure, camera = view.figure, view.figure.camera(view.pose_board_camera)
+        colour, geom, depth = self._pictures(figure.model, view.qpos, pinhole, camera)
         hidden = geom < 0
         if figure.occluder_geoms is not None:
             hidden |= (geom >= 0) & figure.occluder_geoms[geom]
         if figure.occluders is not None:
             occluders = figure.occluders
-            _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, pose_board_camera)
+            _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, view.pose_board_camera)
             hidden |= (other >= 0) & (before < depth * figure.scale)
         return colour, np.where(hidden, 0, 255).astype(np.uint8)
 

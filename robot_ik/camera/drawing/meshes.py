@@ -12,15 +12,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Segments = tuple[int, ...]
+
 # ------------------------------------------------------------------------------------------
 # Surfaces of MuJoCo's geom kinds as faces: sphere, capsule, cylinder, box, ellipsoid, plane, mesh.
 #
 # Every round primitive is one *lathe*: a profile turned about z; a box is six grids.  A face is a quad of
 # vertex indices, seen counter-clockwise from outside; a triangle repeats its last index.
 
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 # Faces round a lathe, multiples of 4: by radius in metres for those who do not know how large it is seen.
 SEGMENTS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 80, 96)
@@ -33,7 +34,7 @@ MAX_MESH_FACES = 1500
 
 @dataclass(frozen=True)
 class GeomMesh:
-    """Faces of one geom, in the geom's own frame, metres.
+    """Faces of one geom, in the geom's own frame, metres; what drawing wants to know of them is kept.
 
     Attributes:
         vertices: (v, 3).
@@ -44,14 +45,22 @@ class GeomMesh:
     faces: Index
 
     @cached_property
-    def part(self) -> Part:
-        """What drawing wants to know of it, kept as long as the faces."""
+    def normals(self) -> Array:
+        """(f, 3) outward, unit."""
         corners = self.vertices[self.faces]
         normals = np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
         # diagonals of a triangle a b c c: (c - a) x (c - b) is its normal just as well
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        edges = _edges(self.faces, normals)
-        return Part(self.vertices, self.faces, normals, _corner_normals(self.faces, normals), *edges)
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300))
+
+    @cached_property
+    def corner_normals(self) -> Array:
+        """(f, 4, 3) the same smoothed over round surfaces."""
+        return _corner_normals(self.faces, self.normals)
+
+    @cached_property
+    def edges(self) -> tuple[Index, Index, NDArray[np.bool_]]:
+        """(e, 2) into ``vertices``; (e, 2) the two faces of each; (e,) which are sharp."""
+        return _edges(self.faces, self.normals)
 
 
 def _weld(vertices: Array, faces: Index) -> GeomMesh:
@@ -266,8 +275,6 @@ def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | 
     return _ROUND[kind](np.array(size), segments) if kind in _ROUND else None
 
 
-Segments = tuple[int, ...]
-
 # Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
 CREASE = np.radians(30.0)
 # Round outlines are drawn true to this, pixels.
@@ -277,17 +284,16 @@ VISIBLE_GROUPS = (1, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
-class Part:
-    """Faces of one geom with what drawing wants to know of them; geom frame, metres.
+class ModelMesh:
+    """Faces of all visible geoms of one model, stacked so that drawing needs no loop over geoms.
 
     Attributes:
-        vertices: (v, 3); ``faces`` (f, 4) into them, a triangle repeats its last corner.
-        faces: See ``vertices``.
-        normals: (f, 3) outward, unit; ``corner_normals`` (f, 4, 3) the same smoothed over round surfaces.
-        corner_normals: See ``normals``.
-        edges: (e, 2) into ``vertices``; ``edge_faces`` (e, 2) its two faces; ``crease`` (e,) sharp ones.
-        edge_faces: See ``edges``.
-        crease: See ``edges``.
+        vertices: (v, 3), of each geom in its own frame, metres.
+        faces: (f, 4) into ``vertices``; a triangle repeats its last corner.
+        normals, corner_normals: (f, 3) and (f, 4, 3) as of ``GeomMesh``.
+        edges, edge_faces, crease: (e, 2), (e, 2) and (e,) as its ``edges``.
+        geoms: (g,) geom ids of the model, in the order of ``*_geom``.
+        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,), and ``face_geom_id`` (f,): its id.
     """
 
     vertices: Array
@@ -297,19 +303,6 @@ class Part:
     edges: Index
     edge_faces: Index
     crease: NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class ModelMesh(Part):
-    """Faces of all visible geoms of one model, stacked so that drawing needs no loop over geoms.
-
-    Attributes:
-        geoms: (g,) geom ids of the model, in the order of ``*_geom``.
-        vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,), and ``face_geom_id`` (f,): its id.
-        face_geom: See ``vertex_geom``.
-        face_geom_id: See ``vertex_geom``.
-    """
-
     geoms: Index
     vertex_geom: Index
     face_geom: Index
@@ -387,8 +380,8 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
     geoms = visible_geoms(model, planes=planes)
     for g in geoms:
         if (g, counts_round[g]) not in known:
-            known[g, counts_round[g]] = (triangulate(model, g, counts_round[g]) or _NOTHING).part
-    parts = [known[g, counts_round[g]] for g in geoms] or [_NOTHING.part]
+            known[g, counts_round[g]] = triangulate(model, g, counts_round[g]) or _NOTHING
+    parts = [known[g, counts_round[g]] for g in geoms] or [_NOTHING]
     vertex_counts, face_counts = [len(p.vertices) for p in parts], [len(p.faces) for p in parts]
     first_vertex = np.cumsum([0, *vertex_counts[:-1]])
     first_face = np.cumsum([0, *face_counts[:-1]])
@@ -397,9 +390,9 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
         faces=np.concatenate([p.faces + o for p, o in zip(parts, first_vertex, strict=True)]),
         normals=np.concatenate([p.normals for p in parts]),
         corner_normals=np.concatenate([p.corner_normals for p in parts]),
-        edges=np.concatenate([p.edges + o for p, o in zip(parts, first_vertex, strict=True)]),
-        edge_faces=np.concatenate([p.edge_faces + o for p, o in zip(parts, first_face, strict=True)]),
-        crease=np.concatenate([p.crease for p in parts]),
+        edges=np.concatenate([p.edges[0] + o for p, o in zip(parts, first_vertex, strict=True)]),
+        edge_faces=np.concatenate([p.edges[1] + o for p, o in zip(parts, first_face, strict=True)]),
+        crease=np.concatenate([p.edges[2] for p in parts]),
         geoms=np.array(geoms, dtype=np.int64),
         vertex_geom=np.repeat(np.arange(len(parts)), vertex_counts),
         face_geom=np.repeat(np.arange(len(parts)), face_counts),
@@ -417,7 +410,7 @@ class _Kept:
     needed: Array
     radius: Array
     reach: Array
-    parts: dict[tuple[int, int], Part]
+    parts: dict[tuple[int, int], GeomMesh]
     meshes: OrderedDict[tuple[bool, Segments], ModelMesh]
 
 
@@ -460,16 +453,11 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
 
 
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
-    """How finely each round geom must be cut so that no corners are seen: one of ``SEGMENTS`` each.
+    """How finely each round geom must be cut so that no corners are seen: one of ``SEGMENTS``, 0 for others.
 
     Cut so, an outline is off by at most ``ROUND_PX`` in the picture, at the geom's nearest point: inwards at
-    the middles of faces, outwards at corners.
-
-    Args:
-        model: The model; geoms that are not round get 0.
-        axes: (ngeom, 3) each geom's z axis in the camera frame.
-        centres: (ngeom, 3) in the camera frame.
-        focal: Pixels.
+    the middles of faces, outwards at corners.  ``axes`` and ``centres`` (ngeom, 3) are the geoms' z axes and
+    origins in the camera frame, ``focal`` is in pixels.
     """
     kept = _kept(model)
     nearest = centres[:, 2] - kept.reach * np.abs(axes[:, 2]) - kept.radius

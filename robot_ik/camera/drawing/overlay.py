@@ -29,6 +29,9 @@ from robot_ik.camera.drawing.painter import (
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 
+Image = NDArray[np.uint8]
+Colour = tuple[int, int, int]
+
 # ------------------------------------------------------------------------------------------
 # Text on pictures: the built-in outline font where OpenCV has one (5.0 on), stroke letters otherwise.
 
@@ -51,13 +54,13 @@ def _outline_font() -> Any | None:
         return None
 
 
-def text_size(text: str, size: int, *, bold: bool = False) -> tuple[int, int]:
+def text_size(text: str, size: int) -> tuple[int, int]:
     """Width and height of capitals, pixels, of ``text`` in letters of ``size`` px."""
     font = _outline_font()
     if font is None:
         (width, _), _ = cv2.getTextSize(text.translate(_PLAIN), _HERSHEY, size / _HERSHEY_EM, 1)
         return int(width), round(0.72 * size)
-    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 700 if bold else 400)
+    box = cv2.getTextSize((4096, 4096), text, (0, 0), font, size, 400)
     return int(box[2]), round(0.72 * size)
 
 
@@ -122,8 +125,6 @@ def visible_lines(faces: Faces, samples: SurfaceSamples) -> Array:
     return np.stack([at(share, a, b)[seen], at(share + step, a, b)[seen]], axis=1)
 
 
-Image = NDArray[np.uint8]
-Colour = tuple[int, int, int]
 Style = Literal["solid", "outline", "registered"]
 
 GREEN: Colour = (90, 190, 60)

@@ -23,12 +23,12 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import lens_vector
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# A drawn robot as a transparent sheet that is laid over pictures: over one, or over many, shifted.
-
-
 Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 EMPTY: Box = (0, 0, 0, 0)
 
@@ -58,12 +58,9 @@ class Layer:
             rasteriser.lay_over(image, self.colour, self.coverage, float(alpha), self.box[0], self.box[1])
 
     def shifted(self, motion: Array, width: int, height: int) -> Layer:
-        """The drawing moved in the picture: Azuma's image shifting.
+        """The drawing moved in a picture of this size, and cut off there: Azuma's image shifting.
 
-        Args:
-            motion: (2, 3) where pixels (x, y, 1) of this drawing go.
-            width: Of the picture; what leaves it is cut off.
-            height: See ``width``.
+        ``motion`` (2, 3) says where pixels (x, y, 1) of this drawing go.
         """
         if not self.coverage.size:
             return self
@@ -89,11 +86,6 @@ class Layer:
         return whole
 
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
 # Nothing nearer to the lens is drawn, metres.
 NEAR = 0.02
 # Faces that reach beyond this part of the radius at which a lens model folds back are clipped.
@@ -111,8 +103,8 @@ def _samples(count: int) -> Array:
     return np.stack([(column + 0.5) / count - 0.5, (k + 0.5) / count - 0.5], axis=1)
 
 
+#: Sample positions in a pixel by their number.
 SAMPLES: dict[int, Array] = {1: np.zeros((1, 2)), 4: _samples(4), 8: _samples(8), 16: _samples(16)}
-"""Sample positions in a pixel by their number."""
 
 
 @dataclass(frozen=True)
@@ -122,10 +114,7 @@ class Faces:
     Attributes:
         points: (v, 3) vertices in the camera frame, metres.
         pixels: (v, 2) the same through the lens; ``inverse`` (v,) one over depth, 1/m.
-        inverse: See ``pixels``.
         faces: (f, 4) vertices; ``chosen`` which of them to fill; ``geom`` (f,) model geom id.
-        chosen: See ``faces``.
-        geom: See ``faces``.
         lit: (f, 4, 2) diffuse light and highlight at the corners of what shows its outside.
         within: (v,) vertices that the lens can see; the others' pixels mean nothing.
         mesh: The faces before clipping, in geom frames.

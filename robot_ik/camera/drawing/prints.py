@@ -48,7 +48,6 @@ class Print:
 
     Attributes:
         x: (k + 1,) borders of the columns of cells, from one edge of the paper to the other; ``y``: (m + 1,).
-        y: See ``x``.
         ink: (m, k) in each cell, from 0 for paper to 1 for black.
     """
 
@@ -190,7 +189,7 @@ def _cell_places(borders: Array, at: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def marker_print(dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0) -> Print:
+def marker_print(dictionary: str, marker: int, size: float, margin: float) -> Print:
     """A marker on white paper; metres from the middle of the marker.
 
     Args:
@@ -198,15 +197,13 @@ def marker_print(dictionary: str, marker: int, size: float, margin: float, bleed
         marker: Id in it.
         size: Side of the black border.
         margin: Paper beyond it.
-        bleed: Ink reaches so far beyond the black cells.
 
     Raises:
         CameraError: Unknown dictionary, or no such id in it.
     """
     half = 0.5 * size
     boxes = marker_boxes(dictionary, marker, size) - np.array([half, half, 0.0, 0.0])
-    boxes += np.array([-bleed, -bleed, 2.0 * bleed, 2.0 * bleed])
-    edge = half + max(margin, bleed)
+    edge = half + margin
     return Print.of_boxes(boxes, (-edge, -edge, 2.0 * edge, 2.0 * edge))
 
 
@@ -214,10 +211,6 @@ def blank_paper(side: float, ink: float = 0.0) -> Print:
     """A square of one tone round its middle, metres."""
     edges = np.array([-0.5 * side, 0.5 * side])
     return Print(edges, edges, np.full((1, 1), ink))
-
-
-# ------------------------------------------------------------------------------------------
-# A print before a camera.
 
 
 @dataclass(frozen=True, eq=False)

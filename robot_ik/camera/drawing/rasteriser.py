@@ -185,25 +185,18 @@ def fill_faces(
 ) -> None:  # fmt: skip
     """Faces into the sample buffers.
 
-    Args:
-        pixels: (v, 2) where the vertices are; ``inverse`` (v,) one over their depth, 1/m.
-        inverse: See ``pixels``.
-        lit: (f, 4, 2) light at the corners.
-        faces: (f, 4) vertices; ``chosen`` (k,) which faces to fill.
-        chosen: See ``faces``.
-        offset: Number of faces that are in the buffers already.
-        left: Pixel column of the buffers' first, ``top`` the row.
-        top: See ``left``.
-        across: (w lanes,) float32 columns of the samples in a row of cells, ``down`` rows off its middle.
-        down: See ``across``.
-        tall: Rows of pixels in a cell.
-        lanes: Samples in a cell.
-        reach: Farthest column and row of a sample off the middle of its cell.
-        depth: (h, w lanes) float32 seen as int32, which are in the same order; 0 where nothing is.
-        whose: (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``.
-        planes: (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
-            is below 0 in the second half of a face; and by how much of that the first two change there.
-        extent: (h, 2) first column of each row that is touched, and the one after the last.
+    * ``pixels`` (v, 2): where the vertices are; ``inverse`` (v,): one over their depth, 1/m;
+    * ``lit`` (f, 4, 2): light at the corners; ``faces`` (f, 4): vertices; ``chosen`` (k,): which to fill;
+    * ``offset``: number of faces that are in the buffers already; ``left``, ``top``: the buffers' first
+      pixel;
+    * ``across`` (w lanes,) float32: columns of the samples in a row of cells; ``down``: rows off its middle;
+    * ``tall``: rows of pixels in a cell; ``lanes``: samples in it; ``reach``: the farthest column and row of
+      one off its middle;
+    * ``depth`` (h, w lanes): float32 seen as int32, which are in the same order; 0 where nothing is;
+    * ``whose`` (h, w lanes) int32: 0 where nothing is, then f + 1, where f counts from ``offset``;
+    * ``planes`` (f + 1, 12) gets functions 1, x, y of the buffers' pixels: diffuse light, highlight, and what
+      is below 0 in the second half of a face; and by how much of that the first two change there;
+    * ``extent`` (h, 2): first column of each row that is touched, and the one after the last.
     """
     for i in range(len(chosen)):
         _fill_face(
@@ -229,10 +222,6 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
                     seen[i] = True
 
 
-# ------------------------------------------------------------------------------------------
-# Compiled: the corners of faces through pose and lens, and the light on them.
-
-
 @kernel
 def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
     """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
@@ -248,46 +237,24 @@ def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, 
 @kernel
 def through_lens(
     points: Any, lens: Any, near: float, limit: float, pixels: Any, inverse: Any, within: Any
-) -> bool:
+) -> None:
     """Where ``points`` (v, 3) of the camera frame are in the picture of a camera (``lens_vector``).
 
-    Args:
-        points: Metres.
-        lens: (14,) of the camera.
-        near: What is not beyond this, metres, cannot be seen.
-        limit: Nor what is farther off the axis than this, of its depth; it is put there.
-        pixels: (v, 2) gets the pixels, ``inverse`` (v,) one over depth, ``within`` (v,) what can be seen.
-        inverse: See ``pixels``.
-        within: See ``pixels``.
-
-    Returns:
-        Whether all can be seen.
+    What is not beyond ``near``, metres, cannot be seen, nor what is farther off the axis than ``limit`` of
+    its depth, which is put there.  ``pixels`` (v, 2) gets the pixels, ``inverse`` (v,) one over depth,
+    ``within`` (v,) what can be seen.
     """
-    all_within = True
     for k in range(len(points)):
         z = points[k, 2]
         w = 1.0 / max(z, 0.5 * near)
         x, y = points[k, 0] * w, points[k, 1] * w
         r2 = x * x + y * y
         within[k] = z > near and r2 < limit * limit
-        if not within[k]:
-            all_within = False
-            if r2 > limit * limit:
-                shrink = limit / math.sqrt(r2)
-                x, y = x * shrink, y * shrink
+        if r2 > limit * limit:
+            shrink = limit / math.sqrt(r2)
+            x, y = x * shrink, y * shrink
         u, v, _, _, _ = distort_point(lens, x, y)
         pixels[k, 0], pixels[k, 1], inverse[k] = lens[FX] * u + lens[CX], lens[FY] * v + lens[CY], w
-    return all_within
-
-
-@pure
-def _from_behind(p: Any, face: Any) -> bool:
-    """Whether the lens sees the inside of both halves of a face."""
-    ax, ay, cx, cy = p[face[0], 0], p[face[0], 1], p[face[2], 0], p[face[2], 1]
-    bx, by, dx, dy = p[face[1], 0], p[face[1], 1], p[face[3], 0], p[face[3], 1]
-    one = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-    two = (cx - ax) * (dy - ay) - (dx - ax) * (cy - ay)
-    return one >= 0.0 and two >= 0.0
 
 
 @kernel
@@ -304,36 +271,27 @@ def light_corners(
 ) -> None:
     """``lit`` (f, 4, 2): diffuse light and highlight at each corner of each face that shows its outside.
 
-    Args:
-        normals: (f, 4, 3) at the corners, in geom frames.
-        faces: (f, 4) into ``pixels`` (v, 2); ``owner`` (f,) geom of each.
-        owner: See ``faces``.
-        pixels: See ``faces``.
-        every: Light all, also what shows its inside.
-        light: (g, 3) unit direction to the light in each geom's frame.
-        half: (g, 3) the one halfway to the viewer (Blinn 1977).
-        ambient: Light everywhere.
-        lit: Gets the light.
+    * ``normals`` (f, 4, 3): at the corners, in geom frames; ``faces`` (f, 4): into ``pixels`` (v, 2);
+    * ``owner`` (f,): geom of each; ``every``: light all, also what shows its inside;
+    * ``light`` (g, 3): unit direction to the light in each geom's frame; ``half``: the one halfway to the
+      viewer (Blinn 1977); ``ambient``: light everywhere.
     """
     for f in range(len(normals)):
-        if not every and _from_behind(pixels, faces[f]):
-            continue
+        a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
+        if not every and _turn(pixels, a, b, c) >= 0.0 and _turn(pixels, a, c, d) >= 0.0:
+            continue  # the lens sees the inside of both halves
         g = owner[f]
-        for c in range(4):
-            n = normals[f, c]
+        for k in range(4):
+            n = normals[f, k]
             diffuse = n[0] * light[g, 0] + n[1] * light[g, 1] + n[2] * light[g, 2]
             shine = n[0] * half[g, 0] + n[1] * half[g, 1] + n[2] * half[g, 2]
             # half way round, so that the side away from the light is not flat
             wrapped = 0.5 + 0.5 * diffuse
-            lit[f, c, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
+            lit[f, k, 0] = ambient + (1.0 - ambient) * wrapped * wrapped
             power = max(shine, 0.0)
             for _ in range(5):
                 power *= power
-            lit[f, c, 1] = power
-
-
-# ------------------------------------------------------------------------------------------
-# Compiled: samples into pixels, and drawings over pictures.
+            lit[f, k, 1] = power
 
 
 @pure
@@ -408,17 +366,11 @@ def resolve(
 ) -> None:  # fmt: skip
     """Samples into pixels.
 
-    Args:
-        whose: As filled, with ``planes`` and ``extent``; ``tall`` rows of pixels in a cell.
-        tall: See ``whose``.
-        samples: Tuple with as many numbers as a pixel has samples, so that this is compiled for as many.
-        planes: See ``whose``.
-        extent: See ``whose``.
-        owner: (f + 1,) row in ``base`` of each number in ``whose``; below 0 nothing or an occluder.
-        base: (m, 3) float32 colours 0..255; ``gloss`` of the highlights likewise.
-        gloss: See ``base``.
-        colour: (h, w, 3) uint8, 0 before: colour times coverage; ``coverage`` (h, w).
-        coverage: See ``colour``.
+    * ``whose``, ``planes``, ``extent``: as filled; ``tall``: rows of pixels in a cell;
+    * ``samples``: tuple with as many numbers as a pixel has samples, so that this is compiled for as many;
+    * ``owner`` (f + 1,): row in ``base`` of each number in ``whose``; below 0 nothing or an occluder;
+    * ``base`` (m, 3): float32 colours 0..255; ``gloss``: of the highlights likewise;
+    * ``colour`` (h, w, 3) uint8, 0 before: gets colour times coverage; ``coverage`` (h, w).
     """
     for row in range(len(colour)):
         _resolve_row(row, whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage)
@@ -455,12 +407,7 @@ _MARGIN = 0.06
 @lru_cache(maxsize=16)
 def view_planes(intrinsics: CameraIntrinsics, near: float) -> Array:
     """Inward planes (5, 4) round the view, n . p + d >= 0 inside: near (metres), left, right, top, bottom."""
-    x = np.linspace(-0.5, intrinsics.width - 0.5, 33)
-    y = np.linspace(-0.5, intrinsics.height - 0.5, 33)
-    edges = [(x, np.full(33, y[0])), (x, np.full(33, y[-1])), (np.full(33, x[0]), y), (np.full(33, x[-1]), y)]
-    border = intrinsics.undistort(np.concatenate([np.stack(e, axis=1) for e in edges]))
-    border = border[np.isfinite(border).all(axis=1)]
-    low, high = border.min(axis=0), border.max(axis=0)
+    low, high = intrinsics.extent
     low, high = low - _MARGIN * (high - low), high + _MARGIN * (high - low)
     return np.array(
         [

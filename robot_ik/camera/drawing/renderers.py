@@ -5,10 +5,11 @@ All of them give the same sheets for the same robot, camera and light, and none 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import Annotated
 
 import cv2
 import mujoco
@@ -85,39 +86,55 @@ class Drawing:
         return self.sheets[-1][0] if self.sheets else Layer.empty()
 
 
-class Artist(Protocol):
-    """Draws a figure where a camera sees it."""
+@dataclass(frozen=True, eq=False)
+class RobotView:
+    """A robot where a camera sees it.
+
+    Attributes:
+        figure, intrinsics, pose_board_camera: What is drawn, and by which camera.
+        qpos: (model.nq,) its configuration.
+        faces, occluders: Its faces and those of real objects, with depths of one scale.
+        box: The pixels that it touches.
+    """
+
+    figure: DrawnRobot
+    qpos: ArrayLike
+    intrinsics: CameraIntrinsics
+    pose_board_camera: Pose
+    faces: painter.Faces
+    occluders: painter.Faces | None
+    box: Box
+
+
+class Artist(ABC):
+    """Draws a robot where a camera sees it."""
 
     name: str
 
     def draw(
         self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
-        """The sheets of one picture; ``qpos`` is (model.nq,)."""
-        ...
+        """The sheets of one picture: the robot over its shadow; ``qpos`` is (model.nq,)."""
+        faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
+        faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
+        box = painter.bounding_box(faces, *intrinsics.size)
+        if box == EMPTY:
+            return Drawing()
+        occluders = None
+        if (real := figure.occluders) is not None:
+            occluders = painter.faces_in_picture(real, real.qpos0, intrinsics, pose_board_camera, planes=True)
+        view = RobotView(figure, qpos, intrinsics, pose_board_camera, faces, occluders, box)
+        robot = (self._robot(view), 1.0)
+        return Drawing((_shadow(view), robot) if figure.shadow else (robot,))
+
+    @abstractmethod
+    def _robot(self, view: RobotView) -> Layer:
+        """The robot alone, without what hides it."""
 
 
-def seen_faces(
-    figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-) -> tuple[painter.Faces, painter.Faces | None, Box]:
-    """Faces of robot and occluders with depths of one scale, and the pixels the robot touches."""
-    faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
-    faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
-    box = painter.bounding_box(faces, *intrinsics.size)
-    occluders = None
-    if figure.occluders is not None and box != EMPTY:
-        model = figure.occluders
-        occluders = painter.faces_in_picture(model, model.qpos0, intrinsics, pose_board_camera, planes=True)
-    return faces, occluders, box
-
-
-def shadow_sheet(
-    faces: painter.Faces,
-    occluders: painter.Faces | None,
-    intrinsics: CameraIntrinsics,
-    pose_board_camera: Pose,
-) -> tuple[Layer, float]:
-    """The shadow that ``faces`` throw on the board's plane, and its strength; occluders hide it."""
+def _shadow(view: RobotView) -> tuple[Layer, float]:
+    """The shadow that the robot throws on the board's plane, and its strength; occluders hide it."""
+    faces, intrinsics, pose_board_camera = view.faces, view.intrinsics, view.pose_board_camera
     inverse = pose_board_camera.inverse()
     normal, origin = inverse.rotation[:, 2], inverse.position
     fall = -painter.LIGHT
@@ -149,9 +166,9 @@ def shadow_sheet(
     dark = np.asarray(cv2.GaussianBlur(dark, (0, 0), soft), dtype=np.uint8)
     dark = np.asarray(cv2.resize(dark, (0, 0), fx=_COARSE, fy=_COARSE), dtype=np.uint8)
     x0, y0, x1, y1 = (_COARSE * v for v in box)
-    if occluders is not None:
+    if view.occluders is not None:
         behind = painter.SurfaceSamples((x0, y0, x1, y1), 1)
-        behind.fill(occluders)
+        behind.fill(view.occluders)
         # what stands on the plane does not hide the plane where it stands
         hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
@@ -169,7 +186,7 @@ def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Po
     return np.maximum((normalized @ normal[:2] + normal[2]) / (pose_camera_board.position @ normal), 0.0)
 
 
-class PainterArtist:
+class PainterArtist(Artist):
     """Faces filled with a depth buffer: quick, smooth, nothing but NumPy and compiled code.
 
     Args:
@@ -181,113 +198,62 @@ class PainterArtist:
     def __init__(self, samples: int = 4) -> None:
         self._samples = samples
 
-    def draw(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> Drawing:
-        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        if box == EMPTY:
-            return Drawing()
-        samples = painter.SurfaceSamples(box, self._samples)
-        if occluders is not None:
-            samples.fill(occluders, occluders=True)
-        samples.fill(faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
-        robot = (samples.layer(painter.base_colours(figure.model, figure.tint)), 1.0)
-        if not figure.shadow:
-            return Drawing((robot,))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), robot))
+    def _robot(self, view: RobotView) -> Layer:
+        figure, samples = view.figure, painter.SurfaceSamples(view.box, self._samples)
+        if view.occluders is not None:
+            samples.fill(view.occluders, occluders=True)
+        samples.fill(view.faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
+        return samples.layer(painter.base_colours(figure.model, figure.tint))
 
 
-@dataclass(frozen=True)
-class RayPicture:
-    """What rays through the middles of pixels meet.
-
-    Attributes:
-        box: The pixels, half open; ``depth`` (h, w) metres along the optical axis, inf where nothing is.
-        depth: See ``box``.
-        geom: (h, w) geom of the robot that is seen; -1 for none, an occluder among them.
-    """
-
-    box: Box
-    depth: Array
-    geom: NDArray[np.int32]
-
-
-class RayArtist:
+class RayArtist(Artist):
     """MuJoCo's own rays (``mj_multiRay``), analytic for primitives: exact outlines, slower."""
 
     name = "ray"
 
     def __init__(self) -> None:
-        self._sample_offsets = painter.SAMPLES[4]
         self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
-    def draw(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> Drawing:
-        faces, occluders, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        if box == EMPTY:
-            return Drawing()
+    def _robot(self, view: RobotView) -> Layer:
+        box = view.box
         size = (box[3] - box[1], box[2] - box[0])
-        near = cv2.dilate(painter.paint_mask(size, faces, box[:2]), np.ones((5, 5), np.uint8)) > 0
-        base = painter.base_colours(figure.model, figure.tint)
+        near = cv2.dilate(painter.paint_mask(size, view.faces, box[:2]), np.ones((5, 5), np.uint8)) > 0
+        base = painter.base_colours(view.figure.model, view.figure.tint)
         rows, columns = np.nonzero(near)
         total = np.zeros((len(rows), 4))
-        for offset in self._sample_offsets:
-            pixels = np.stack([columns + box[0], rows + box[1]], axis=1) + offset
-            geom, _, normal = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
+        for offset in painter.SAMPLES[4]:
+            geom, normal = self._cast(view, np.stack([columns + box[0], rows + box[1]], axis=1) + offset)
             on = geom >= 0
             total[on, :3] += painter.lit_colours(base[geom[on]], normal[on])
             total[on, 3] += 255.0
-        total /= len(self._sample_offsets)
+        total /= len(painter.SAMPLES[4])
         sheet = np.zeros((*size, 4), dtype=np.uint8)
         sheet[rows, columns] = np.rint(total)
-        robot = Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
-        if not figure.shadow:
-            return Drawing(((robot, 1.0),))
-        return Drawing((shadow_sheet(faces, occluders, intrinsics, pose_board_camera), (robot, 1.0)))
-
-    def render_depth(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
-    ) -> RayPicture:
-        """Depth and geom of each pixel that the robot can touch."""
-        _, _, box = seen_faces(figure, qpos, intrinsics, pose_board_camera)
-        x, y = np.meshgrid(np.arange(box[0], box[2]), np.arange(box[1], box[3]))
-        pixels = np.stack([x.ravel(), y.ravel()], axis=1).astype(float)
-        geom, depth, _ = self._cast(figure, qpos, intrinsics, pose_board_camera, pixels)
-        return RayPicture(box, depth.reshape(x.shape), geom.reshape(x.shape))
+        return Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
 
     def _caster(self, model: mujoco.MjModel) -> Caster:
         if id(model) not in self._casters:  # the model is kept, so the id stays its own
             self._casters[id(model)] = model, Caster(model)
         return self._casters[id(model)][1]
 
-    def _cast(
-        self,
-        figure: DrawnRobot,
-        qpos: ArrayLike,
-        intrinsics: CameraIntrinsics,
-        pose_board_camera: Pose,
-        pixels: Array,
-    ) -> tuple[NDArray[np.int32], Array, Array]:
-        """Geoms (n,), depths (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
-        normalized = ray_field(intrinsics).points(pixels)
+    def _cast(self, view: RobotView, pixels: Array) -> tuple[NDArray[np.int32], Array]:
+        """Geoms (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
+        figure, pose = view.figure, view.pose_board_camera
+        normalized = ray_field(view.intrinsics).points(pixels)
         rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
         caster = self._caster(figure.model)
-        caster.place(qpos)
-        camera = figure.camera(pose_board_camera)
+        caster.place(view.qpos)
+        camera = figure.camera(pose)
         hits = caster.cast(camera.position, rays @ camera.rotation.T)
-        geom, depth = hits.geom.copy(), hits.depth * figure.scale
+        geom = hits.geom.copy()
         if figure.occluder_geoms is not None:
             geom[(geom >= 0) & figure.occluder_geoms[geom]] = -1
         if figure.occluders is not None:
             real = self._caster(figure.occluders)
             real.place(figure.occluders.qpos0)
-            before = real.cast(
-                pose_board_camera.position, rays @ pose_board_camera.rotation.T, normals=False
-            ).depth
-            geom[before < depth] = -1
-            depth = np.minimum(depth, before)
-        return geom, depth, hits.normal @ camera.rotation
+            before = real.cast(pose.position, rays @ pose.rotation.T, normals=False).depth
+            geom[before < hits.depth * figure.scale] = -1
+        return geom, hits.normal @ camera.rotation
 
 
 ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": RayArtist}

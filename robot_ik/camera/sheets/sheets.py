@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,15 +13,11 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
-from robot_ik.camera.sheets.cube import cube_net, cube_paper, dashed
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
 
-# ------------------------------------------------------------------------------------------
-# What sheets show: markers, boards, cubes and calibration patterns, laid out in millimetres.
-
-
 Area = tuple[float, float]
+Array = NDArray[np.float64]
 
 SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
@@ -185,17 +182,18 @@ def _cube(request: SheetRequest, area: Area) -> Block:
             f"markers of {request.size:g} mm",
             hint=f"--edge-mm {(1.0 + 2.0 * _LEAST_WHITE) * request.size:g} at least",
         )
-    faces, net = cube_net(ids, request.size, request.edge), cube_paper(request.edge)
-    corners = np.vstack([net.cuts.reshape(-1, 2), net.folds.reshape(-1, 2)])
+    body_of(request)  # which raises where there is no such cube
+    cuts, folds, _ = cube_paper(request.edge)
+    corners = np.vstack([cuts, folds]).reshape(-1, 2)
     low, high = corners.min(axis=0), corners.max(axis=0)
     boxes = [
         _black(
-            marker_boxes(request.dictionary, face.marker, request.size, face.quarter_turns),
-            *(face.centre - low - request.size / 2),
+            marker_boxes(request.dictionary, marker, request.size),
+            *(request.edge * np.array(face) - low - request.size / 2),
         )
-        for face in faces
+        for marker, face in zip(ids, _FACES, strict=False)
     ]
-    lines = np.vstack([net.cuts, dashed(net.folds)]) - np.tile(low, 2)
+    lines = np.vstack([cuts, dashed(folds)]) - np.tile(low, 2)
     about = (
         f"cube of {request.edge:g} mm with markers {_names(ids)} of {request.dictionary}, "
         f"{request.size:g} mm "
@@ -229,8 +227,6 @@ MAKERS: dict[str, Maker] = {
 }  # fmt: skip
 
 
-Array = NDArray[np.float64]
-
 #: Paper, mm, upright.
 PAPERS = {"a4": (210.0, 297.0), "letter": (215.9, 279.4), "a3": (297.0, 420.0)}
 # Printers leave about 5 mm white.
@@ -239,8 +235,6 @@ _MARGIN = 7.0
 _FOOT, _SIDE = 14.0, 6.0
 _BAR, _TICK = 100.0, 0.3
 _TEXT, _LINE = 2.1, 2.8
-# Options that the command on the sheet names when they are not the usual ones.
-_NAMED = ("size_mm", "columns", "rows", "ids", "dictionary", "gap_mm", "edge_mm", "marker_mm", "page")
 
 
 def make_sheet_page(request: SheetRequest) -> PrintedPage:
@@ -351,13 +345,80 @@ def _bar(x: float, y: float, *, upright: bool = False) -> Array:
 
 def _command(request: SheetRequest) -> str:
     text = f"robot-ik camera print {request.kind}"
-    for name in _NAMED:
-        value = getattr(request, name)
-        if value != SheetRequest.__dataclass_fields__[name].default:
+    for option in fields(request)[1:]:  # all but the kind, where they are not the usual ones
+        value = getattr(request, option.name)
+        if value != option.default:
             values = value if isinstance(value, tuple) else (value,)
             shown = " ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
-            text += f" --{name.replace('_', '-')} {shown}"
+            text += f" --{option.name.replace('_', '-')} {shown}"
     return text
+
+
+# ------------------------------------------------------------------------------------------
+# The net of a cube: what is cut and folded.
+
+
+# Depth of a tab in edges, and at most, mm.
+_TAB, _TAB_MOST = 0.2, 10.0
+# A dash and the gap after it, mm.
+_DASH, _GAP = 2.0, 1.5
+# Middles of the six faces of ``cube_body``, in edges, y down: front, right, back, left, top, bottom.  All
+# prints stand upright.
+_FACES = ((0, 0), (1, 0), (2, 0), (-1, 0), (0, -1), (0, 1))
+# Their sides that have a tab (face, way to the side); each is glued behind a side that has none.
+_TABBED = (
+    ((0, -1), (1, 0)), ((0, -1), (-1, 0)), ((0, -1), (0, -1)),
+    ((0, 1), (1, 0)), ((0, 1), (-1, 0)), ((0, 1), (0, 1)),
+    ((-1, 0), (-1, 0)),
+)  # fmt: skip
+
+
+def cube_paper(edge: float) -> tuple[Array, Array, Array]:
+    """The net of a cube of this edge, and tabs that hold it together; x right, y down, from its first face.
+
+    Returns:
+        Lines (n, 4) from x, y to x, y to cut along; (12, 4) to fold along, between the faces, and between a
+        face and its tab; corners (7, 4, 2) of the tabs, of which the first and the last are on the face.
+    """
+    depth = min(_TAB * edge, _TAB_MOST)
+    cuts, folds, tabs = [], [], []
+    for face in _FACES:
+        for direction in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+            start, end = _side(face, direction, edge)
+            if (face, direction) in _TABBED:
+                along = (end - start) / edge
+                out = np.array(direction, dtype=float)
+                # Its ends are cut back at 45 degrees: two tabs in one corner then do not meet.
+                tab = [start, start + depth * (along + out), end + depth * (out - along), end]
+                tabs.append(tab)
+                folds.append([start, end])
+                cuts += [[a, b] for a, b in pairwise(tab)]
+            elif (face[0] + direction[0], face[1] + direction[1]) not in _FACES:
+                cuts.append([start, end])
+            elif direction in ((1, 0), (0, 1)):  # a fold has two sides
+                folds.append([start, end])
+    return np.array(cuts).reshape(-1, 4), np.array(folds).reshape(-1, 4), np.array(tabs)
+
+
+def _side(face: tuple[int, int], direction: tuple[int, int], edge: float) -> tuple[Array, Array]:
+    """The two ends of a face's side."""
+    out = np.array(direction, dtype=float)
+    middle, half = edge * (np.array(face) + 0.5 * out), 0.5 * edge * np.array([-out[1], out[0]])
+    return middle - half, middle + half
+
+
+def dashed(lines: Array) -> Array:
+    """The dashes (m, 4) of lines (n, 4) in mm; each line begins and ends with half a dash."""
+    dashes = []
+    for line in np.asarray(lines, dtype=float):
+        start, end = line[:2], line[2:]
+        length = float(np.linalg.norm(end - start))
+        count = max(1, round(length / (_DASH + _GAP)))
+        share = _DASH / (_DASH + _GAP)
+        at = (np.arange(count + 1)[:, None] + 0.5 * share * np.array([-1.0, 1.0])) / count
+        for low, high in np.clip(at, 0.0, 1.0):
+            dashes.append([*(start + low * (end - start)), *(start + high * (end - start))])
+    return np.array(dashes)
 
 
 # ------------------------------------------------------------------------------------------
@@ -382,12 +443,7 @@ def body_of(request: SheetRequest) -> MarkerBody:
 
 
 def body_file(request: SheetRequest, name: str) -> str:
-    """The text of a file for ``robot_ik.camera.bodies.load_bodies``.
-
-    Args:
-        request: The sheet.
-        name: Of the body.
-    """
+    """The text of a file for ``robot_ik.camera.bodies.load_bodies``, with the body called ``name``."""
     lines = ["# Metres; position and wxyz are the marker's pose in the body.", "[[body]]"]
     lines += [f'name = "{name}"', f'dictionary = "{request.dictionary}"', "markers = ["]
     for marker, (size, pose) in body_of(request).markers.items():

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Literal, Protocol
 
 import cv2
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper, marker_print
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
 from robot_ik.camera.synthetic.scene import Lights, SceneTable
@@ -29,35 +30,22 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
 
-# ------------------------------------------------------------------------------------------
-# Noise of a synthetic sensor.
-
+Array = NDArray[np.float64]
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256
 
 
-class SensorNoise:
-    """Normal noise of sigma 1 for one picture after the other.
+def _sensor_noise(size: tuple[int, int], seed: int, picture: int, shared: bool) -> NDArray[np.float32]:
+    """Normal noise (h, w, 3) of sigma 1, not to be written to; picture k of one seed always gets the same.
 
-    Args:
-        size: (width, height) of the pictures.
-        seed: Picture k of two with one seed is the same.
-        shared: Each picture gets some part of one larger piece.  Drawing noise takes as long as a third of a
-            fast picture.
+    ``shared``: some part of one larger piece.  Drawing noise takes as long as a third of a fast picture.
     """
-
-    def __init__(self, size: tuple[int, int], seed: int, shared: bool) -> None:
-        self._shape, self._seed, self._shared = (size[1], size[0], 3), seed, shared
-
-    def of(self, picture: int) -> NDArray[np.float32]:
-        """(h, w, 3) of one picture; not to be written to."""
-        h, w, channels = self._shape
-        rng = np.random.default_rng([self._seed, picture])
-        if not self._shared:
-            return rng.standard_normal(self._shape, dtype=np.float32)
-        y, x = rng.integers(_LARGER + 1, size=2)
-        return _larger_piece((h + _LARGER, w + _LARGER, channels), self._seed)[y : y + h, x : x + w]
+    (w, h), rng = size, np.random.default_rng([seed, picture])
+    if not shared:
+        return rng.standard_normal((h, w, 3), dtype=np.float32)
+    y, x = rng.integers(_LARGER + 1, size=2)
+    return _larger_piece((h + _LARGER, w + _LARGER, 3), seed)[y : y + h, x : x + w]
 
 
 # A piece for pictures of 1280x720 takes 18 MB and as long as a quarter of one of them.
@@ -68,8 +56,6 @@ def _larger_piece(shape: tuple[int, int, int], seed: int) -> NDArray[np.float32]
     piece.setflags(write=False)
     return piece
 
-
-Array = NDArray[np.float64]
 
 Condition = Literal["printed", "blank", "covered"]
 # Of the patch that covers a marker: reflectance, as ink on paper.
@@ -195,17 +181,11 @@ class SyntheticScene:
 
     def cover(self, *ids: int) -> SyntheticScene:
         """The scene with a grey patch over these markers."""
-        scene = self
-        for id in ids:
-            scene = scene.with_marker(id, condition="covered")
-        return scene
+        return reduce(lambda scene, id: scene.with_marker(id, condition="covered"), ids, self)
 
     def blank(self, *ids: int) -> SyntheticScene:
         """The scene with these markers left unprinted: white paper."""
-        scene = self
-        for id in ids:
-            scene = scene.with_marker(id, condition="blank")
-        return scene
+        return reduce(lambda scene, id: scene.with_marker(id, condition="blank"), ids, self)
 
 
 class SyntheticSource(ClosingSource):
@@ -236,12 +216,11 @@ class SyntheticSource(ClosingSource):
             raise CameraError(f"unknown quality {quality!r}", hint=f"known: {', '.join(QUALITIES)}")
         self.scene = scene
         self.size = scene.intrinsics.size
-        self._true_q, self._sensor = true_q, sensor
+        self._true_q, self._sensor, self._seed = true_q, sensor, seed
         self._clock, self._quality = clock, QUALITIES[quality]
         self._sequence = 0
         self._photographer: Photographer | None = None
         self._vignette: NDArray[np.float32] | None = None
-        self._noise = SensorNoise(self.size, seed, self._quality.same_noise)
 
     def read(self) -> Frame:
         """Takes the next picture; its ``truth`` is a dict.
@@ -251,7 +230,9 @@ class SyntheticSource(ClosingSource):
         * ``corners``: by id (4, 2) pixels in OpenCV's order, ``visible``: by id the part seen, 0..1.
         """
         # Before the clock is asked: a sensor has its noise in no time.
-        noise = self._noise.of(self._sequence) if self._sensor.noise > 0 else None
+        noise = None
+        if self._sensor.noise > 0:
+            noise = _sensor_noise(self.size, self._seed, self._sequence, self._quality.same_noise)
         now = time.monotonic() if self._clock is None else self._clock.now()
         scene, q = self.scene, np.array(self._true_q(), dtype=float)
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
@@ -296,16 +277,11 @@ class SyntheticSource(ClosingSource):
             "pose_world_marker": {m.id: p for m, p, _ in seen},
             "pose_camera_marker": {m.id: inverse.compose(p) for m, p, _ in seen},
             "corners": {
-                m.id: scene.intrinsics.project(inverse.compose(p).apply(_corners(m.size))) for m, p, _ in seen
+                m.id: scene.intrinsics.project(inverse.compose(p).apply(marker_points(m.size)))
+                for m, p, _ in seen
             },
             "visible": {m.id: part for m, _, part in seen},
         }
-
-
-def _corners(size: float) -> Array:
-    """Outer corners (4, 3) of a marker in its own frame, OpenCV's order."""
-    half = size / 2
-    return np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
 
 
 def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
@@ -325,10 +301,6 @@ def _subject_distance(scene: SyntheticScene) -> float:
     else:
         centre = np.array(scene.robot.model.stat.center, dtype=float)
     return float(max(inverse.apply(centre)[2], 0.3))
-
-
-# ------------------------------------------------------------------------------------------
-# The synthetic camera on the arm's hand: it moves with the joints.
 
 
 class CarriedSource(ClosingSource):

@@ -62,7 +62,7 @@ def render_marker(
     size: float = STANDARD_SIZE,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 0,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Image:
     """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
     return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, sensor=sensor)
@@ -74,7 +74,7 @@ def render_markers(
     rng: np.random.Generator,
     *,
     dictionary: str = "DICT_4X4_50",
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
 ) -> Image:
@@ -89,7 +89,6 @@ def render_markers(
         margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
         cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
     """
-    sensor = sensor or LINEAR
     light = marker_light(
         camera, markers, rng, dictionary=dictionary, sensor=sensor, margin=margin, cover=cover
     )
@@ -110,9 +109,7 @@ def marker_light(
     canvas = _wall(camera, rng, sensor)
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
     papers = [(blank_paper(size * (1.0 + 2.0 * margin)), pose) for size, pose in markers.values()]
-    prints = [
-        (marker_print(dictionary, i, size, 0.0, sensor.bleed), pose) for i, (size, pose) in markers.items()
-    ]
+    prints = [(marker_print(dictionary, i, size, 0.0), pose) for i, (size, pose) in markers.items()]
     for sheet, pose in [*papers, *prints]:
         _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, sensor)
     if cover is not None:
@@ -196,21 +193,13 @@ def standard_set(
     marker_id: int = 7,
     size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
 ) -> Iterator[MarkerView]:
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
 
-    Args:
-        distance: Depth of the marker's centre in metres; the set has 0.3, 0.6 and 1.0.
-        count: Number of pictures.
-        seed: Of the random generator.
-        dictionary: Of the marker.
-        marker_id: Of the marker.
-        size: Side of the black square, metres.
-        camera: The optics.
-        sensor: Blur, noise, light.
-        tilt_deg: Range of tilts in degrees.
+    ``distance`` is the depth of the marker's centre in metres (the set has 0.3, 0.6 and 1.0), ``tilt_deg``
+    the range of tilts in degrees; the rest as in ``render_marker``.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
@@ -230,12 +219,7 @@ _MARGIN = 0.5
 
 @dataclass(frozen=True, eq=False)
 class PatternView:
-    """A picture and its truth.
-
-    Attributes:
-        image: (height, width) uint8.
-        pose: True ``pose_camera_board``.
-    """
+    """A picture (height, width) uint8 and the true ``pose_camera_board``."""
 
     image: Image
     pose: Pose
@@ -255,10 +239,9 @@ def render_pattern(
     camera: CameraIntrinsics,
     pose: Pose,
     rng: np.random.Generator,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Image:
     """One picture (height, width) uint8 of the pattern at ``pose`` (``pose_camera_board``)."""
-    sensor = sensor or LINEAR
     # A grey wall.
     canvas = np.full((camera.height, camera.width), 0.5 * (sensor.black + sensor.white))
     _lay(canvas, pattern_print(pattern), pose, camera, sensor)
@@ -275,12 +258,8 @@ def pattern_pose(
 ) -> Pose:
     """A ``pose_camera_board`` as a person holds a board: tilted any way, here and there in the picture.
 
-    Args:
-        pattern: The board.
-        camera: The optics.
-        rng: Source of chance.
-        tilt_deg: Range of the angle between board and picture plane.
-        fill: Range of the print's width in the picture, in picture widths, were it not tilted.
+    ``tilt_deg`` is the range of the angle between board and picture plane, ``fill`` that of the print's width
+    in the picture, in picture widths, were it not tilted.
     """
     centre = np.array([*(np.array(pattern.origin) + np.array(pattern.size) / 2), 0.0])
     while True:
@@ -311,7 +290,7 @@ def pattern_set(
     count: int,
     *,
     seed: int = 0,
-    sensor: SensorModel | None = None,
+    sensor: SensorModel = LINEAR,
 ) -> Iterator[PatternView]:
     """Pictures as a calibration wants them; the same seed gives the same ones."""
     rng = np.random.default_rng([seed, count])

@@ -17,14 +17,21 @@ from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, pain
 from robot_ik.camera.drawing.prints import Print, SeenPrint, see_print
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.scene import Lights, Point, SceneTable, StillPicture, still_picture
+from robot_ik.camera.synthetic.scene import (
+    Box,
+    Lights,
+    Point,
+    SceneTable,
+    StillPicture,
+    enlarged,
+    lattice,
+    still_picture,
+)
 from robot_ik.geometry import Pose
 
-# ------------------------------------------------------------------------------------------
-# One camera before one scene: viewing rays, what stands still, and which light gets past the robot.
-
-
-Box = tuple[int, int, int, int]
+Array = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
 
 # Neighbouring points ask different points of a light, in a repeating tile of this side; a blur over the
 # tile then gives soft shadows from few rays (interleaved sampling, Keller and Heidrich 2001).
@@ -91,13 +98,19 @@ class SyntheticView:
                 result[asking, c] += self.robot.lit(spot, points[asking]) / spots
         return result
 
-
-def lattice(box: Box, stride: int) -> tuple[Array, Array]:
-    """Columns and rows at the centres of blocks of ``stride`` pixels that fill ``box``."""
-    return tuple(  # type: ignore[return-value]
-        low + (np.arange(-(-(high - low) // stride)) + 0.5) * stride - 0.5
-        for low, high in ((box[0], box[2]), (box[1], box[3]))
-    )
+    def ground_light(self, quality: Quality, reach: float = np.inf) -> Float32:
+        """Part (h, w, 2) of lamp and ceiling that the robot leaves to what is nearer than ``reach``."""
+        w, h = self.field.intrinsics.size
+        normalized, x, y = lattice(self.field, (0, 0, w, h), quality.ground_stride)
+        rays = self.world(normalized.reshape(-1, 2))
+        rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
+        depth = self.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
+        seen = np.ones((len(rays), 2), dtype=np.float32)
+        near = np.flatnonzero(depth < reach)
+        points = self.camera.position + rays[near] * depth[near, None]
+        tile = tiles((len(y), len(x))).reshape(-1)[near]
+        seen[near] = self.visibility(points, tile, quality.ground_spots)
+        return enlarged(softened(seen.reshape(len(y), len(x), 2)), quality.ground_stride, (h, w))
 
 
 def tiles(shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -109,17 +122,6 @@ def tiles(shape: tuple[int, int]) -> NDArray[np.int64]:
 def softened(picture: Float32) -> Float32:
     """Mean over one tile, then a little more, so that no pattern is left."""
     return np.asarray(cv2.GaussianBlur(cv2.blur(picture, (_TILE, _TILE)), (0, 0), 0.8), dtype=np.float32)
-
-
-def enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32:
-    """Blocks of ``stride`` pixels blown up smoothly and cropped to ``size`` (rows, columns)."""
-    small = np.ascontiguousarray(picture, dtype=np.float32)
-    if stride == 1:
-        return small
-    large = cv2.resize(
-        small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR
-    )
-    return np.ascontiguousarray(large[: size[0], : size[1]])
 
 
 # ------------------------------------------------------------------------------------------
@@ -176,8 +178,7 @@ class RobotRenderer:
             return None
         box, mask = region
         stride = quality.stride
-        x, y = lattice(box, stride)
-        normalized = self._view.field.box(*box) if stride == 1 else self._view.field.grid(x, y)
+        normalized, x, y = lattice(self._view.field, box, stride)
         size = (box[3] - box[1], box[2] - box[0])
         rows = np.clip(np.rint(y).astype(int) - box[1], 0, size[0] - 1)
         columns = np.clip(np.rint(x).astype(int) - box[0], 0, size[1] - 1)
@@ -274,10 +275,6 @@ class RobotRenderer:
         colour[rows, columns], coverage[rows, columns] = mean[:, :3], mean[:, 3]
 
 
-Array = NDArray[np.float64]
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-
 # Reflectances of print and paper: a laser print in a lit room.
 INK, PAPER = 0.07, 0.93
 # Depth in metres by which something must be nearer than the paper to hide it: paper lies on objects.
@@ -321,13 +318,10 @@ class Photographer:
     ) -> tuple[Float32, list[SeenPrint | None]]:
         """The light on the sensor (h, w, 3), 1 is white, and each sheet as it fell on the pixels.
 
-        Args:
-            qpos: (model.nq,) true configuration.
-            sheets: Markers to paint.
-            quality: How finely.
+        ``qpos`` is the true configuration (model.nq,).
         """
         self._view.robot.place(qpos)
-        lit = self._ground_visibility(quality)
+        lit = self._view.ground_light(quality, _SHADOW_REACH)
         still = self._view.still
         lamp, ceiling = (cv2.merge([share] * 3) for share in cv2.split(lit))
         picture = np.asarray(cv2.multiply(still.lamp, lamp, dst=lamp), dtype=np.float32)
@@ -344,22 +338,6 @@ class Photographer:
             lit[y0:y1, x0:x1][front] = layer.lit[front]
         painted = [self._add_sheet(picture, empty, layer, lit, sheet) for sheet in sheets]
         return picture, painted
-
-    def _ground_visibility(self, quality: Quality) -> Float32:
-        """Light (h, w, 2) that the robot leaves to table and floor."""
-        w, h = self._view.field.intrinsics.size
-        stride = quality.ground_stride
-        x, y = lattice((0, 0, w, h), stride)
-        rays = self._view.world(self._view.field.grid(x, y).reshape(-1, 2))
-        rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
-        depth = self._view.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
-        seen = np.full((len(rays), 2), 1.0, dtype=np.float32)
-        near = np.flatnonzero(depth < _SHADOW_REACH)
-        points = self._view.camera.position + rays[near] * depth[near, None]
-        seen[near] = self._view.visibility(
-            points, tiles((len(y), len(x))).reshape(-1)[near], quality.ground_spots
-        )
-        return enlarged(softened(seen.reshape(len(y), len(x), 2)), stride, (h, w))
 
     def _add_sheet(
         self, picture: Float32, empty: Float32, layer: RobotLayer | None, lit: Float32, placed: PlacedPrint

@@ -12,18 +12,16 @@ from functools import lru_cache
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.drawing.raycast import Caster, ray_field, world_directions
+from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 
 Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Point = tuple[float, float, float]
-
-# ------------------------------------------------------------------------------------------
-# Where the light of a synthetic photograph comes from.
+Box = tuple[int, int, int, int]
 
 
 def _point(values: Array) -> Point:
@@ -39,7 +37,6 @@ class Lights:
         lamp: Position of the lamp, metres, world.
         lamp_radius: Its radius: how soft its shadows are.
         ceiling: Centre of the bright ceiling; ``ceiling_radius`` its radius.
-        ceiling_radius: See ``ceiling``.
         window: Where the window is; it throws no shadows.
         strength: Of lamp, ceiling, window, ambient from above, ambient from below; they add up to about 1
             on a level sheet of paper.
@@ -67,13 +64,8 @@ class Lights:
 
         def facing(source: Point) -> Array:
             to_light = source - points
-            return np.asarray(
-                np.maximum(
-                    np.einsum("ij,ij->i", to_light, normals)
-                    / np.maximum(np.linalg.norm(to_light, axis=1), 1e-9),
-                    0.0,
-                )
-            )
+            length = np.maximum(np.linalg.norm(to_light, axis=1), 1e-9)
+            return np.asarray(np.maximum(np.einsum("ij,ij->i", to_light, normals) / length, 0.0))
 
         up = 0.5 + 0.5 * normals[:, 2]
         ambient = below + (above - below) * up + window * facing(self.window)
@@ -88,6 +80,29 @@ class Lights:
         # a sunflower fills a disc evenly with any number of points
         r, angle = radius * np.sqrt((k + 0.5) / count), k * np.pi * (3.0 - np.sqrt(5.0))
         return np.asarray(centre + np.stack([r * np.cos(angle), r * np.sin(angle), 0 * r], axis=1))
+
+
+def lattice(field: RayField, box: Box, stride: int) -> tuple[Array, Array, Array]:
+    """Normalized coordinates (rows, columns, 2) of blocks of ``stride`` pixels that fill ``box``.
+
+    And the columns and rows of their centres in the picture.
+    """
+    x, y = (
+        np.asarray(low + (np.arange(-(-(high - low) // stride)) + 0.5) * stride - 0.5, dtype=float)
+        for low, high in ((box[0], box[2]), (box[1], box[3]))
+    )
+    return field.box(*box) if stride == 1 else field.grid(x, y), x, y
+
+
+def enlarged(picture: ArrayLike, stride: int, size: tuple[int, int]) -> Float32:
+    """Blocks of ``stride`` pixels blown up smoothly and cropped to ``size`` (rows, columns)."""
+    small = np.ascontiguousarray(picture, dtype=np.float32)
+    if stride == 1:
+        return small
+    large = cv2.resize(
+        small, (small.shape[1] * stride, small.shape[0] * stride), interpolation=cv2.INTER_LINEAR
+    )
+    return np.ascontiguousarray(large[: size[0], : size[1]])
 
 
 # ------------------------------------------------------------------------------------------
@@ -202,32 +217,26 @@ def still_picture(
 ) -> StillPicture:
     """The (cached) empty scene that a camera sees; its arrays are not to be written to.
 
-    Args:
-        intrinsics: The lens.
-        pose_world_camera: Where the camera stands.
-        table: What stands on the floor.
-        lights: What lights it.
-        subject: What the camera looks at, world: floor fades into backdrop around it.
+    ``subject`` is what the camera looks at, world: floor fades into backdrop around it.
     """
     return _StillScene(intrinsics, pose_world_camera, table, lights, subject).render()
 
 
+@dataclass(eq=False)
 class _StillScene:
     """Table, floor and backdrop seen by one camera."""
 
-    def __init__(
-        self,
-        intrinsics: CameraIntrinsics,
-        pose_world_camera: Pose,
-        table: SceneTable | None,
-        lights: Lights,
-        subject: Point,
-    ) -> None:
-        self._floor = table.floor_height if table is not None else 0.0
-        self._caster = Caster(_environment(table, self._floor))
+    intrinsics: CameraIntrinsics
+    _camera: Pose
+    table: SceneTable | None
+    _lights: Lights
+    _subject: Point
+
+    def __post_init__(self) -> None:
+        self._floor = self.table.floor_height if self.table is not None else 0.0
+        self._caster = Caster(_environment(self.table, self._floor))
         self._caster.place(np.zeros(0))
-        self._camera, self._lights, self._subject = pose_world_camera, lights, subject
-        self._field = ray_field(intrinsics)
+        self._field = ray_field(self.intrinsics)
 
     def _backdrop(self, rays: Array) -> Array:
         rise = rays[:, 2] / np.linalg.norm(rays, axis=1)
@@ -287,18 +296,11 @@ class _StillScene:
 
     def _coarse(self, stride: int) -> tuple[Array, tuple[int, int]]:
         """Rays (n, 2) at the centres of blocks of ``stride`` pixels, and the (rows, columns) of blocks."""
-        w, h = self._field.intrinsics.size
-        if stride == 1:
-            return self._field.box(0, 0, w, h).reshape(-1, 2), (h, w)
-        columns, rows = -(-w // stride), -(-h // stride)
-        x, y = ((np.arange(n) + 0.5) * stride - 0.5 for n in (columns, rows))
-        return self._field.grid(x, y).reshape(-1, 2), (rows, columns)
+        normalized, _, _ = lattice(self._field, (0, 0, *self._field.intrinsics.size), stride)
+        return normalized.reshape(-1, 2), (normalized.shape[0], normalized.shape[1])
 
     def _enlarge(self, coarse: Array, shape: tuple[int, int], stride: int) -> Float32:
-        w, h = self._field.intrinsics.size
-        picture = np.ascontiguousarray(coarse.reshape(*shape, -1), dtype=np.float32)
-        large = cv2.resize(picture, (shape[1] * stride, shape[0] * stride), interpolation=cv2.INTER_LINEAR)
-        return np.asarray(large[:h, :w], dtype=np.float32)
+        return enlarged(coarse.reshape(*shape, -1), stride, self._field.intrinsics.size[::-1])
 
     def _smooth_light(self, height: float) -> Float32:
         """Light (h, w, 3) on a level plane: smooth, so computed for blocks of pixels."""

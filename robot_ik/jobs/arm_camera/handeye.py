@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from robot_ik.camera.boards.board import Board, Layout, MarkerBoard
+from robot_ik.camera.boards.board import Board, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
-from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, moved, solve_handeye
+from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
+from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.camera.tracker import Layout
 from robot_ik.errors import CameraError, ConfigError
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp

@@ -137,7 +137,8 @@ class SampleSet:
         for k, one in enumerate(file.samples):
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
-            view = BoardView(one.points, one.pixels, Pose(one.position, one.wxyz), one.sigma)
+            points, pixels = np.array(one.points), np.array(one.pixels)
+            view = BoardView(points, pixels, Pose(one.position, one.wxyz), one.sigma)
             found.add(np.array(one.q), view)
         return found
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -207,3 +208,20 @@ def test_a_board_of_other_sizes_gives_no_place() -> None:
     view = BoardView(POINTS, STANDARD_CAMERA.project(SEEN.apply(points)), SEEN, 0.1)
     with pytest.raises(CalibrationError, match="px off"):
         locate_camera([view], BOARD, STANDARD_CAMERA)
+
+
+def test_wrong_corners_count_less_even_where_the_plain_fit_was_the_start() -> None:
+    view = observed(np.random.default_rng(3))
+    pixels = view.pixels.copy()
+    pixels[5] += (4.0, -3.0)
+    lens = np.array(STANDARD_CAMERA.distortion)
+    _, vector, shift = cv2.solvePnP(POINTS, pixels, STANDARD_CAMERA.matrix, lens)
+    vector, shift = cv2.solvePnPRefineLM(POINTS, pixels, STANDARD_CAMERA.matrix, lens, vector, shift)
+    plain = Pose.from_rotation(cv2.Rodrigues(vector)[0], shift.ravel())
+    one, other = (
+        locate_camera([BoardView(POINTS, pixels, pose, view.sigma)], BOARD, STANDARD_CAMERA)
+        for pose in (view.pose_camera_board, plain)
+    )
+    moved, turned = one.pose_parent_camera.distance(other.pose_parent_camera)
+    assert moved < 1e-6 and turned < 1e-6
+    assert one.pose_parent_camera.distance(BOARD.compose(plain.inverse()))[0] > 1e-4

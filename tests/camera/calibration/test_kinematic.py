@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.calibration.handeye import moved
 from robot_ik.camera.calibration.kinematic import (
     CalibrationStation,
     KnownPose,
     fit_zero_offsets,
     measure_errors,
 )
+from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
