@@ -8,6 +8,7 @@ out of reach.  Levels of soft goals come last: they are never met, and never sea
 
 import math
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import named_row
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import follow
@@ -35,37 +36,6 @@ from robot_ik.kernels.loop import (
 )
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import (
-    ALL_GOALS,
-    BEST_COST,
-    BLOCKED,
-    CONVERGED,
-    COST,
-    DAMPING,
-    DRAWS,
-    FOUND,
-    ITERATION_LIMIT,
-    ITERATIONS,
-    LEVEL,
-    MAX_ITERATIONS,
-    MAX_RESTARTS,
-    PATIENCE,
-    POLISHING,
-    PRESSED,
-    PROGRESS,
-    RESTARTS,
-    RUNNING,
-    SEARCH,
-    SEARCHING,
-    SLICE_END,
-    STALLED,
-    STALLS,
-    STATUS,
-    TRY_LIMIT,
-    TRY_STEPS,
-    open_run,
-    open_work,
-)
 
 LEVEL_OPTIONS = ("damping", "increase", "decrease", "least", "floor")
 """Options of ``lm`` that count here, in their order."""
@@ -104,7 +74,7 @@ def revert_step(tree, goal, work):
 @pure
 def count_step(goal, work):
     """One step more."""
-    work.state[ITERATIONS] += 1
+    work.state[ws.ITERATIONS] += 1
     if work.trace.shape[0] > 0:
         record(goal.tolerance, work)
 
@@ -112,16 +82,21 @@ def count_step(goal, work):
 @pure
 def in_random_try(state):
     """Whether a level is served for a random try only, which is short."""
-    return state[LEVEL] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
+    return (
+        state[ws.LEVEL] == 0
+        and state[ws.RESTARTS] > 0
+        and state[ws.POLISHING] == 0
+        and state[ws.SEARCH] != ws.FOUND
+    )
 
 
 @pure
 def keep_first(work):
     """In the try from the start every step that is kept is the best so far."""
     state = work.state
-    if state[RESTARTS] == 0 and state[SEARCH] == ALL_GOALS:
+    if state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
         copy(work.q, work.best)
-        work.value[BEST_COST] = work.value[COST]
+        work.value[ws.BEST_COST] = work.value[ws.COST]
 
 
 @outlined
@@ -130,30 +105,30 @@ def level_step(tree, goal, work, options):
     state, value = work.state, work.value
     floor, least = options.floor, options.least
     increase, decrease = options.increase, options.decrease
-    level = state[LEVEL]
+    level = state[ws.LEVEL]
     before = work.level_cost[level]
     soft = level >= needed_levels(goal)
-    if state[TRY_STEPS] == 0 and not soft:
-        value[DAMPING] = options.damping
+    if state[ws.TRY_STEPS] == 0 and not soft:
+        value[ws.DAMPING] = options.damping
     copy(work.q, work.accepted)
-    damping = value[DAMPING] if soft else value[DAMPING] * before + floor
+    damping = value[ws.DAMPING] if soft else value[ws.DAMPING] * before + floor
     pressed, largest = stacked_step(tree, goal, work, level, damping)
     if soft and largest <= _REST:
-        state[STALLS] = _LEVEL_PATIENCE
+        state[ws.STALLS] = _LEVEL_PATIENCE
         return
     take_step(tree, goal, work)
     helped = restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
-        progress = value[PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
-        state[PRESSED] = pressed
-        value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
-        state[STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[STALLS] + 1
+        progress = value[ws.PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
+        state[ws.PRESSED] = pressed
+        value[ws.DAMPING] = max(value[ws.DAMPING] * decrease, _SOFT_DAMPING if soft else least)
+        state[ws.STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[ws.STALLS] + 1
         keep_first(work)
     else:
         revert_step(tree, goal, work)
-        value[DAMPING] *= increase
-        state[STALLS] += 1
-    state[TRY_STEPS] += 1
+        value[ws.DAMPING] *= increase
+        state[ws.STALLS] += 1
+    state[ws.TRY_STEPS] += 1
     count_step(goal, work)
 
 
@@ -161,7 +136,7 @@ def level_step(tree, goal, work, options):
 def converge(work, cost):
     """The solution is work.q: all that is needed is met."""
     copy(work.q, work.best)
-    work.value[BEST_COST], work.state[STATUS] = cost, CONVERGED
+    work.value[ws.BEST_COST], work.state[ws.STATUS] = cost, ws.CONVERGED
     return True
 
 
@@ -173,8 +148,8 @@ def step_together(tree, goal, work):
     met = levels_met(goal, work, needed)
     pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
     if met and largest <= _REST:
-        return converge(work, work.value[COST])
-    if largest > _NEAR or state[STALLS] >= _AT_MOST:
+        return converge(work, work.value[ws.COST])
+    if largest > _NEAR or state[ws.STALLS] >= _AT_MOST:
         return False
     copy(work.q, work.accepted)
     copy(work.level_cost, work.level_bar)
@@ -183,15 +158,15 @@ def step_together(tree, goal, work):
     for level in range(needed):
         shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
         helped = helped and (shrunk or level_met(goal, work, level, _NEARLY_MET))
-    state[STALLS] += 1
+    state[ws.STALLS] += 1
     count_step(goal, work)
     if not helped:
         revert_step(tree, goal, work)
         return False
-    state[PRESSED] = pressed
+    state[ws.PRESSED] = pressed
     keep_first(work)
     if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
-        return converge(work, work.value[COST])
+        return converge(work, work.value[ws.COST])
     return True
 
 
@@ -201,15 +176,15 @@ def begin_at(tree, goal, work, q):
     state = work.state
     copy(q, work.q)
     measure_levels(tree, goal, work)
-    state[LEVEL], state[STALLS], state[TRY_STEPS] = 0, 0, 0
+    state[ws.LEVEL], state[ws.STALLS], state[ws.TRY_STEPS] = 0, 0, 0
 
 
 @outlined
 def start_anew(tree, goal, work):
     """The best of a few random starts."""
     state, lowest = work.state, math.inf
-    state[RESTARTS] += 1
-    for _ in range(state[DRAWS]):
+    state[ws.RESTARTS] += 1
+    for _ in range(state[ws.DRAWS]):
         draw(tree, work.nodes, work.start, state, work.q)
         follow(tree, work.q)
         measure_levels(tree, goal, work)
@@ -236,15 +211,15 @@ def try_again(tree, goal, work):
     best so far, and once.
     """
     state = work.state
-    if state[SEARCH] == FOUND:
+    if state[ws.SEARCH] == ws.FOUND:
         return False
-    if state[SEARCH] == SEARCHING or not some_unreachable_first(goal, work):
+    if state[ws.SEARCH] == ws.SEARCHING or not some_unreachable_first(goal, work):
         start_anew(tree, goal, work)
         return True
     if not some_within_reach(goal, work):
         return False
     drop_unreachable(goal, work)
-    state[SEARCH] = SEARCHING
+    state[ws.SEARCH] = ws.SEARCHING
     begin_at(tree, goal, work, work.best)
     return not level_met(goal, work, 0)
 
@@ -256,39 +231,39 @@ def end_try(tree, goal, work):
     Later levels are served from where the first one was met: nothing starts anew for them.
     """
     state, levels = work.state, work.level_cost.shape[0]
-    for level in range(max(state[LEVEL], 0), levels):
+    for level in range(max(state[ws.LEVEL], 0), levels):
         leave_level(goal, work, level)
-    if state[SEARCH] != SEARCHING and better(work, levels):
+    if state[ws.SEARCH] != ws.SEARCHING and better(work, levels):
         keep_levels(work)
-        work.value[BEST_COST] = work.value[COST]
+        work.value[ws.BEST_COST] = work.value[ws.COST]
     met = True
     for level in range(needed_levels(goal)):
         met = met and work.level_best[level] < 0.0
-    more = work.level_best[0] >= 0.0 and state[POLISHING] == 0
+    more = work.level_best[0] >= 0.0 and state[ws.POLISHING] == 0
     if met:
-        state[STATUS] = CONVERGED
-    elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
-        state[STATUS] = ITERATION_LIMIT
-    elif more and state[RESTARTS] < state[MAX_RESTARTS] and try_again(tree, goal, work):
+        state[ws.STATUS] = ws.CONVERGED
+    elif state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
+        state[ws.STATUS] = ws.ITERATION_LIMIT
+    elif more and state[ws.RESTARTS] < state[ws.MAX_RESTARTS] and try_again(tree, goal, work):
         return
-    elif more and state[RESTARTS] > 0 and state[SEARCH] == ALL_GOALS:
-        state[POLISHING] = 1
+    elif more and state[ws.RESTARTS] > 0 and state[ws.SEARCH] == ws.ALL_GOALS:
+        state[ws.POLISHING] = 1
         begin_at(tree, goal, work, work.best)
         return
     else:
-        state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+        state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
     ask_for_all(goal)
 
 
 @outlined
 def next_level(tree, goal, work, first_damping):
     """Leaves a level that is met, or that no step helps any more."""
-    state, level = work.state, work.state[LEVEL]
+    state, level = work.state, work.state[ws.LEVEL]
     met = level_met(goal, work, level)
-    if state[SEARCH] == SEARCHING:
+    if state[ws.SEARCH] == ws.SEARCHING:
         if met:  # from here all goals count again
             ask_for_all(goal)
-            state[SEARCH] = FOUND
+            state[ws.SEARCH] = ws.FOUND
             copy(work.q, work.candidate)
             begin_at(tree, goal, work, work.candidate)
         else:
@@ -301,16 +276,16 @@ def next_level(tree, goal, work, first_damping):
     copy(work.q, work.accepted)
     if not restore(tree, goal, work, level + 1):
         revert_step(tree, goal, work)
-    state[LEVEL], state[STALLS] = level + 1, 0
-    work.value[DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
+    state[ws.LEVEL], state[ws.STALLS] = level + 1, 0
+    work.value[ws.DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
 
 
 @pure
 def exhausted(state):
     """Whether a level has had its steps."""
     if in_random_try(state):
-        return state[STALLS] >= state[PATIENCE] or state[TRY_STEPS] >= state[TRY_LIMIT]
-    return state[STALLS] >= _LEVEL_PATIENCE
+        return state[ws.STALLS] >= state[ws.PATIENCE] or state[ws.TRY_STEPS] >= state[ws.TRY_LIMIT]
+    return state[ws.STALLS] >= _LEVEL_PATIENCE
 
 
 @outlined
@@ -318,29 +293,29 @@ def begin_levels(tree, goal, work, first_damping):
     """Measures the start."""
     state = work.state
     begin(tree, goal, work)
-    if state[STATUS] == RUNNING:
+    if state[ws.STATUS] == ws.RUNNING:
         judge(tree, goal, work, measure_levels(tree, goal, work))
     for level in range(work.level_cost.shape[0]):
         work.level_best[level] = math.inf
-    work.value[DAMPING] = first_damping
-    state[LEVEL] = _TOGETHER
-    if state[STATUS] == CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
-        state[STATUS] = RUNNING  # what is only wanted is still to be served
+    work.value[ws.DAMPING] = first_damping
+    state[ws.LEVEL] = _TOGETHER
+    if state[ws.STATUS] == ws.CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
+        state[ws.STATUS] = ws.RUNNING  # what is only wanted is still to be served
 
 
 @pure
 def run_levels(tree, goal, work, options):
     """All steps of a solve, until it ends or its slice does."""
     state, levels = work.state, work.level_cost.shape[0]
-    if state[STATUS] != RUNNING:
+    if state[ws.STATUS] != ws.RUNNING:
         begin_levels(tree, goal, work, options.damping)
-    while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
-        level = state[LEVEL]
-        if level >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
+    while state[ws.STATUS] == ws.RUNNING and state[ws.ITERATIONS] < state[ws.SLICE_END]:
+        level = state[ws.LEVEL]
+        if level >= levels or state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
             end_try(tree, goal, work)
         elif level == _TOGETHER:
             if not step_together(tree, goal, work):
-                state[LEVEL], state[STALLS] = 0, 0
+                state[ws.LEVEL], state[ws.STALLS] = 0, 0
         elif level_met(goal, work, level) or exhausted(state):
             next_level(tree, goal, work, options.damping)
         else:
@@ -350,6 +325,6 @@ def run_levels(tree, goal, work, options):
 @kernel
 def lm_levels(run):
     """``lm`` for goals of several priorities, and for soft ones; its options are ``LEVEL_OPTIONS``."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     run_levels(tree, goal, work, open_options(run.options))

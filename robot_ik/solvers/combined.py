@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward
 from robot_ik.kernels.residuals import evaluate, open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN, open_run, open_work
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
@@ -126,7 +126,7 @@ class Combined(Solver):
         began = time.perf_counter() - best.seconds
         iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
-        best_cost = float(problem.arrays["value"][BEST_COST])
+        best_cost = float(problem.arrays["value"][ws.BEST_COST])
         for member in others:
             futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
             rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
@@ -134,7 +134,7 @@ class Combined(Solver):
             rows.append(_later(solution.trace_rows, iterations, restarts))
             iterations, restarts = iterations + solution.iterations, restarts + solution.restarts
             last, proven = solution.status, proven or solution.status is Status.UNREACHABLE
-            cost = float(problem.arrays["value"][BEST_COST])
+            cost = float(problem.arrays["value"][ws.BEST_COST])
             if solution.converged or cost < best_cost:
                 best, best_cost = solution, cost
             if solution.converged:
@@ -166,9 +166,9 @@ class Combined(Solver):
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, results, budget)
-        if np.count_nonzero(results.status == CONVERGED) == len(targets):
+        if np.count_nonzero(results.status == ws.CONVERGED) == len(targets):
             return
-        left = np.flatnonzero(results.status != CONVERGED)
+        left = np.flatnonzero(results.status != ws.CONVERGED)
         if members[0].name == members[-1].name:
             left = left[results.status[left] != Status.UNREACHABLE]
         if not len(left) or len(members) == 1:
@@ -270,8 +270,8 @@ _NEAR = 0.01
 @kernel
 def starts_near(run):
     """Whether work.start is near the goal; changes work space only."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     forward(tree, work.nodes, work.start, work.world, work.scratch)
     cost, _ = evaluate(tree, goal, work)
     return cost < _NEAR
@@ -280,8 +280,8 @@ def starts_near(run):
 @kernel
 def starts_near_many(run, targets, starts, near):
     """The same for each row of targets (n, 12) of the one goal, and starts (n, nq): 1 or 0 into near (n,)."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     for row in range(targets.shape[0]):
         same = row > 0  # as the start before it, mostly: its pose is known
         for i in range(starts.shape[1]):
@@ -329,7 +329,7 @@ class Auto(Combined):
         if warm != "lm":
             return _SolverSequence(self, members)
         compiled = problem.compiled
-        table = RUN.pack(
+        table = ws.RUN.pack(
             {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
         )
         address = address_of(table)

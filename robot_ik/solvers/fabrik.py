@@ -26,6 +26,7 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bones import (
     BALL_PULL,
     DESCENDANTS,
@@ -52,7 +53,6 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
-from robot_ik.kernels.workspace import ALL_GOALS, SEARCH, TRY_STEPS, open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.families import BoneSolver
 
@@ -251,7 +251,7 @@ def lacks_wrist(tree, goal, links, points):
 def fabrik_step(tree, goal, work, links, points, one, sums, options):
     """Back from the goals, forward from the root; leaves q moved."""
     n = tree.parent.shape[0]
-    if work.state[SEARCH] != ALL_GOALS:  # which goals count may have changed
+    if work.state[ws.SEARCH] != ws.ALL_GOALS:  # which goals count may have changed
         link_points(tree, goal, work.nodes, links, points)
     for g in range(goal.kind.shape[0]):
         for i in range(3):
@@ -260,7 +260,7 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
     sums[BALL_PULL] = sums[PULL] if lacks_wrist(tree, goal, links, points) else 0.0
     too_far = bend(tree, goal, work, links, points, options.kick)
     reach_back(tree, goal, work, links, points)
-    if too_far and goal.kind.shape[0] == 1 and work.state[TRY_STEPS] == 0:
+    if too_far and goal.kind.shape[0] == 1 and work.state[ws.TRY_STEPS] == 0:
         straighten(tree, links, points)
     settle(tree, goal, work, links, points, one, sums, options.sweeps)
 
@@ -268,7 +268,7 @@ def fabrik_step(tree, goal, work, links, points, one, sums, options):
 @kernel
 def fabrik(tree, goals, work, options):
     """Runs until ``proceed`` says stop."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    tree, goal, work = open_tree(tree), open_goals(goals), ws.open_work(work)
     options = open_options(options)
     count = tree.parent.shape[0] + goal.kind.shape[0]
     links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)

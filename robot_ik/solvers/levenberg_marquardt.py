@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.kernels import jit
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
@@ -35,24 +36,6 @@ from robot_ik.kernels.residuals import (
     open_goals,
 )
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
-from robot_ik.kernels.workspace import (
-    ACCEPTED,
-    ANY_UNREACHABLE,
-    CONVERGED,
-    COST,
-    DAMPING,
-    NO_LIMIT,
-    POLISHING,
-    PRESSED,
-    RESTARTS,
-    RUN,
-    STALLS,
-    STATUS,
-    TRY_STEPS,
-    UNREACHABLE,
-    open_run,
-    open_work,
-)
 from robot_ik.problem import Budget, Problem
 from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
 
@@ -212,7 +195,7 @@ class LevenbergMarquardt(IterativeSolver):
 
             options = np.array([getattr(self, name) for name in LEVEL_OPTIONS], dtype=float)
         tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": options}
-        return (RUN.pack(tables),)
+        return (ws.RUN.pack(tables),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
@@ -256,7 +239,7 @@ def stride_bounds(tree, goal, work, stride):
 @pure
 def may_wrap(tree, work):
     """Whether joints may wrap around: not where others follow, nor in the tries that stay near the start."""
-    return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.coupled.shape[0] == 0
+    return work.state[ws.RESTARTS] > 0 and work.state[ws.POLISHING] == 0 and tree.coupled.shape[0] == 0
 
 
 @pure
@@ -291,12 +274,12 @@ def lm_step(tree, goal, work, points, wanted, options):
     floor, first, least = options.floor, options.damping, options.least
     increase, decrease = options.increase, options.decrease
     m, n = jacobian.shape
-    exact = state[POLISHING] > 0 and has_second_order(tree, goal)
-    if value[COST] < value[ACCEPTED]:
+    exact = state[ws.POLISHING] > 0 and has_second_order(tree, goal)
+    if value[ws.COST] < value[ws.ACCEPTED]:
         if exact:
             decrease, least = _EXACT_DECREASE, 0.0
-        value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
-        value[ACCEPTED] = value[COST]
+        value[ws.DAMPING] = first if state[ws.TRY_STEPS] == 0 else max(value[ws.DAMPING] * decrease, least)
+        value[ws.ACCEPTED] = value[ws.COST]
         copy(work.q, work.accepted)
         goal_jacobian(tree, goal, work, points)
         if exact:
@@ -308,10 +291,10 @@ def lm_step(tree, goal, work, points, wanted, options):
         else:
             normal_equations(jacobian, wanted, normal, gradient)
     else:
-        value[DAMPING] *= increase
-        value[COST] = value[ACCEPTED]
+        value[ws.DAMPING] *= increase
+        value[ws.COST] = value[ws.ACCEPTED]
         copy(work.accepted, work.q)
-    damping = value[DAMPING] * value[COST] + floor
+    damping = value[ws.DAMPING] * value[ws.COST] + floor
     stride_bounds(tree, goal, work, options.stride)
     if exact:
         pressed = exact_step(work, damping)
@@ -327,11 +310,11 @@ def lm_step(tree, goal, work, points, wanted, options):
             damped[i, i] = normal[i, i] + damping
         pressed = box_step(damped, gradient, low, high, step, work.free, work.side, work.factor)
     if pressed < 0:  # not positive definite to working precision: more damping
-        value[DAMPING] = value[DAMPING] * increase + 1e-9
+        value[ws.DAMPING] = value[ws.DAMPING] * increase + 1e-9
         for i in range(n):
             step[i] = 0.0
     else:
-        state[PRESSED] = pressed
+        state[ws.PRESSED] = pressed
         if may_wrap(tree, work):
             wrap_around(tree, goal, work)
 
@@ -354,8 +337,8 @@ def exact_step(work, damping):
     promised = 0.0
     for i in range(step.shape[0]):
         promised += work.gradient[i] * step[i]
-    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[COST]:
-        work.state[STALLS] = NO_LIMIT
+    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[ws.COST]:
+        work.state[ws.STALLS] = ws.NO_LIMIT
     return pressed
 
 
@@ -363,8 +346,8 @@ def exact_step(work, damping):
 def guided_step(tree, goal, work, options):
     """``lm_step`` to a clamped residual, by the alternative Jacobian if asked, and a share of it."""
     clamp, alternative, gain = options.clamp, options.alternative, options.gain
-    last = work.state[POLISHING] > 0  # as in ``prepare`` of the other Jacobian methods
-    if work.value[COST] < work.value[ACCEPTED]:
+    last = work.state[ws.POLISHING] > 0  # as in ``prepare`` of the other Jacobian methods
+    if work.value[ws.COST] < work.value[ws.ACCEPTED]:
         clamp_residual(goal, work.residual, work.wanted, clamp, last)
     points = goal.target if alternative and not last else work.frames
     lm_step(tree, goal, work, points, work.wanted, options)
@@ -375,8 +358,8 @@ def guided_step(tree, goal, work, options):
 @kernel
 def lm_guided(run):
     """``lm`` with clamp, alternative, gain."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     options = open_options(run.options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
@@ -387,8 +370,8 @@ def lm_guided(run):
 @kernel
 def lm(run):
     """Runs until ``proceed`` says stop."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     options = open_options(run.options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
@@ -402,8 +385,8 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
 
     Fills q (n, nq), status (n,), miss (n, 2), iterations (n,), restarts (n,).
     """
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     options = open_options(run.options)
     state = work.state
     for row in range(targets.shape[0]):
@@ -413,11 +396,13 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
         while proceed(tree, goal, work):
             lm_step(tree, goal, work, work.frames, work.residual, options)
             advance(tree, goal, work)
-        if state[STATUS] != CONVERGED:  # else it has just been measured
+        if state[ws.STATUS] != ws.CONVERGED:  # else it has just been measured
             copy(work.best, work.q)
             measure(tree, goal, work)
         give_row(work, q, miss, iterations, row)
         status[row] = (
-            UNREACHABLE if state[ANY_UNREACHABLE] == 1 and state[STATUS] != CONVERGED else state[STATUS]
+            ws.UNREACHABLE
+            if state[ws.ANY_UNREACHABLE] == 1 and state[ws.STATUS] != ws.CONVERGED
+            else state[ws.STATUS]
         )
-        restarts[row] = state[RESTARTS]
+        restarts[row] = state[ws.RESTARTS]

@@ -15,11 +15,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
 from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
 from robot_ik.kernels.tree import BALL, FREE, open_tree
-from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def release_cone(work, u):
     normal = work.outward
     for i in range(u, u + 3):
         for j in range(u, u + 3):
-            work.metric[i, j] += work.value[SCALE] * normal[i] * normal[j]
+            work.metric[i, j] += work.value[ws.SCALE] * normal[i] * normal[j]
     work.side[u] = 0
 
 
@@ -201,7 +201,7 @@ def measure_gradient(tree, goal, work):
         for u in range(gradient.shape[0]):
             row += jacobian[r, u] * gradient[u]
         curvature += row * row
-    work.value[SCALE] = square / curvature if curvature > 0.0 else 1.0
+    work.value[ws.SCALE] = square / curvature if curvature > 0.0 else 1.0
 
 
 @outlined
@@ -211,9 +211,9 @@ def reset(work):
     for u in range(metric.shape[0]):
         for i in range(metric.shape[0]):
             metric[u, i] = 0.0
-        metric[u, u] = work.value[SCALE]
+        metric[u, u] = work.value[ws.SCALE]
         work.side[u] = 0
-    work.state[UPDATES] = 0
+    work.state[ws.UPDATES] = 0
 
 
 @outlined
@@ -259,7 +259,7 @@ def constrain(tree, goal, work):
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
-            work.metric[u, u] = work.value[SCALE]
+            work.metric[u, u] = work.value[ws.SCALE]
             side[u] = 0
 
 
@@ -288,7 +288,7 @@ def direction(tree, goal, work):
     for u in range(n):
         pressed += side[u]
         slope += gradient[u] * search_direction[u]
-    work.state[PRESSED] = pressed
+    work.state[ws.PRESSED] = pressed
     return slope
 
 
@@ -340,7 +340,7 @@ def update_metric(work):
     for i in range(n):
         for j in range(n):
             metric[i, j] += factor * s[i] * s[j] - inverse * (image[i] * s[j] + s[i] * image[j])
-    work.state[UPDATES] += 1
+    work.state[ws.UPDATES] += 1
 
 
 # Points tried along one direction before it is given up.
@@ -407,7 +407,7 @@ def line_search(tree, goal, work, options, slope):
     A direction that meets limits is clipped to them, and searched for descent only.
     """
     max_step, decrease, curvature = options.max_step, options.decrease, options.curvature
-    cost, search_direction = work.value[COST], work.search_direction
+    cost, search_direction = work.value[ws.COST], work.search_direction
     longest = 0.0
     for u in range(search_direction.shape[0]):
         longest = max(longest, abs(search_direction[u]))
@@ -415,7 +415,7 @@ def line_search(tree, goal, work, options, slope):
     good, bad = 0.0, 0.0
     for _ in range(_TRIALS):
         promised = try_step(tree, goal, work, share)
-        won = cost - work.value[COST]
+        won = cost - work.value[ws.COST]
         if promised > 0.0 and won >= decrease * promised:
             measure_gradient(tree, goal, work)
             clipped = False
@@ -444,8 +444,8 @@ def line_search(tree, goal, work, options, slope):
 @outlined
 def bfgs_step(tree, goal, work, options):
     """work.step for one step downhill; zero, and the end of the try, where there is none."""
-    state, cost = work.state, work.value[COST]
-    if state[TRY_STEPS] == 0:
+    state, cost = work.state, work.value[ws.COST]
+    if state[ws.TRY_STEPS] == 0:
         measure_gradient(tree, goal, work)
         reset(work)
     copy(work.q, work.accepted)
@@ -458,21 +458,21 @@ def bfgs_step(tree, goal, work, options):
             transport(tree, goal, work)
             update_metric(work)
         copy(work.accepted, work.q)  # ``advance`` goes on from there
-        work.value[COST] = cost
+        work.value[ws.COST] = cost
         if found:
             return
-        if state[UPDATES] == 0:
+        if state[ws.UPDATES] == 0:
             break
         reset(work)  # what was learned does not hold here: down the plain slope
     for u in range(work.step.shape[0]):
         work.step[u] = 0.0
-    state[STALLS] = NO_LIMIT
+    state[ws.STALLS] = ws.NO_LIMIT
 
 
 @kernel
 def bfgs(tree, goals, work, options):
     """Runs until ``proceed`` says stop."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    tree, goal, work = open_tree(tree), open_goals(goals), ws.open_work(work)
     options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):

@@ -21,21 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
-from robot_ik.kernels.workspace import (
-    BEST_COST,
-    CONVERGED,
-    ITERATION_LIMIT,
-    ITERATIONS,
-    STATUS,
-    TIME_LIMIT,
-    UNREACHABLE,
-    open_work,
-)
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic.limb import limb
@@ -99,18 +90,18 @@ def solve_axes(tree, goal, work, form, family, mode):
 @kernel
 def closed_form(tree, goals, work, form, family, mode):
     """One solve."""
-    solve_axes(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
+    solve_axes(open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form), family, mode)
 
 
 @kernel
 def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    tree, goal, work, form = open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
         solve_axes(tree, goal, work, form, family, SOLVE)
         give_row(work, q, miss, iterations, row)
-        status[row] = work.state[STATUS]
+        status[row] = work.state[ws.STATUS]
 
 
 # ------------------------------------------------------------------------------------------
@@ -138,18 +129,18 @@ def solve_limb(tree, goal, work, form, mode):
 @kernel
 def closed_limb(tree, goals, work, form, _family, mode):
     """One solve."""
-    solve_limb(open_tree(tree), open_goals(goals), open_work(work), open_form(form), mode)
+    solve_limb(open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form), mode)
 
 
 @kernel
 def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    tree, goal, work, form = open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
         solve_limb(tree, goal, work, form, SOLVE)
         give_row(work, q, miss, iterations, row)
-        status[row] = work.state[STATUS]
+        status[row] = work.state[ws.STATUS]
 
 
 # ------------------------------------------------------------------------------------------
@@ -299,11 +290,11 @@ class Analytic(Solver):
         mode = START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == SOLVE and state[STATUS] != CONVERGED and _is_out_of_reach(prepared):
-            state[STATUS] = UNREACHABLE
-        if mode == START_ONLY and state[STATUS] != CONVERGED:
-            state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
-        number, iterations = state[: ITERATIONS + 1].tolist()
+        if mode == SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
+            state[ws.STATUS] = ws.UNREACHABLE
+        if mode == START_ONLY and state[ws.STATUS] != ws.CONVERGED:
+            state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
+        number, iterations = state[: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
         if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach():
             status = Status.UNREACHABLE
@@ -325,14 +316,14 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             results.q, results.status, results.miss, results.iterations,
         )  # fmt: skip
-        missed = np.flatnonzero(results.status != CONVERGED)
+        missed = np.flatnonzero(results.status != ws.CONVERGED)
         if not len(missed):
             return
         for row in missed:
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
-                results.status[row] = UNREACHABLE
-        results.status[(results.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
+                results.status[row] = ws.UNREACHABLE
+        results.status[(results.status != ws.CONVERGED) & problem.rows_out_of_reach(targets)] = ws.UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
@@ -370,7 +361,7 @@ def _trace(arrays: dict[str, Any]) -> Array:
     """The one row of a closed form's trace."""
     position, angle = arrays["miss"].max(axis=0)
     step = float(np.linalg.norm(arrays["q"] - arrays["start"]))
-    return np.array([[1.0, 0.0, arrays["value"][BEST_COST], position, angle, 0.0, step]])
+    return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
 def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
-from robot_ik.kernels.workspace import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS
 
 
 @pure
@@ -143,18 +143,18 @@ SOLVE, EVERY, START_ONLY = range(3)
 def measure_start(tree, goal, work, form, mode):
     """Measures the start, which is the solution if it is at the goal; returns whether there is more to do."""
     state, q = work.state, work.q
-    state[ITERATIONS] = 0
+    state[ws.ITERATIONS] = 0
     copy(work.start, q)
     clip(tree, work.nodes, q)
     within = measure(tree, goal, work)
     keep_best(work)
-    state[STATUS] = CONVERGED if within else STALLED
+    state[ws.STATUS] = ws.CONVERGED if within else ws.STALLED
     if mode == START_ONLY or (within and mode == SOLVE):
         return False
     qadr, start = form.qadr, form.start
     for j in range(qadr.shape[0]):
         start[j] = q[qadr[j]]
-    state[ITERATIONS] = 1
+    state[ws.ITERATIONS] = 1
     return True
 
 
@@ -163,13 +163,13 @@ def settle(tree, goal, work, form, row, found):
     """Takes ``form.best`` as the solution, where some branch ``row`` is inside the limits."""
     state, q, qadr, best = work.state, work.q, form.qadr, form.best
     if row < 0:
-        state[STATUS] = BLOCKED if found > 0 else STALLED
+        state[ws.STATUS] = ws.BLOCKED if found > 0 else ws.STALLED
         return
     for j in range(qadr.shape[0]):
         q[qadr[j]] = best[j]
     clip(tree, work.nodes, q)
-    state[STATUS] = CONVERGED if measure(tree, goal, work) else STALLED
-    if state[STATUS] == CONVERGED or work.value[COST] < work.value[BEST_COST]:
+    state[ws.STATUS] = ws.CONVERGED if measure(tree, goal, work) else ws.STALLED
+    if state[ws.STATUS] == ws.CONVERGED or work.value[ws.COST] < work.value[ws.BEST_COST]:
         keep_best(work)
     else:
         copy(work.best, q)
