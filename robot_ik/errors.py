@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
 
-# ------------------------------------------------------------------------------------------
-# What all errors share: the root, and how a wrong name is answered.
-
-
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
     """Known names most like ``name``, best first (compared without regard to case)."""
     name = str(name)  # None or a number is an unknown name too
@@ -52,12 +48,7 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
 def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
     """Numbers as text, with as many digits as it takes to distinguish those that differ.
 
-    "160.0 is outside; allowed: -160.0 to 160.0" explains nothing: 160.04 does.
-
-    Args:
-        values: A value and its limits, say.
-        digits: At least so many behind the point (``form`` "f") or in all ("g").
-        form: As of ``format``.
+    At least ``digits`` behind the point (``form`` "f") or in all ("g").
     """
     texts: list[str] = []
     for count in range(digits, 18):
@@ -81,10 +72,6 @@ class RobotIkError(Exception):
     def __str__(self) -> str:
         text = super().__str__()
         return f"{text}\n{self.hint}" if self.hint else text
-
-
-# ------------------------------------------------------------------------------------------
-# Errors between the lens and the goal.
 
 
 class CameraError(RobotIkError):
@@ -111,10 +98,6 @@ class CalibrationError(CameraError):
     """A calibration is missing, malformed, implausible or made for another camera."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors of files, settings, optional packages and windows.
-
-
 class ConfigError(RobotIkError, ValueError):
     """A configuration file is wrong.
 
@@ -127,22 +110,16 @@ class ConfigError(RobotIkError, ValueError):
     def __init__(
         self, problem: str, *, file: Path | str, key: str = "", allowed: str = "", hint: str = ""
     ) -> None:
-        self.file = file
-        self.key = key
-        self.allowed = allowed
+        self.file, self.key, self.allowed = file, key, allowed
         where = f"{file}: {key}: " if key else f"{file}: "
-        super().__init__(
-            where + problem + (f"; allowed: {allowed}" if allowed else ""),
-            hint=hint,
-        )
+        super().__init__(where + problem + (f"; allowed: {allowed}" if allowed else ""), hint=hint)
 
 
 class MissingExtraError(RobotIkError, ImportError):
     """An optional package is not installed; the message is the command that installs it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.package = package
-        self.extra = extra
+        self.package, self.extra = package, extra
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
             hint=f'install it with: pip install "robot_ik[{extra}]"',
@@ -157,10 +134,6 @@ class OutputError(RobotIkError, OSError):
     """A result cannot be written where it was asked for."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors between the joint angles and the servos.
-
-
 class HardwareError(RobotIkError):
     """Root of everything that can go wrong between the joint angles and the servos."""
 
@@ -171,6 +144,10 @@ class BusNotOpenError(HardwareError):
 
 class BusDisconnectedError(HardwareError):
     """The port went away while it was in use (cable pulled, adapter reset)."""
+
+
+def _servo(id: int, joint: str) -> str:
+    return f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
 
 
 class BusTimeoutError(HardwareError):
@@ -193,16 +170,11 @@ class BusTimeoutError(HardwareError):
         everyone: bool = False,
         hint: str = "check power, cable, id and baud rate",
     ) -> None:
-        self.id = id
-        self.register = register
-        self.port = port
-        self.joint = joint
-        self.last_good = last_good
-        self.everyone = everyone
-        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
+        self.id, self.register, self.port, self.joint = id, register, port, joint
+        self.last_good, self.everyone = last_good, everyone
         when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
-        asked = f"no servo answers on {port}" if everyone else f"no answer from {who} on {port} ({register})"
-        super().__init__(f"{asked}; {when}", hint=hint)
+        asked = f"no answer from {_servo(id, joint)} on {port} ({register})"
+        super().__init__(f"no servo answers on {port}; {when}" if everyone else f"{asked}; {when}", hint=hint)
 
 
 class BusCorruptError(HardwareError):
@@ -218,13 +190,8 @@ class ServoRefusedError(HardwareError):
     """
 
     def __init__(self, *, id: int, register: str, code: int, reason: str, joint: str = "") -> None:
-        self.id = id
-        self.register = register
-        self.code = code
-        self.reason = reason
-        self.joint = joint
-        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
-        super().__init__(f"{who} refused {register}: {reason} (error {code})")
+        self.id, self.register, self.code, self.reason, self.joint = id, register, code, reason, joint
+        super().__init__(f"{_servo(id, joint)} refused {register}: {reason} (error {code})")
 
 
 class ServoMismatchError(HardwareError):
@@ -244,17 +211,14 @@ class ServoMismatchError(HardwareError):
         hint: str = "",
         source: str = "the arm file",
     ) -> None:
-        self.expected = dict(expected)
-        self.found = dict(found)
-        self.port = port
+        self.expected, self.found, self.port = dict(expected), dict(found), port
         ids = sorted({*expected, *found})
         width = max([len(expected.get(i, "")) for i in ids] + [8])
         rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
         rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
         super().__init__(
             f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
-            hint=hint
-            or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
+            hint=hint or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
         )
 
 
@@ -266,8 +230,7 @@ class MotorFaultError(HardwareError):
     """
 
     def __init__(self, joint: str, status: Sequence[str], *, hint: str = "") -> None:
-        self.joint = joint
-        self.status = tuple(status)
+        self.joint, self.status = joint, tuple(status)
         super().__init__(f"joint {joint!r} is in fault: {', '.join(status)}", hint=hint)
 
 
@@ -288,10 +251,6 @@ class ArmStateError(HardwareError):
     """The arm is not in a state in which this can be done."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors of models, goals and solving.
-
-
 class ModelError(RobotIkError):
     """A robot model cannot be found, read or used.
 
@@ -304,8 +263,7 @@ class ModelError(RobotIkError):
         self, message: str, *, path: Path | str | None = None, reason: str = "", hint: str = ""
     ) -> None:
         super().__init__(message, hint=hint)
-        self.path = path
-        self.reason = reason
+        self.path, self.reason = path, reason
 
 
 class InvalidModelError(ModelError, ValueError):
@@ -316,29 +274,28 @@ class InvalidPoseError(RobotIkError, ValueError):
     """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
 
 
-class _UnknownName(ModelError, LookupError):
+class _UnknownName(RobotIkError, LookupError):
     kind = "name"
 
     def __init__(self, name: str, known: Iterable[str], *, hint: str = "") -> None:
-        self.name = name
-        self.known = tuple(known)
+        self.name, self.known = name, tuple(known)
         self.close = tuple(close_matches(name, self.known))
         super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
 
 
-class UnknownRobotError(_UnknownName, ValueError):
+class UnknownRobotError(_UnknownName, ModelError, ValueError):
     """No robot of that name in the catalogue, or what was given is no name at all."""
 
     kind = "robot"
 
 
-class UnknownFrameError(_UnknownName):
+class UnknownFrameError(_UnknownName, ModelError):
     """The robot has no frame (tool, site or body) of that name."""
 
     kind = "frame"
 
 
-class UnknownJointError(_UnknownName):
+class UnknownJointError(_UnknownName, ModelError):
     """The robot has no joint of that name."""
 
     kind = "joint"
@@ -360,9 +317,7 @@ class UnsupportedGoalError(GoalError):
     """The solver cannot serve this kind of goal; the message names the ones that can."""
 
     def __init__(self, solver: str, goal: str, able: Iterable[str]) -> None:
-        self.solver = solver
-        self.goal = goal
-        self.able = tuple(able)
+        self.solver, self.goal, self.able = solver, goal, tuple(able)
         super().__init__(
             f"solver {solver!r} cannot serve {goal}",
             hint=f"these can: {', '.join(self.able)}" if self.able else "no solver can yet",
@@ -379,14 +334,10 @@ class ProblemInUseError(RobotIkError):
         )
 
 
-class UnknownSolverError(RobotIkError, LookupError):
+class UnknownSolverError(_UnknownName):
     """No solver of that name in the ``SOLVERS`` table."""
 
-    def __init__(self, name: str, known: Iterable[str]) -> None:
-        self.name = name
-        self.known = tuple(known)
-        self.close = tuple(close_matches(name, self.known))
-        super().__init__(unknown_name_text("solver", name, self.known))
+    kind = "solver"
 
 
 class NotConvergedError(RobotIkError):

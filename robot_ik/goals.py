@@ -1,10 +1,15 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them."""
+"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them.
+
+A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
+Targets are in the world, metres and unit quaternions (w, x, y, z).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self, cast
 
 import numpy as np
@@ -26,18 +31,11 @@ from robot_ik.kernels.residuals import (
     SOME_AXES,
     WHOLE,
 )
-from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
+from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 
 if TYPE_CHECKING:
     from robot_ik.pose_prior import PosePrior
     from robot_ik.robot import Robot
-
-
-# ------------------------------------------------------------------------------------------
-# What every goal has, and the checks of what it is made from.
-#
-# A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
-# Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 
 Array = NDArray[np.float64]
@@ -122,11 +120,7 @@ def positive_number(value: float, what: str) -> float:
 
 
 def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
-    """A unit vector (3,) from "x", "-z" … or three numbers.
-
-    Raises:
-        InvalidGoalError: No such axis, or a zero vector.
-    """
+    """A unit vector (3,) from "x", "-z" … or three numbers; raises ``InvalidGoalError`` for anything else."""
     if isinstance(axis, str):
         letter, sign = axis.lstrip("+-"), -1.0 if axis.startswith("-") else 1.0
         if letter not in ("x", "y", "z"):
@@ -140,11 +134,7 @@ def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
 
 
 def axes_mask(axes: object) -> tuple[float, float, float]:
-    """1 for each coordinate named in ``axes`` ("xy"), 0 for the others.
-
-    Raises:
-        InvalidGoalError: No axis, an axis twice, or a letter that is none.
-    """
+    """1 for each coordinate named in ``axes`` ("xy"), 0 for the others; else raises ``InvalidGoalError``."""
     if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
         raise InvalidGoalError(f"axes must be some of the letters x, y and z, not {axes!r}")
     return tuple(float(letter in axes) for letter in "xyz")  # type: ignore[return-value]
@@ -254,22 +244,22 @@ class Goal:
         """Puts checked values into the frozen fields."""
         self.__dict__.update(values)
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
-        """Which rows it makes."""
+        """Which rows it makes; each kind sets it when it is made."""
         raise InvalidGoalError(
             f"a {self.name} says nothing of what is wanted", hint="take one of rik.goals.GOALS"
         )
+
+    @cached_property
+    def weights(self) -> tuple[float, float]:
+        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
+        return 1.0, 1.0
 
     @property
     def target(self) -> Pose:
         """The wanted pose; the part that is not asked for is the identity's."""
         return Pose()
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
-        return 1.0, 1.0
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -306,11 +296,7 @@ class Goal:
         return metres, radians
 
 
-# ------------------------------------------------------------------------------------------
-# Goals for the position and the orientation of a frame.
-
-
-# Made once: ``solve`` reads them in every call.
+# Made once: goals are made in loops.
 _WHOLE_ORIENTATION = {part: Rows(position=part, orientation=ALL_AXES) for part in (NO_POSITION, WHOLE)}
 _WHOLE_POSITION = Rows(position=WHOLE)
 
@@ -335,18 +321,16 @@ class _PointGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        axes_mask(self.axes)
-        self._set(
-            position=vector(self.position, 3, "position"), weight=positive_number(self.weight, "weight")
-        )
+        weight = positive_number(self.weight, "weight")
+        self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
+        self._set(rows=self._rows_of(axes_mask(self.axes)))
+
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return _WHOLE_POSITION if all(mask) else Rows(position=SOME_AXES, mask=mask)
 
     @property
     def target(self) -> Pose:
         return Pose(self.position)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, 0.0
 
     def moved_to(self, target: Pose) -> Self:
         return replace(self, position=target.position)
@@ -363,11 +347,6 @@ class PositionGoal(_PointGoal):
     """
 
     name: ClassVar[str] = "position goal"
-
-    @property
-    def rows(self) -> Rows:
-        mask = axes_mask(self.axes)
-        return _WHOLE_POSITION if all(mask) else Rows(position=SOME_AXES, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -391,20 +370,13 @@ class OrientationGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=positive_number(self.weight, "weight"))
-        _orientation_rows(NO_POSITION, self.free_axis)
-
-    @property
-    def rows(self) -> Rows:
-        return _orientation_rows(NO_POSITION, self.free_axis)
+        weight = positive_number(self.weight, "weight")
+        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=weight, weights=(0.0, weight))
+        self._set(rows=_orientation_rows(NO_POSITION, self.free_axis))
 
     @property
     def target(self) -> Pose:
         return Pose((0.0, 0.0, 0.0), self.wxyz)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
 
     def moved_to(self, target: Pose) -> OrientationGoal:
         return replace(self, wxyz=target.wxyz)
@@ -433,13 +405,16 @@ class PoseGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        metres = positive_number(self.position_weight, "position_weight")
+        radians = positive_number(self.angle_weight, "angle_weight")
         self._set(
             position=vector(self.position, 3, "position"),
             wxyz=unit_quaternion(self.wxyz, "wxyz"),
-            position_weight=positive_number(self.position_weight, "position_weight"),
-            angle_weight=positive_number(self.angle_weight, "angle_weight"),
+            position_weight=metres,
+            angle_weight=radians,
+            weights=(metres, radians),
+            rows=_orientation_rows(WHOLE, self.free_axis),
         )
-        _orientation_rows(WHOLE, self.free_axis)
 
     @classmethod
     def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
@@ -447,16 +422,8 @@ class PoseGoal(Goal):
         return cls(frame, pose.position, pose.wxyz)
 
     @property
-    def rows(self) -> Rows:
-        return _orientation_rows(WHOLE, self.free_axis)
-
-    @property
     def target(self) -> Pose:
         return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.position_weight, self.angle_weight
 
     def moved_to(self, target: Pose) -> PoseGoal:
         return replace(self, position=target.position, wxyz=target.wxyz)
@@ -482,28 +449,17 @@ class AimGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        axis_vector(self.axis)
-        self._set(point=vector(self.point, 3, "point"), weight=positive_number(self.weight, "weight"))
-
-    @property
-    def rows(self) -> Rows:
         x, y, z = axis_vector(self.axis).tolist()
-        return Rows(orientation=AIMED, axis=(x, y, z))
+        weight = positive_number(self.weight, "weight")
+        self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
+        self._set(rows=Rows(orientation=AIMED, axis=(x, y, z)))
 
     @property
     def target(self) -> Pose:
         return Pose(self.point)
 
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
-
     def moved_to(self, target: Pose) -> AimGoal:
         return replace(self, point=target.position)
-
-
-# ------------------------------------------------------------------------------------------
-# Goals for the frame's origin that leave some of its coordinates free: line, plane, half-space.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -515,23 +471,23 @@ class _DirectionGoal(Goal):
     weight: float = field(default=1.0, kw_only=True)
 
     has_position: ClassVar[bool] = True
+    across: ClassVar[Rows]
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        weight = positive_number(self.weight, "weight")
         self._set(
             point=vector(self.point, 3, "point"),
             direction=axis_vector(self.direction, "direction"),
-            weight=positive_number(self.weight, "weight"),
+            weight=weight,
+            weights=(weight, 0.0),
+            rows=self.across,
         )
 
     @property
     def target(self) -> Pose:
         """Its z axis is the direction."""
         return Pose.from_rotation(rotation_z_to(axis_vector(self.direction)), self.point)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, 0.0
 
     def moved_to(self, target: Pose) -> Goal:
         """Through the origin of ``target``, along its z axis."""
@@ -546,10 +502,7 @@ class LineGoal(_DirectionGoal):
     """
 
     name: ClassVar[str] = "line goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
+    across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
 
 
 class PlaneGoal(_DirectionGoal):
@@ -560,10 +513,7 @@ class PlaneGoal(_DirectionGoal):
     """
 
     name: ClassVar[str] = "plane goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
+    across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
 
 
 class HalfSpaceGoal(_DirectionGoal):
@@ -576,14 +526,7 @@ class HalfSpaceGoal(_DirectionGoal):
     """
 
     name: ClassVar[str] = "half-space goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=ONE_SIDE, mask=(0.0, 0.0, 1.0))
-
-
-# ------------------------------------------------------------------------------------------
-# Goals for the whole body: where its centre of mass is, and how the joints stand.
+    across: ClassVar[Rows] = Rows(position=ONE_SIDE, mask=(0.0, 0.0, 1.0))
 
 
 class CenterOfMassGoal(_PointGoal):
@@ -599,9 +542,8 @@ class CenterOfMassGoal(_PointGoal):
 
     name: ClassVar[str] = "centre-of-mass goal"
 
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return Rows(position=SOME_AXES, of=OF_MASS, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -639,15 +581,9 @@ class PostureGoal(Goal):
                 f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
             )
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
-        self._set(q=vector(self.q, count, "q"), weight=positive_number(self.weight, "weight"), joints=checked)
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(of=OF_JOINTS)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, self.weight
+        weight = positive_number(self.weight, "weight")
+        self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
+        self._set(weights=(weight, weight), rows=Rows(of=OF_JOINTS))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -666,34 +602,23 @@ class PostureGoal(Goal):
         for joint in self.joints:
             if joint not in robot.joints:
                 raise UnknownJointError(joint, robot.joints)
-        joint_weights = np.empty(robot.nv)
-        for k, joint in enumerate(robot.joints):
-            v = int(robot.tree.vadr[k])
-            joint_weights[v : v + V_WIDTH[int(robot.tree.kind[k])]] = self.joints.get(
-                joint, 0.0 if self.only else 1.0
-            )
-        return joint_weights
+        each = [self.joints.get(joint, 0.0 if self.only else 1.0) for joint in robot.joints]
+        return np.array(each, dtype=float)[robot.tree.dof_node]
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         if not self.weight > 0.0:
             return 0.0, 0.0
-        tree, joint_weights, difference = (
-            robot.tree,
-            self.joint_weights(robot),
-            robot.difference(q, np.asarray(self.q)),
-        )
-        led = {int(node) for node in tree.coupled[:, 0]}
+        tree, joint_weights = robot.tree, self.joint_weights(robot)
+        difference = robot.difference(q, np.asarray(self.q))
         metres = radians = 0.0
-        for k in range(tree.size):
+        for k in set(range(tree.size)) - set(tree.coupled[:, 0].tolist()):
             v, kind = int(tree.vadr[k]), int(tree.kind[k])
-            if not joint_weights[v] > 0.0 or k in led:
+            if not joint_weights[v] > 0.0:
                 continue
-            if kind in (SLIDE, FREE):
-                metres = max(metres, float(np.abs(difference[v : v + (3 if kind == FREE else 1)]).max()))
-            if kind != SLIDE:
-                first = v + 3 if kind == FREE else v
-                last = first + (1 if kind == HINGE else 3)
-                radians = max(radians, float(np.linalg.norm(difference[first:last])))
+            part = difference[v : v + V_WIDTH[kind]]
+            shift = {SLIDE: 1, FREE: 3}.get(kind, 0)  # how many of them are metres
+            metres = max(metres, float(np.abs(part[:shift]).max(initial=0.0)))
+            radians = max(radians, float(np.linalg.norm(part[shift:])))
         return metres, radians
 
 
@@ -729,15 +654,8 @@ class PosePriorGoal(Goal):
             )
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
-        self._set(weight=positive_number(self.weight, "weight"))
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(of=OF_PRIOR)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
+        weight = positive_number(self.weight, "weight")
+        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=OF_PRIOR))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -748,14 +666,6 @@ class PosePriorGoal(Goal):
 
 
 GOALS: tuple[type[Goal], ...] = (
-    PositionGoal,
-    OrientationGoal,
-    PoseGoal,
-    AimGoal,
-    LineGoal,
-    PlaneGoal,
-    HalfSpaceGoal,
-    CenterOfMassGoal,
-    PostureGoal,
-    PosePriorGoal,
-)
+    PositionGoal, OrientationGoal, PoseGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal,
+    PostureGoal, PosePriorGoal,
+)  # fmt: skip
