@@ -1,13 +1,8 @@
-"""What a problem is for the compiled code: its goals as flat arrays, its work space, and who owns them.
-
-The arrays of goals have the names of ``kernels/residuals.GOALS``, those of the work space the names of
-``kernels/workspace.WORK``.
-"""
+"""What a problem is for the compiled code: its goals as flat arrays, its work space, and who owns them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,24 +12,11 @@ from robot_ik.errors import InvalidGoalError, UnsupportedJointError
 from robot_ik.geometry import rotation_z_to
 from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
 from robot_ik.kernels import residuals, workspace
-from robot_ik.kernels.residuals import (
-    BLOCK,
-    NO_ORIENTATION,
-    NO_POSITION,
-    OF,
-    OF_FRAME,
-    OF_MASS,
-    OF_PRIOR,
-    ORIENTATION_PART,
-    POSITION_PART,
-    ROW_CODES,
-    WHOLE,
-)
-from robot_ik.model import pose_row, row_pose
+from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_MASS, OF_PRIOR, WHOLE
+from robot_ik.model import joint_names, pose_row, row_pose
 from robot_ik.robot import Robot
 
 T = TypeVar("T")
-
 Ints = NDArray[np.int64]
 
 # A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
@@ -42,29 +24,12 @@ Ints = NDArray[np.int64]
 _LENGTH_PER_REACH = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledGoals:
-    """Arrays of the goals of one problem.
-
-    Attributes:
-        arrays: By their names in ``residuals.GOALS``; whoever packs them keeps this alive.
-        rows: Length of the residual.
-        nodes: Joints that move any goal and those that lead them, parents first.
-    """
-
-    arrays: dict[str, Any]
-    rows: int
-    nodes: Ints
-
-
 def length_of(robot: Robot, goal: Goal) -> float:
     """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
     if goal.length is not None:
         return goal.length
-    ball = None if goal.rows.of != OF_FRAME else robot.reach(goal.frame)
-    if ball is None or ball[1] < 1e-6:
-        return 1.0
-    return _LENGTH_PER_REACH * ball[1]
+    ball = robot.reach(goal.frame) if goal.rows.of == OF_FRAME else None
+    return 1.0 if ball is None or ball[1] < 1e-6 else _LENGTH_PER_REACH * ball[1]
 
 
 def target_row(goal: Goal) -> Array:
@@ -95,8 +60,10 @@ def kind_of(goal: Goal) -> int:
     return residuals.ORIENTATION
 
 
-def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> CompiledGoals:
-    """The arrays of ``goals``.
+def compile_goals(
+    robot: Robot, goals: Sequence[Goal], tolerance: Tolerance
+) -> tuple[dict[str, Any], int, Ints]:
+    """Arrays by their names in ``residuals.GOALS``, length of the residual, and nodes as ``CompiledProblem``.
 
     Raises:
         UnknownFrameError, UnknownJointError: A goal names what the robot does not have.
@@ -116,10 +83,11 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         if leader in leaders and node in used
     ]
     movers = np.append(dofs, [v for _, _, v in coupled]).astype(np.int64)
+    moves = [[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved]
     stiffness = robot.stiffness[dofs]
     arrays: dict[str, Any] = {
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
-        "row_codes": np.zeros((count, ROW_CODES), dtype=np.int64),
+        "row_codes": np.array([(g.rows.position, g.rows.orientation, g.rows.of, 0) for g in goals]),
         "row": np.empty(count, dtype=np.int64),
         "level": np.array(levels_of(goals), dtype=np.int64),
         "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
@@ -132,7 +100,7 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "dofs": dofs,
         "column": np.append(np.arange(len(dofs)), [u for _, u, _ in coupled]).astype(np.int64),
         "moved": movers,
-        "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
+        "moves": np.array(moves, dtype=np.int64).reshape(count, len(movers)),
         "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "coupled": np.array(coupled, dtype=np.int64).reshape(-1, 3),
         "posture": np.zeros((count, robot.nq)),
@@ -143,36 +111,27 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
     masses: list[Array] = []
     rows = 0
     for g, goal in enumerate(goals):
-        arrays["row"][g] = rows
-        asked = goal.rows
-        arrays["row_codes"][g, [POSITION_PART, ORIENTATION_PART, OF]] = (
-            asked.position,
-            asked.orientation,
-            asked.of,
-        )
+        arrays["row"][g], asked = rows, goal.rows
         arrays["weight"][g, 0] /= length_of(robot, goal)
+        rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
         if isinstance(goal, PostureGoal):
             set_posture(robot, arrays, g, goal)
             rows += len(dofs)
-            continue
-        if isinstance(goal, PosePriorGoal):
+        elif isinstance(goal, PosePriorGoal):
             rows += _set_prior(robot, arrays, goal)
-            continue
-        rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
-        if asked.of == OF_MASS:
-            arrays["row_codes"][g, BLOCK] = sum(len(block) for block in masses)
+        elif asked.of == OF_MASS:
+            arrays["row_codes"][g, residuals.BLOCK] = sum(len(block) for block in masses)
             masses.append(robot.masses(goal.frame))
-            continue
-        node, local = robot.attachment(goal.frame)
-        arrays["node"][g], arrays["local"][g] = node, local
-        if not asked.whole:
-            arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
+        else:
+            arrays["node"][g], local = robot.attachment(goal.frame)
+            if not asked.whole:
+                local[3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
+            arrays["local"][g] = local
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
     arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
     arrays |= _pattern(arrays, rows)
-    nodes = np.array(sorted(used | leaders), dtype=np.int64)
-    return CompiledGoals(arrays, rows, nodes)
+    return arrays, rows, np.array(sorted(used | leaders), dtype=np.int64)
 
 
 def levels_of(goals: Sequence[Goal]) -> list[int]:
@@ -210,10 +169,6 @@ def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int
     return len(arrays["feature"]) + 1
 
 
-def _table(rows: list[list[bool]], width: int) -> Ints:
-    return np.array(rows, dtype=np.int64).reshape(len(rows), width)
-
-
 def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
     """Where the Jacobian may not be zero: the columns of every goal, and the rows of every column."""
     count = len(arrays["dofs"])
@@ -245,6 +200,15 @@ def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:
     return (mine.position if metres > 0.0 else np.inf, mine.angle if radians > 0.0 else np.inf)
 
 
+def _reach_row(robot: Robot, goal: Goal, tolerance: Tolerance) -> tuple[float, ...]:
+    """Centre and radius of a ball that the goal's frame cannot leave, where a position is needed."""
+    asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+    ball = robot.reach(goal.frame) if asks and not goal.soft else None
+    if ball is None:
+        return 0.0, 0.0, 0.0, np.inf
+    return *ball[0].tolist(), ball[1] + (goal.tolerance or tolerance).position
+
+
 def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
     """Joints whose motion the goal feels."""
     tree = robot.tree
@@ -265,9 +229,8 @@ def _refuse_broken(robot: Robot, leaders: set[int]) -> None:
     for coupling in robot.couplings:
         if coupling.joint in active or active.get(coupling.leader) not in leaders:
             continue
-        follower, leader = (
-            robot.model.joint(j).name or f"joint_{j}" for j in (coupling.joint, coupling.leader)
-        )
+        names = joint_names(robot.model)
+        follower, leader = names[coupling.joint], names[coupling.leader]
         raise UnsupportedJointError(
             f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
             path=robot.path,
@@ -288,8 +251,7 @@ class CompiledProblem:
 
     Attributes:
         tree, goals, work: Tables of addresses: of the robot's tree, of ``goal_arrays``, of ``arrays``.
-        goal_arrays: By their names in ``residuals.GOALS``.
-        arrays: The work space, by the names in ``workspace.WORK``.
+        goal_arrays, arrays: By their names in ``residuals.GOALS`` and ``workspace.WORK``.
         rows: Length of the residual.
         nodes: Joints that move any goal and those that lead them, parents first.
         made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
@@ -300,9 +262,10 @@ class CompiledProblem:
     __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "token", "tree", "work")
 
     def __init__(self, robot: Robot, goals: Sequence[Goal], tolerance: Tolerance, trace_rows: int) -> None:
-        found = compile_goals(robot, goals, tolerance)
-        self.goal_arrays, self.rows, self.nodes = found.arrays, found.rows, found.nodes
-        self.arrays = _work_arrays(robot, goals, found, trace_rows)
+        self.goal_arrays, self.rows, self.nodes = compile_goals(robot, goals, tolerance)
+        self.arrays = self._work_arrays(robot, goals, trace_rows)
+        for row, goal in zip(self.arrays["reach"], goals, strict=True):
+            row[:] = _reach_row(robot, goal, tolerance)
         self.tree = robot.tree.handle
         self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
         self.made: dict[int, Any] = {}
@@ -317,35 +280,15 @@ class CompiledProblem:
             found = self.made[id(solver)] = make()
         return found
 
-
-def _work_arrays(
-    robot: Robot, goals: Sequence[Goal], found: CompiledGoals, trace_rows: int
-) -> dict[str, Array]:
-    """The work space of a solve, by the names in ``workspace.WORK``."""
-    count, m, nu, nq = len(goals), found.rows, len(found.arrays["dofs"]), robot.nq
-    levels = 1 + max(levels_of(goals))
-    several = levels > 1 or any(goal.soft for goal in goals)
-    levels, dense = (levels, m) if several else (0, 0)  # what only priorities and soft goals need
-    k, p = max(m, nu, 1), min(m, nu)
-    shapes: dict[str, Any] = {
-        "state": (workspace.STATE_SIZE,), "value": (workspace.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-        "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-        "reach": (count, 4), "unreachable": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
-        "frames": (count, 12),
-        "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
-        "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
-        "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
-        "trace": (trace_rows, len(workspace.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
-        "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
-        "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-        "gram": (dense, dense), "metric": (nu, nu), "search_direction": (nu,), "before": (nu,),
-        "moved": (nu,), "outward": (nu,),
-    }  # fmt: skip
-    arrays: dict[str, Any] = {
-        name: np.zeros(shape, dtype=np.int64 if name in ("state", "unreachable", "free", "side") else float)
-        for name, shape in shapes.items()
-    }
-    arrays["nodes"] = found.nodes
-    arrays["rest"][:] = robot.home
-    arrays["reach"][:, 3] = np.inf
-    return arrays
+    def _work_arrays(self, robot: Robot, goals: Sequence[Goal], trace_rows: int) -> dict[str, Any]:
+        """The work space of a solve."""
+        levels = 1 + max(levels_of(goals))
+        several = levels > 1 or any(goal.soft for goal in goals)
+        m, nu = self.rows, len(self.goal_arrays["dofs"])
+        sizes = {
+            "g": len(goals), "m": m, "nu": nu, "nq": robot.nq, "nv": robot.nv, "n": robot.tree.size,
+            "k": max(m, nu, 1), "p": min(m, nu), "trace": trace_rows,
+            "levels": levels if several else 0, "dense": m if several else 0,  # priorities, soft goals
+            "free": min(m, nu) if several else 0,
+        }  # fmt: skip
+        return workspace.WORK.zeros(sizes) | {"nodes": self.nodes, "rest": robot.home.copy()}

@@ -6,13 +6,10 @@ Building one takes some hundred microseconds; the hot loop builds it once and th
     for pose in path:
         problem.retarget(pose)
         q = solver.solve(problem, q).q
-
-``CompiledProblem`` (``compiled_problem.py``) owns the arrays behind it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,7 +24,8 @@ from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUs
 from robot_ik.geometry import Pose
 from robot_ik.goals import Array, Goal, PostureGoal, Tolerance, numbers, rotation_matrix, vector
 from robot_ik.kernels import workspace
-from robot_ik.kernels.residuals import NO_POSITION, OF_FRAME, OF_MASS
+from robot_ik.kernels.residuals import OF_FRAME, OF_MASS
+from robot_ik.model import pose_row
 from robot_ik.robot import Robot
 
 if TYPE_CHECKING:
@@ -87,8 +85,7 @@ class Problem:
     Attributes:
         robot, tolerance, budget, seed: As given.
         trace: Whether to keep a row for every step.
-        given: The goals as they were last given; those that a pose or a matrix has moved since are in
-            ``target``, and ``goals`` puts the two together.
+        given: The goals as they were last given; ``target`` has what moved since, ``goals`` both together.
         compiled: The owner of all arrays that kernels see.
     """
 
@@ -116,24 +113,13 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
-        self.compiled = CompiledProblem(
-            robot, self.given, self.tolerance, workspace.TRACE_ROOM if trace else 0
-        )
-        compiled = self.compiled
+        rows = workspace.TRACE_ROOM if trace else 0
+        compiled = self.compiled = CompiledProblem(robot, self.given, self.tolerance, rows)
         self.made, self.token = compiled.made, compiled.token
         self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
         self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
         self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
         self._whole = [goal.rows.whole for goal in self.given]
-        self._reach: list[tuple[int, float, float, float, float]] = []
-        for g, goal in enumerate(self.given):
-            asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
-            asks = asks and not goal.soft
-            ball = robot.reach(goal.frame) if asks else None
-            if ball is not None:
-                slack = (goal.tolerance or self.tolerance).position
-                self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
-                self.arrays["reach"][g] = self._reach[-1][1:]
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -257,14 +243,8 @@ class Problem:
         if not isinstance(key, str):
             return self._require_index(key)
         tool = self.robot.tool
-        frames = [
-            goal.frame
-            if goal.rows.of == OF_MASS
-            else goal.frame or tool
-            if goal.rows.of == OF_FRAME
-            else None
-            for goal in self.given
-        ]
+        own: dict[int, str | None] = {OF_FRAME: tool, OF_MASS: None}
+        frames = [goal.frame or own.get(goal.rows.of) for goal in self.given]
         found = [g for g, frame in enumerate(frames) if frame == key]
         if len(found) != 1:
             raise InvalidGoalError(
@@ -288,8 +268,7 @@ class Problem:
             return
         row = self.target[index]
         if isinstance(target, Pose):
-            row[:3] = target.position
-            row[3:] = target.rotation.ravel()
+            row[:] = pose_row(target)
             return
         try:
             given = np.asarray(target, dtype=float)
@@ -301,10 +280,10 @@ class Problem:
             )
         if given.shape == (4, 4):
             row[:3], row[3:] = given[:3, 3], given[:3, :3].ravel()
-            return
-        if not self.given[index].has_position:
+        elif self.given[index].has_position:
+            row[:3] = given
+        else:
             raise InvalidGoalError(f"a {self.given[index].name} has no position to move")
-        row[:3] = given
 
     def _retarget_partial(self, target: Any, index: int) -> None:
         """As ``retarget`` for a goal that is no whole position, orientation or pose: it is replaced."""
@@ -318,13 +297,10 @@ class Problem:
             moved = mine.moved_to(target)
         else:
             given = numbers(target, "a target")
-            position, rotation = (
-                vector(given.ravel(), 16 if given.shape == (4, 4) else 3, "a target"),
-                mine.target.rotation,
-            )
-            if len(position) == 16:
-                position, rotation = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
-            moved = mine.moved_to(Pose.from_rotation(rotation, position))
+            matrix = given.shape == (4, 4)
+            position = vector(given.ravel(), 16 if matrix else 3, "a target")
+            rotation = rotation_matrix(given[:3, :3], "a target") if matrix else mine.target.rotation
+            moved = mine.moved_to(Pose.from_rotation(rotation, given[:3, 3] if matrix else position))
         self._put(moved, index)
 
     def _put(self, goal: Goal, index: int) -> None:
@@ -358,30 +334,13 @@ class Problem:
                 hint="another kind of goal, frame or weight needs a new Problem",
             )
 
-    def target_pose(self, index: int = 0) -> Pose:
-        """The wanted pose of one goal, world."""
-        row = self.target[index]
-        return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
-
-    def rows_out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
-        """(n,) the same as ``out_of_reach`` for other targets (n, 12) of the first goal."""
-        beyond = np.zeros(len(targets), dtype=bool)
-        for g, *centre, radius in self._reach:
-            if g == 0:
-                beyond |= np.linalg.norm(targets[:, :3] - centre, axis=1) > radius
-        return beyond
-
-    def out_of_reach(self) -> bool:
-        """Whether a whole position is proven unreachable: farther than all links laid end to end.
+    def out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
+        """(n,) whether targets (n, 12) of the first goal are farther than all links laid end to end.
 
         The compiled loops find that out by themselves, and of parts of a position as well.
         """
-        for g, x, y, z, radius in self._reach:
-            # As Python's own numbers, which are quicker one by one than NumPy's.
-            a, b, c = self.target[g, :3].tolist()
-            if math.hypot(a - x, b - y, c - z) > radius:
-                return True
-        return False
+        reach = self.arrays["reach"][0]
+        return np.asarray(np.linalg.norm(targets[:, :3] - reach[:3], axis=1) > reach[3])
 
 
 def goal_kind(goal: Goal) -> Hashable:

@@ -296,7 +296,7 @@ class Analytic(Solver):
             state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
         number, iterations = state[: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach():
+        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach(problem.target)[0]:
             status = Status.UNREACHABLE
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
@@ -323,7 +323,7 @@ class Analytic(Solver):
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
                 results.status[row] = ws.UNREACHABLE
-        results.status[(results.status != ws.CONVERGED) & problem.rows_out_of_reach(targets)] = ws.UNREACHABLE
+        results.status[(results.status != ws.CONVERGED) & problem.out_of_reach(targets)] = ws.UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
