@@ -194,6 +194,9 @@ class ServoRefusedError(HardwareError):
         super().__init__(f"{_servo(id, joint)} refused {register}: {reason} (error {code})")
 
 
+_NOT_THE_SERVOS = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+
+
 class ServoMismatchError(HardwareError):
     """The servos found on the bus are not the ones that the arm file, or another ``source``, names.
 
@@ -218,7 +221,7 @@ class ServoMismatchError(HardwareError):
         rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
         super().__init__(
             f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
-            hint=hint or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
+            hint=hint or _NOT_THE_SERVOS,
         )
 
 

@@ -253,6 +253,51 @@ def integrate(tree, nodes, q, dq):
             rotate_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
 
 
+@pure
+def rotation_back(q, a, rw, rx, ry, rz):
+    """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
+    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
+    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
+    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
+    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    return scale * x, scale * y, scale * z
+
+
+@pure
+def across(x, y, z):
+    """A unit vector across the unit vector (x, y, z)."""
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        n = 1.0 / math.sqrt(y * y + z * z)
+        return 0.0, n * z, -n * y
+    if abs(y) <= abs(z):
+        n = 1.0 / math.sqrt(x * x + z * z)
+        return n * z, 0.0, -n * x
+    n = 1.0 / math.sqrt(x * x + y * y)
+    return n * y, -n * x, 0.0
+
+
+@outlined
+def difference(tree, q, wanted, dq):
+    """dq = wanted ⊖ q (nv,), the inverse of ``integrate``; the conventions of ``mj_differentiatePos``."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
+    for k in range(kind.shape[0]):
+        a, v = qadr[k], vadr[k]
+        if kind[k] < BALL:
+            dq[v] = wanted[a] - q[a]
+            continue
+        if kind[k] == FREE:
+            for i in range(3):
+                dq[v + i] = wanted[a + i] - q[a + i]
+            a, v = a + 3, v + 3
+        dq[v], dq[v + 1], dq[v + 2] = rotation_back(
+            q, a, wanted[a], wanted[a + 1], wanted[a + 2], wanted[a + 3]
+        )
+
+
 @outlined
 def clip(tree, nodes, q):
     """Puts q of the listed nodes inside the limits, in place; returns how many joints were outside."""

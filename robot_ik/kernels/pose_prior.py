@@ -15,8 +15,8 @@ does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no l
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import slope_of
-from robot_ik.kernels.residuals import inverse_right_jacobian, rotation_back
+from robot_ik.kernels.kinematics import rotation_back, slope_of
+from robot_ik.kernels.residuals import inverse_right_jacobian
 from robot_ik.kernels.tree import FREE
 
 # Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.

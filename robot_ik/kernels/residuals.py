@@ -19,7 +19,15 @@ from numba import types
 
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, frame_pose, point_velocity, slope_of
+from robot_ik.kernels.kinematics import (
+    across,
+    difference,
+    dof_axis,
+    frame_pose,
+    point_velocity,
+    rotation_back,
+    slope_of,
+)
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
 
 # ------------------------------------------------------------------------------------------
@@ -100,33 +108,6 @@ def rate_of_rotation_vector(x, y, z, k, a, b, c):
 def inverse_right_jacobian(x, y, z, a, b, c):
     """``rate_of_rotation_vector`` for a single ω."""
     return rate_of_rotation_vector(x, y, z, curvature(x, y, z), a, b, c)
-
-
-@pure
-def rotation_back(q, a, rw, rx, ry, rz):
-    """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
-    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
-    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
-    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
-    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
-    return scale * x, scale * y, scale * z
-
-
-@pure
-def across(x, y, z):
-    """A unit vector at right angles to the unit vector: its cross product with the farthest world axis."""
-    if abs(x) <= abs(y) and abs(x) <= abs(z):
-        ux, uy, uz = 0.0, z, -y
-    elif abs(y) <= abs(z):
-        ux, uy, uz = -z, 0.0, x
-    else:
-        ux, uy, uz = y, -x, 0.0
-    inverse = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-    return inverse * ux, inverse * uy, inverse * uz
 
 
 @pure
@@ -255,33 +236,26 @@ def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
 @outlined
 def joint_rows(tree, goal, work, g):
     """Rows of a posture: the distance of each joint to where it is wanted; returns (|r|², within)."""
-    kind, qadr, vadr, dof_node = tree.kind, tree.qadr, tree.vadr, tree.dof_node
-    q, wanted, residual, miss = work.q, goal.posture, work.residual, work.miss
+    kind, residual, miss, off = tree.kind, work.residual, work.miss, work.dq
     metres, radians, cost = 0.0, 0.0, 0.0
-    x, y, z = 0.0, 0.0, 0.0
+    difference(tree, work.q, goal.posture[g], off)
     for u in range(goal.dofs.shape[0]):
         v = goal.dofs[u]
-        k = dof_node[v]
-        a, i = qadr[k], v - vadr[k]
-        if kind[k] < BALL:
-            off = wanted[g, a] - q[a]
-        elif kind[k] == FREE and i < 3:
-            off = wanted[g, a + i] - q[a + i]
-        else:
-            b = a + 3 if kind[k] == FREE else a
-            x, y, z = rotation_back(q, b, wanted[g, b], wanted[g, b + 1], wanted[g, b + 2], wanted[g, b + 3])
-            off = x if i % 3 == 0 else (y if i % 3 == 1 else z)
-        joint_weights = goal.joint_weight[g, v]
+        k = tree.dof_node[v]
+        i, counts = v - tree.vadr[k], goal.joint_weight[g, v]
         shift = kind[k] == SLIDE or (kind[k] == FREE and i < 3)
-        w = joint_weights * (goal.weight[g, 0] if shift else goal.weight[g, 1])
-        residual[goal.row[g] + u] = w * off
-        cost += w * w * off * off
-        if joint_weights > 0.0:
-            size = math.sqrt(x * x + y * y + z * z) if kind[k] >= BALL and not shift else abs(off)
-            if shift:
-                metres = max(metres, size)
-            else:
-                radians = max(radians, size)
+        w = counts * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+        residual[goal.row[g] + u] = w * off[v]
+        cost += w * w * off[v] * off[v]
+        if counts > 0.0 and shift:
+            metres = max(metres, abs(off[v]))
+        elif counts > 0.0 and kind[k] < BALL:
+            radians = max(radians, abs(off[v]))
+        elif counts > 0.0:
+            a = v - i % 3
+            radians = max(
+                radians, math.sqrt(off[a] * off[a] + off[a + 1] * off[a + 1] + off[a + 2] * off[a + 2])
+            )
     miss[g, 0], miss[g, 1] = metres, radians
     return cost, metres <= goal.tolerance[g, 0] and radians <= goal.tolerance[g, 1]
 

@@ -21,7 +21,15 @@ from numba import types
 
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, integrate, point_velocity, width_of
+from robot_ik.kernels.kinematics import (
+    difference,
+    dof_axis,
+    forward,
+    frame_pose,
+    integrate,
+    point_velocity,
+    width_of,
+)
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
@@ -255,29 +263,14 @@ def frame_rows(tree, body, what, target, t, g):
 @outlined
 def measure_displacement(tree, body, q):
     """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
-    previous, displacement = body.previous, body.displacement
+    previous = body.previous
+    difference(tree, previous, q, body.displacement)
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]
         if tree.kind[k] == FREE:
-            for i in range(3):
-                displacement[v + i] = q[a + i] - previous[a + i]
-            w, x, y, z = previous[a + 3], -previous[a + 4], -previous[a + 5], -previous[a + 6]
-            bw, bx, by, bz = q[a + 3], q[a + 4], q[a + 5], q[a + 6]
-            cw, cx = w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by
-            cy, cz = w * by - x * bz + y * bw + z * bx, w * bz + x * by - y * bx + z * bw
-            if cw < 0.0:
-                cw, cx, cy, cz = -cw, -cx, -cy, -cz
-            n = math.sqrt(cx * cx + cy * cy + cz * cz)
-            factor = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, cw) / n
-            displacement[v + 3], displacement[v + 4], displacement[v + 5] = (
-                factor * cx,
-                factor * cy,
-                factor * cz,
-            )
             for i in range(6):
                 body.low[v + i], body.high[v + i] = -math.inf, math.inf
         else:
-            displacement[v] = q[a] - previous[a]
             body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
             body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
 

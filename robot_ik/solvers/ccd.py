@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.kernels.bones import move_with_node, store_pose
+from robot_ik.kernels.bones import best_angle, move_with_node, store_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
@@ -92,23 +92,6 @@ def rotation_terms(world, k, x, y, z, goal, frames, u):
 
 
 @pure
-def best_angle(a, b, low, high):
-    """The φ in [low, high] that maximises A cos φ + B sin φ; 0 where nothing depends on it."""
-    if a * a + b * b < 1e-24:
-        return 0.0
-    angle = math.atan2(b, a)
-    if low <= angle <= high:
-        return angle
-    # The optimum may also be met 2π away; else the better end of the range is it.
-    for candidate in (angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= candidate <= high:
-            return candidate
-    at_low = a * math.cos(low) + b * math.sin(low)
-    at_high = a * math.cos(high) + b * math.sin(high)
-    return low if at_low > at_high else high
-
-
-@pure
 def best_shift(x, y, z, goal, frames, u, low, high):
     """The shift along (x, y, z) in [low, high] that minimises the weighted distances."""
     wanted, total = 0.0, 0.0
@@ -170,7 +153,7 @@ def move_joint(tree, goal, work, u, one, old):
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
-    store_pose(work.world, k, old, 0)
+    store_pose(work.world, k, old)
     if tree.kind[k] < BALL:
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
@@ -186,7 +169,7 @@ def move_joint(tree, goal, work, u, one, old):
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 1:
-            move_with_node(work.world, k, old, 0, work.frames, g)
+            move_with_node(work.world, k, old, work.frames, g)
 
 
 @outlined

@@ -17,9 +17,10 @@ from typing import ClassVar
 
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import difference
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
-from robot_ik.kernels.tree import BALL, FREE, open_tree
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 # ------------------------------------------------------------------------------------------
@@ -295,21 +296,9 @@ def direction(tree, goal, work):
 @outlined
 def displacement(tree, goal, work):
     """work.moved (nu,): the displacement from work.accepted to work.q in units of the step."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    before, q, dofs, joint_scale, moved = work.accepted, work.q, goal.dofs, goal.joint_scale, work.moved
-    for u in range(dofs.shape[0]):
-        k = tree.dof_node[dofs[u]]
-        a, i = qadr[k], dofs[u] - vadr[k]
-        if kind[k] < BALL or (kind[k] == FREE and i < 3):
-            moved[u] = (q[a + i] - before[a + i]) / joint_scale[u]
-        elif i % 3 == 0:
-            a = a + 3 if kind[k] == FREE else a
-            x, y, z = rotation_back(before, a, q[a], q[a + 1], q[a + 2], q[a + 3])
-            moved[u], moved[u + 1], moved[u + 2] = (
-                x / joint_scale[u],
-                y / joint_scale[u + 1],
-                z / joint_scale[u + 2],
-            )
+    difference(tree, work.accepted, work.q, work.dq)
+    for u in range(work.moved.shape[0]):
+        work.moved[u] = work.dq[goal.dofs[u]] / goal.joint_scale[u]
 
 
 @outlined

@@ -27,9 +27,9 @@ from robot_ik.kernels.jacobian_step import (
     volume,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import follow, integrate
+from robot_ik.kernels.kinematics import difference, follow, integrate
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
 from robot_ik.solvers.base import option, options_of
@@ -53,26 +53,8 @@ _UNLIMITED = 1e9
 
 
 @outlined
-def towards(tree, dofs, q, rest, dq, aim):
-    """aim = rest ⊖ q, the difference to ``rest`` (nq,) in the tangent of q; ``dq`` (nv,) is work space."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    for k in range(kind.shape[0]):
-        a, v = qadr[k], vadr[k]
-        if kind[k] < BALL:
-            dq[v] = rest[a] - q[a]
-            continue
-        if kind[k] == FREE:
-            for i in range(3):
-                dq[v + i] = rest[a + i] - q[a + i]
-            a, v = a + 3, v + 3
-        dq[v], dq[v + 1], dq[v + 2] = rotation_back(q, a, rest[a], rest[a + 1], rest[a + 2], rest[a + 3])
-    for u in range(dofs.shape[0]):
-        aim[u] = dq[dofs[u]]
-
-
-@outlined
-def off_limits(tree, dofs, q, dq, aim):
-    """aim = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
+def off_limits(tree, q, dq):
+    """dq = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
 
     Liégeois's −½ Σ ((q − middle) / half)² rises that way, each joint measured by its own range.  A ball's
     middle is no rotation at all, and half its range the angle of its cone.
@@ -96,8 +78,6 @@ def off_limits(tree, dofs, q, dq, aim):
             scale = 1.0 if norm < 1e-9 else math.atan2(norm, abs(q[a])) / norm
             for i in range(3):
                 dq[v + i] = sign * scale * q[a + 1 + i] / upper[v]
-    for u in range(dofs.shape[0]):
-        aim[u] = dq[dofs[u]]
 
 
 @outlined
@@ -141,13 +121,13 @@ def set_aim(tree, goal, work, code, gain):
     aim, q = work.aim, work.q
     joint_scale = goal.joint_scale
     if code == REST:
-        towards(tree, goal.dofs, q, work.rest, work.dq, aim)
+        difference(tree, q, work.rest, work.dq)
         for u in range(aim.shape[0]):
-            aim[u] /= joint_scale[u]
+            aim[u] = work.dq[goal.dofs[u]] / joint_scale[u]
     elif code == LIMITS:
-        off_limits(tree, goal.dofs, q, work.dq, aim)
+        off_limits(tree, q, work.dq)
         for u in range(aim.shape[0]):
-            aim[u] *= joint_scale[u]
+            aim[u] = work.dq[goal.dofs[u]] * joint_scale[u]
     elif code == MANIPULABILITY:
         dexterous(tree, goal, work)
     else:
