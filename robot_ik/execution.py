@@ -30,10 +30,6 @@ if TYPE_CHECKING:
     from robot_ik.solvers.base import Solver
 
 
-# ------------------------------------------------------------------------------------------
-# What the run-time loops report: one tick while they run, one report when they end.
-
-
 @dataclass(frozen=True)
 class Tick:
     """One tick of `execute`, for a progress display.
@@ -186,10 +182,6 @@ class FollowReport:
     def solved(self) -> int:
         """Ticks whose solution met the tolerance."""
         return self.statuses.get("CONVERGED", 0)
-
-
-# ------------------------------------------------------------------------------------------
-# When a tick is due, and on whose clock.
 
 
 class Schedule:

@@ -107,18 +107,8 @@ def warm_up(
     """Loads, or on a new machine compiles, all that solving such goals may need.
 
     For loops that must not stall: after it, not even the first goal out of reach does.  The first solve of a
-    kind does the same.
-
-    Args:
-        robot: From ``load_robot``.
-        goal: One goal or several at once, as the loop will ask for them; only their kinds and frames matter.
-            Default: a pose of the tool.
-        solver: As in ``solve``.
-        tolerance: As in ``solve``.
-        **options: As in ``solve``.
-
-    Raises:
-        As ``solve``.
+    kind does the same.  Arguments and errors as of ``solve``; of ``goal`` (default: a pose of the tool) only
+    kinds and frames matter.
     """
     goals = PoseGoal(None, ORIGIN) if goal is None else goal
     with borrowed_problem(robot, goals, solver, options, tolerance, None, 0) as (method, problem):

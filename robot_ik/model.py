@@ -87,17 +87,19 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
         urdf = _urdf_of(_text_of(source), source.parent)
     elif isinstance(source, str):
         urdf = _urdf_of(source)
-    try:
-        with _warnings_noted(path):
-            if isinstance(source, mujoco.MjSpec):
-                spec = source.copy()
-            elif urdf is not None or isinstance(source, str):
-                spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
-            else:
-                spec = mujoco.MjSpec.from_file(str(source))
-    except (ValueError, RuntimeError) as error:
-        raise _unreadable(path, error) from error
-    return compile_model(spec, path), {} if urdf is None else urdf.velocity
+    with _as_model_error(path):
+        if isinstance(source, mujoco.MjSpec):
+            spec = source.copy()
+        elif isinstance(source, Path) and urdf is None:
+            spec = mujoco.MjSpec.from_file(str(source))
+        else:
+            spec = mujoco.MjSpec.from_string(str(source) if urdf is None else urdf.text())
+        _name_joints(spec)
+        model = _compiled(spec)
+    _refuse_numbers(model, path)
+    _refuse_ranges(model, path)
+    _hint_at_radians(model, spec, path)
+    return model, {} if urdf is None else urdf.velocity
 
 
 def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
@@ -116,24 +118,6 @@ def _text_of(path: Path) -> str:
         raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
 
 
-def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """The compiled model of ``spec``, which gets names for its unnamed joints.
-
-    Raises:
-        ModelError: As ``read_model``.
-    """
-    _name_joints(spec)
-    try:
-        with _warnings_noted(path):
-            model = _compiled(spec)
-    except (ValueError, RuntimeError) as error:
-        raise _unreadable(path, error) from error
-    _refuse_numbers(model, path)
-    _refuse_ranges(model, path)
-    _hint_at_radians(model, spec, path)
-    return model
-
-
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
@@ -147,23 +131,22 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 @contextmanager
-def _warnings_noted(path: Path) -> Iterator[None]:
-    """Logs what MuJoCo warns of, such as masses that do not suffice for dynamics: no goal asks for them."""
-    with _NOTING, warnings.catch_warnings(record=True) as noted:
-        warnings.simplefilter("always")
-        yield
+def _as_model_error(path: Path) -> Iterator[None]:
+    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of: no goal asks for dynamics."""
+    try:
+        with _NOTING, warnings.catch_warnings(record=True) as noted:
+            warnings.simplefilter("always")
+            yield
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{path} is not a model that MuJoCo can read: {reason}",
+            path=path,
+            reason=reason,
+            hint="MJCF and URDF files are read; meshes must lie where the file says",
+        ) from error
     for warning in noted:
         _log.info("%s: %s", path, warning.message)
-
-
-def _unreadable(path: Path, error: Exception) -> ModelError:
-    reason = " ".join(str(error).split())
-    return ModelError(
-        f"{path} is not a model that MuJoCo can read: {reason}",
-        path=path,
-        reason=reason,
-        hint="MJCF and URDF files are read; meshes must lie where the file says",
-    )
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
@@ -246,17 +229,15 @@ def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame
     Raises:
         UnknownFrameError: A tool names a site or body that the model does not have.
     """
-    sites: dict[str, ModelFrame] = {}
-    for s in range(model.nsite):
-        name = model.site(s).name
-        if name:
-            local = Pose(model.site_pos[s], model.site_quat[s])
-            sites[name] = ModelFrame(name, int(model.site_bodyid[s]), local)
-    bodies = {
-        model.body(b).name: ModelFrame(model.body(b).name, b, Pose())
-        for b in range(1, model.nbody)
-        if model.body(b).name
+    sites = {
+        model.site(s).name: ModelFrame(
+            model.site(s).name, int(model.site_bodyid[s]), Pose(model.site_pos[s], model.site_quat[s])
+        )
+        for s in range(model.nsite)
     }
+    bodies = {model.body(b).name: ModelFrame(model.body(b).name, b, Pose()) for b in range(1, model.nbody)}
+    for unnamed in (sites, bodies):
+        unnamed.pop("", None)
     found: dict[str, ModelFrame] = {}
     for tool, target in file.tools.items():
         where = sites if target.site else bodies
@@ -264,9 +245,7 @@ def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame
         if wanted not in where:
             raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
         found[tool] = dataclasses.replace(where[wanted], name=tool)
-    for name, frame in {**sites, **bodies}.items():
-        found.setdefault(name, frame)
-    return found
+    return found | {name: frame for name, frame in (sites | bodies).items() if name not in found}
 
 
 def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
@@ -304,14 +283,13 @@ def active_joints(names: list[str], joints: Sequence[str] | str | None, file: Ro
 
 def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[Array, Array]:
     """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind."""
-    speed, acceleration = np.empty(tree.nv), np.empty(tree.nv)
-    for k, joint in enumerate(joints):
-        kind, v = int(tree.kind[k]), int(tree.vadr[k])
-        width = V_WIDTH[kind]
-        fastest = file.velocity.get(joint, _DEFAULT_SPEED[kind])
-        speed[v : v + width] = fastest
-        acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
-    return speed, acceleration
+    kinds = zip(joints, tree.kind.tolist(), strict=True)
+    speed = [file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds]
+    acceleration = [
+        file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
+        for joint, fastest in zip(joints, speed, strict=True)
+    ]
+    return np.array(speed)[tree.dof_node], np.array(acceleration)[tree.dof_node]
 
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
@@ -325,20 +303,12 @@ def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
     for name in file.stiffness:
         if name not in names:
             raise UnknownJointError(name, names)
-    stiffness = np.ones(tree.nv)
-    for k, joint in enumerate(tree.joint_ids):
-        v = int(tree.vadr[k])
-        stiffness[v : v + V_WIDTH[int(tree.kind[k])]] = file.stiffness.get(names[joint], 1.0)
-    return stiffness
+    each = [file.stiffness.get(names[joint], 1.0) for joint in tree.joint_ids]
+    return np.array(each)[tree.dof_node]
 
 
-# ------------------------------------------------------------------------------------------
-# The one place where an ``MjModel`` becomes a ``Tree``.
-#
-# Every active joint becomes a node; bodies without active joints, frozen joints, anchors, axes and
-# reference angles vanish into the constants between the nodes.
-
-
+# The one place where an ``MjModel`` becomes a ``Tree``: every active joint becomes a node; bodies without
+# active joints, frozen joints, anchors, axes and reference angles vanish into the constants between them.
 _KIND_OF = {
     int(mujoco.mjtJoint.mjJNT_HINGE): HINGE,
     int(mujoco.mjtJoint.mjJNT_SLIDE): SLIDE,
@@ -408,20 +378,16 @@ class _Builder:
             q = self.qpos[start : start + Q_WIDTH[kind]]
             motion = _joint_motion(kind, axis, anchor, q, reference)
             return Attachment(-1, motion) if kind == FREE else Attachment(at.node, at.local.compose(motion))
-        after = Pose()
-        constant = at.local
-        if kind == HINGE:
+        constant, after, align = at.local, Pose(), Pose()
+        if kind in (HINGE, SLIDE):
             align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
-            back = Pose((0, 0, 0), rotation_exp([0.0, 0.0, -reference]))
-            constant = constant.compose(Pose(anchor)).compose(align).compose(back)
-            after = align.inverse().compose(Pose(-anchor))
-        elif kind == SLIDE:
-            align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
-            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
             after = align.inverse()
-        elif kind == BALL:
-            constant = constant.compose(Pose(anchor))
-            after = Pose(-anchor)
+        if kind in (HINGE, BALL):
+            constant, after = constant.compose(Pose(anchor)), after.compose(Pose(-anchor))
+        if kind == HINGE:
+            constant = constant.compose(align).compose(Pose(wxyz=rotation_exp([0.0, 0.0, -reference])))
+        elif kind == SLIDE:
+            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
         node = len(self.kind)
         self.joint_ids.append(joint)
         self.kind.append(kind)
@@ -439,18 +405,16 @@ def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Arr
     lower, upper = np.full(builder.nv, -np.inf), np.full(builder.nv, np.inf)
     low, high = np.full(builder.nv, -np.pi), np.full(builder.nv, np.pi)
     for joint, kind, v in zip(builder.joint_ids, builder.kind, builder.vadr, strict=True):
-        limited = bool(model.jnt_limited[joint])
-        if kind in (HINGE, SLIDE):
-            if kind == SLIDE:
-                low[v], high[v] = -1.0, 1.0  # an unlimited slide: one metre either way
-            if limited:
-                lower[v], upper[v] = model.jnt_range[joint]
-                low[v], high[v] = model.jnt_range[joint]
-        elif kind == BALL and limited:
+        if kind in (SLIDE, FREE):  # without limits: one metre either way
+            shift = slice(v, v + (3 if kind == FREE else 1))
+            low[shift], high[shift] = -1.0, 1.0
+        if kind == FREE or not model.jnt_limited[joint]:
+            continue
+        if kind == BALL:
             lower[v : v + 3], upper[v : v + 3] = 0.0, model.jnt_range[joint, 1]
             high[v : v + 3] = model.jnt_range[joint, 1]
-        elif kind == FREE:
-            low[v : v + 3], high[v : v + 3] = -1.0, 1.0
+        else:
+            lower[v], upper[v] = low[v], high[v] = model.jnt_range[joint]
     return lower, upper, low, high
 
 

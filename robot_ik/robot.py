@@ -1,4 +1,9 @@
-"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out."""
+"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out: an immutable description of what moves.
+
+``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
+shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
+frame's origin.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
+from robot_ik.kernels.tree import Tree
 from robot_ik.model import (
     LEAST_MASS,
     Attachment,
@@ -45,18 +50,8 @@ from robot_ik.robot_file import RobotFile, find_robot
 if TYPE_CHECKING:
     from robot_ik.couplings import Coupling
 
-# ------------------------------------------------------------------------------------------
-# ``Robot``: an immutable description of what moves, read from MJCF, URDF or the catalogue.
-#
-# ``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
-# shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
-# frame's origin.
-
-
 Array = NDArray[np.float64]
-
-
-_ARRAYS = ("lower", "upper", "velocity", "acceleration", "stiffness", "home", "frozen_qpos")
+_ARRAYS = ("velocity", "acceleration", "stiffness", "home", "frozen_qpos")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +63,6 @@ class Robot:
         path: The model file.
         model: MuJoCo's model; treat as read-only.
         joints: Names of the active joints, in declared order.
-        lower, upper: (nv,) limits, rad or m; ±inf where unlimited; a ball joint has its cone angle.
         velocity, acceleration: (nv,) limits of motion, rad/s and rad/s² (m for slides).
         stiffness: (nv,) what moving a joint costs beside the others.
         home: (nq,) where the robot rests.
@@ -83,8 +77,6 @@ class Robot:
     model: mujoco.MjModel
     tree: Tree
     joints: tuple[str, ...]
-    lower: Array
-    upper: Array
     velocity: Array
     acceleration: Array
     stiffness: Array
@@ -120,6 +112,16 @@ class Robot:
     def memory(self) -> dict[str, Any]:
         """What others worked out for this robot and keep with it; copies begin without."""
         return {}
+
+    @property
+    def lower(self) -> Array:
+        """(nv,) lower limits, rad or m; -inf where unlimited."""
+        return self.tree.lower
+
+    @property
+    def upper(self) -> Array:
+        """(nv,) upper limits, rad or m; inf where unlimited; a ball joint has its cone angle."""
+        return self.tree.upper
 
     @property
     def nq(self) -> int:
@@ -195,22 +197,14 @@ class Robot:
         Raises:
             UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
         """
-        node, local = self.attachment(frame)
-        nodes, world, scratch = self._work(node)
         out = np.empty((1, 12))
-        kinematics.tree_frame(
-            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out
-        )
+        kinematics.tree_frame(*self._work(q, frame), out)
         return row_pose(out[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
-        node, local = self.attachment(frame)
-        nodes, world, scratch = self._work(node)
-        out, jacobian = np.empty((1, 12)), np.empty((6, self.nv))
-        kinematics.tree_jacobian(
-            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out, jacobian
-        )
+        jacobian = np.empty((6, self.nv))
+        kinematics.tree_jacobian(*self._work(q, frame), np.empty((1, 12)), jacobian)
         return jacobian
 
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
@@ -245,11 +239,7 @@ class Robot:
         """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
         whole = np.zeros(self.model.nv)
         mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
-        dofs: list[int] = []
-        for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
-            first = int(self.model.jnt_dofadr[joint])
-            dofs += range(first, first + V_WIDTH[int(kind)])
-        return np.asarray(whole[dofs])
+        return np.asarray(whole[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
         """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
@@ -303,12 +293,8 @@ class Robot:
         gone = np.abs(self.clip(q) - q)
         if not gone.max(initial=0.0) > slack:
             return []
-        tree, names = self.tree, []
-        for k, joint in enumerate(self.joints):
-            width = Q_WIDTH[int(tree.kind[k])]
-            if gone[tree.qadr[k] : tree.qadr[k] + width].max() > slack:
-                names.append(joint)
-        return names
+        widest = np.maximum.reduceat(gone, self.tree.qadr)
+        return [joint for joint, off in zip(self.joints, widest, strict=True) if off > slack]
 
     def sample(self, rng: np.random.Generator) -> Array:
         """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
@@ -327,23 +313,20 @@ class Robot:
         if np.isnan(low).any() or np.isnan(high).any():
             raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
         low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
-        for v in range(self.nv):
-            if low[v] > high[v]:
-                joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
-                other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
-                one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
-                raise ModelError(
-                    f"no range is left for joint {joint!r}: the model allows {one} … {two}, "
-                    f"the other side {three} … {four}",
-                    hint="check sign, zero and range of the joint in the arm file",
-                )
+        for v in np.flatnonzero(low > high):
+            other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
+            one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
+            raise ModelError(
+                f"no range is left for joint {self.joints[self.tree.dof_node[v]]!r}: "
+                f"the model allows {one} … {two}, the other side {three} … {four}",
+                hint="check sign, zero and range of the joint in the arm file",
+            )
         tree = self.tree.with_limits(low, high)
         if len(tree.coupled):
             from robot_ik.couplings import narrowed  # which few arms have
 
             tree = narrowed(tree)
-        robot = dataclasses.replace(self, tree=tree, lower=tree.lower.copy(), upper=tree.upper.copy())
-        return dataclasses.replace(robot, home=robot.follow(robot.clip(self.home)))
+        return dataclasses.replace(self, tree=tree)._with_home_inside()
 
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
@@ -354,9 +337,15 @@ class Robot:
         node, local = self.attachment(frame)
         return self.tree.reach(node, local)
 
-    def _work(self, node: int) -> tuple[NDArray[np.int64], Array, Array]:
+    def _with_home_inside(self) -> Robot:
+        return dataclasses.replace(self, home=self.follow(self.clip(self.home)))
+
+    def _work(self, q: ArrayLike, frame: str | None) -> tuple[Any, ...]:
+        """What the kernels take for a frame at ``q``, work space last."""
+        node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
-        return nodes, np.empty((self.tree.size, 12)), np.empty((2, 12))
+        world, scratch = np.empty((self.tree.size, 12)), np.empty((2, 12))
+        return self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
@@ -410,9 +399,8 @@ def make_robot(
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = joint_names(model)
-    active = active_joints(names, joints, file)
     rest = home_qpos(model, path, file)
-    tree, bodies = build_tree(model, active, rest)
+    tree, bodies = build_tree(model, active_joints(names, joints, file), rest)
     couplings: list[Coupling] = []
     if model.neq or file.couplings:
         from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
@@ -425,18 +413,18 @@ def make_robot(
     default_tool = tool or file.tool or guess_tool(model, frames)
     if default_tool not in frames:
         raise UnknownFrameError(default_tool, frames)
+    active = tuple(names[j] for j in tree.joint_ids)
+    speed, acceleration = motion_limits(tree, active, file)
     robot = Robot(
         name=file.name,
         path=path,
         model=model,
         tree=tree,
-        joints=tuple(names[j] for j in tree.joint_ids),
-        lower=tree.lower.copy(),
-        upper=tree.upper.copy(),
-        velocity=np.empty(0),
-        acceleration=np.empty(0),
+        joints=active,
+        velocity=speed,
+        acceleration=acceleration,
         stiffness=joint_stiffness(tree, names, file),
-        home=np.empty(0),
+        home=rest[qpos_addresses(model, tree)],
         tool=default_tool,
         frozen_qpos=rest,
         file=file,
@@ -444,6 +432,4 @@ def make_robot(
         _frames=frames,
         _bodies=bodies,
     )
-    speed, acceleration = motion_limits(robot.tree, robot.joints, file)
-    home = robot.follow(robot.clip(rest[robot._addresses]))
-    return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
+    return robot._with_home_inside()

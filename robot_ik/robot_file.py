@@ -111,17 +111,17 @@ class FigureParts(Table):
     bend: str | None = None
 
 
-class _MotionTable(Table):
-    velocity_deg: Several[float] | None = None
-    acceleration_deg: Several[float] | None = None
-
-
 class Coupled(Table):
     """A joint that follows another: joint = ratio · leader + offset, rad or m."""
 
     follows: str
     ratio: float
     offset: float = 0.0
+
+
+class _Motion(Table):
+    velocity_deg: Several[float] | None = None
+    acceleration_deg: Several[float] | None = None
 
 
 class _Provenance(Table):
@@ -148,7 +148,7 @@ class _RobotTable(_Keys):
     version: Annotated[Literal[1], Field(alias="schema")]
     title: str
     model: str
-    motion: _MotionTable = _MotionTable()
+    motion: _Motion = _Motion()
     speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
     provenance: _Provenance = _Provenance()
 
@@ -235,14 +235,12 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     given: object = name
     if not isinstance(given, str | os.PathLike):
         raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
-    if str(name) in known:
-        return read_robot_file(known[str(name)] / "robot.toml")
     if str(name).startswith(DESCRIPTIONS):
-        found = described_model(str(name).removeprefix(DESCRIPTIONS))
-        return found, RobotFile(name=str(name).removeprefix(DESCRIPTIONS))
-    path = Path(name).expanduser()
+        described = str(name).removeprefix(DESCRIPTIONS)
+        return described_model(described), RobotFile(name=described)
+    path = known.get(str(name)) or Path(name).expanduser()
     if path.is_dir() and (path / "robot.toml").is_file():
-        return read_robot_file(path / "robot.toml")
+        path /= "robot.toml"
     if not path.is_file():
         _refuse_missing(path)
         raise UnknownRobotError(str(name), known, hint=_WHAT_A_ROBOT_IS)

@@ -212,9 +212,7 @@ def third_side_angle(a, c, b):
     return 2.0 * math.atan2(math.sqrt(max(0.0, over)), math.sqrt(max(0.0, under)))
 
 
-# ------------------------------------------------------------------------------------------
 # The rotation that brings vectors nearest to their targets, from their 3 x 3 correlation.
-#
 # With M = Σ w d pᵀ over vectors p with targets along d, a rotation by φ about a unit axis u gains
 # A cos φ + B sin φ, where A = tr M − uᵀ M u and B = u · Σ w p × d (Wang & Chen, IEEE T-RA 7(4), 1991).
 
@@ -278,12 +276,9 @@ def rotation_axis(sums):
     return x + (1.0 if i == 0 else 0.0), y + (1.0 if i == 1 else 0.0), z + (1.0 if i == 2 else 0.0)
 
 
-# ------------------------------------------------------------------------------------------
 # One joint's best rotation: how joints follow the targets that a geometric method gives to points.
-#
 # ``settle`` rotates the joints, root to tip, each about its real axis and inside its limits, to the exact
 # optimum of its own: q is feasible at all times.
-
 
 # A point nearer to the axis than this, metres, is not moved by a rotation about it.
 _NO_LEVER = 1e-6

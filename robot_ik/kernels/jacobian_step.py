@@ -210,10 +210,6 @@ def filtered_step(work, cutoff, damping):
     work.value[ws.DAMPING] = damping
 
 
-# ------------------------------------------------------------------------------------------
-# Singular values, where a method reads them.
-
-
 # Singular vectors: sweeps at most (six or seven are enough), and what counts as rounding.
 _SWEEPS = 40
 _ROUNDING = 1e-15

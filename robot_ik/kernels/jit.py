@@ -1,8 +1,7 @@
 """``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
 
-numba's own cache serves a compiled caller again although a callee or a constant in *another* file
-has changed.  Here a module's cache folder is named after a hash of its source and of every source that it
-imports, so an edit starts a fresh one for what it concerns, and for nothing else.
+A module's cache folder is named after a hash of its source and of every source that it imports: numba's own
+cache serves a compiled caller again although a callee in *another* file has changed.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,22 +43,15 @@ if numba_config.DISABLE_JIT:
 logger = logging.getLogger("robot_ik.kernels")
 
 
-def _load_arrays_without_blas() -> None:
-    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
-
-    numba imports it only to see that it is there, and once more when code that calls it is compiled.
-    """
-    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
-        return
-    linalg: Any = importlib.import_module("numba.np.linalg")
-    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+# Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start: numba imports it
+# only to see that it is there, and once more when code that calls it is compiled.
+if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy") is not None:
+    _linalg: Any = importlib.import_module("numba.np.linalg")
+    _ensure_blas, _linalg.ensure_blas = _linalg.ensure_blas, lambda: None
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
-        linalg.ensure_blas = ensure_blas
-
-
-_load_arrays_without_blas()
+        _linalg.ensure_blas = _ensure_blas
 
 
 class _TunedCompiler(event.Listener):
@@ -163,7 +155,6 @@ def cache_folder(module: str = __name__) -> Path:
     return Path(tempfile.mkdtemp(prefix="robot-ik-"))
 
 
-# ------------------------------------------------------------------------------------------
 # Inner functions are kept as unoptimised LLVM code; an entry point links in all that it calls, optimises
 # it and makes machine code of it, once.  numba by itself does so for every function together with all that
 # lies below it: a function six calls deep would be optimised six times, which doubled a first compile.
@@ -212,15 +203,6 @@ class _InnerCompiler(Compiler):
         return super().compile_extra(function)
 
 
-class _InnerCacheImpl(CompileResultCacheImpl):
-    def rebuild(self, target_context: Any, payload: Any) -> Any:
-        return CompileResult._rebuild(_InnerContext(target_context), *payload)
-
-
-class _InnerCache(FunctionCache):
-    _impl_class = _InnerCacheImpl
-
-
 class _InnerContext:
     """A target context that makes inner libraries of what the cache holds."""
 
@@ -237,34 +219,42 @@ class _InnerContext:
         return _InnerLibrary.load(self._context.codegen(), *state)
 
 
-def _compile(function: F, **options: Any) -> F:
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
+class _InnerCacheImpl(CompileResultCacheImpl):
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        return CompileResult._rebuild(_InnerContext(target_context), *payload)
+
+
+class _InnerCache(FunctionCache):
+    _impl_class = _InnerCacheImpl
+
+
+@contextlib.contextmanager
+def _cache_of(function: Any) -> Iterator[None]:
+    """What is compiled inside is cached in the folder of the function's module."""
+    previous, numba_config.CACHE_DIR = numba_config.CACHE_DIR, str(cache_folder(function.__module__))
     try:
-        compiled = numba.njit(**(_OPTIONS | options))(function)
+        yield
     finally:
         numba_config.CACHE_DIR = previous
-    return compiled
 
 
 def _compile_inner(function: F, **options: Any) -> F:
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
-    try:
-        options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True}
-        compiled: Any = numba.njit(**(_OPTIONS | {"_nrt": False} | options))(function)
+    options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True, "_nrt": False}
+    with _cache_of(function):
+        compiled: Any = numba.njit(**(_OPTIONS | options))(function)
         compiled._cache = _InnerCache(function)
-    finally:
-        numba_config.CACHE_DIR = previous
-    return compiled
+    inner: F = compiled
+    return inner
 
 
 def kernel(function: F) -> F:
     """An entry point: compiled on its first call, cached between processes, the GIL released while it runs.
 
-    Entry points may take structrefs and allocate; what loops calls ``pure`` functions.
+    Entry points may allocate; what loops calls ``pure`` functions.
     """
-    return _compile(function)
+    with _cache_of(function):
+        compiled: F = numba.njit(**_OPTIONS)(function)
+    return compiled
 
 
 def pure(function: F) -> F:
@@ -325,16 +315,13 @@ def announce(function: Any, what: str) -> None:
         logger.info("compiling %s: up to a minute, once on this machine", what)
 
 
-# ------------------------------------------------------------------------------------------
-# ``noinline()``: keeps LLVM from copying a large function into all its callers.
-#
-# A limb's closed form calls one function from many places, several levels deep: copied, it compiles for a
-# minute in place of seconds, and runs no faster.
-
-
 @intrinsic
 def noinline(_typing: Any) -> Any:
-    """Marks the compiled function that calls it; does nothing when it runs."""
+    """Keeps LLVM from copying the compiled function that calls it into all its callers.
+
+    A limb's closed form calls one function from many places, several levels deep: copied, it compiles for a
+    minute in place of seconds, and runs no faster.
+    """
 
     def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         builder.function.attributes.add("noinline")

@@ -12,12 +12,9 @@ from numba import types
 from robot_ik.kernels.jit import kernel, literal, outlined, pure
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
-# ------------------------------------------------------------------------------------------
 # Sine and cosine of an angle at once, in a third of the time of a library's two calls.
-#
 # Cody & Waite's reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and
 # ``__kernel_cos`` (Sun Microsystems, 1993); within 2.3e-16 of the exact values.
-
 
 # Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library is called.
 _FAR = 1e6
@@ -48,9 +45,7 @@ def sine_cosine(angle):
     return even * s + odd * c, even * c - odd * s
 
 
-# ------------------------------------------------------------------------------------------
 # Joints that follow another: q = q₀ + Σ aᵢ (leader − leader₀)ⁱ, MuJoCo's joint equality.
-#
 # Only hinges and slides can be coupled; a leader never follows another joint, which ``model`` ensures.
 
 

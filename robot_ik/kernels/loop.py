@@ -23,9 +23,6 @@ from robot_ik.kernels.kinematics import clip, follow, forward, rotate_quat
 from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, POSITION_PART, evaluate
 from robot_ik.kernels.tree import BALL, FREE
 
-# ------------------------------------------------------------------------------------------
-# Random starts, the same for the same seed.
-
 
 @pure
 def uniform(state):
@@ -63,10 +60,6 @@ def draw(tree, nodes, start, state, q):
         angle = min(high[v], math.pi) * uniform(state)
         r = angle * math.sqrt(max(0.0, 1.0 - z * z))
         rotate_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
-
-
-# ------------------------------------------------------------------------------------------
-# Taking a step inside the joint limits, and how far it may go.
 
 
 @outlined
@@ -133,10 +126,6 @@ def finite(q):
     return size < math.inf
 
 
-# ------------------------------------------------------------------------------------------
-# The rows of a trace: one for each step.  The caller empties the table before it is full.
-
-
 @outlined
 def record(tolerance, work):
     """One trace row; of goals that are only wanted, and of parts not asked for, the miss does not count."""
@@ -158,9 +147,7 @@ def record(tolerance, work):
     state[ws.TRACE_ROWS] = row + 1
 
 
-# ------------------------------------------------------------------------------------------
 # Goals that are proven out of reach beside others that are not.
-#
 # A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
 # beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
 # vanishing weight costs the others nothing.

@@ -30,10 +30,6 @@ from robot_ik.kernels.kinematics import (
 )
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
 
-# ------------------------------------------------------------------------------------------
-# Residuals of orientation, and how they shrink while a frame rotates: whole orientations, and single axes.
-
-
 # Nearer than this (sine of the angle) two axes are one, or opposite.
 _PARALLEL = 1e-9
 
@@ -162,7 +158,6 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     )
 
 
-# ------------------------------------------------------------------------------------------
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
 # ``goal.row_codes`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
@@ -171,7 +166,6 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 #     of           whose position and orientation: the frame, the centre of mass, or the joints themselves
 #
 # The axis that counts is always z: ``Problem`` rotates frame and target so that it is.
-
 
 NO_POSITION, WHOLE, SOME_AXES, ONE_SIDE = range(4)
 NO_ORIENTATION, ALL_AXES, ONE_AXIS, AIMED = range(4)

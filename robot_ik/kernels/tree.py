@@ -5,9 +5,7 @@ Every active joint is a *node*.  With ``X_k`` the pose of node k in the world,
     X_k = X_parent(k) · C_k · J_k(q),      frame = X_node · L
 
 where ``C_k`` is constant and ``J_k`` is a rotation about z (hinge), a shift along z (slide), a rotation
-(ball) or the whole pose (free).  Bodies without active joints vanish into the constants; the
-reference angle of a joint and its axis do as well.  Poses are rows of twelve numbers: position, then
-the rotation matrix row by row.
+(ball) or the whole pose (free).  Poses are rows of twelve: position, then the rotation matrix row by row.
 """
 
 from __future__ import annotations
@@ -78,17 +76,13 @@ class Tree:
     handle: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        arrays: dict[str, NDArray[Any]] = {}
-        for name in ("kind", "parent", "qadr", "vadr"):
-            arrays[name] = np.array(getattr(self, name), dtype=np.int64)
-        arrays["constant"] = np.array(self.constant, dtype=float).reshape(-1, 12)
-        for name in ("lower", "upper", "low", "high"):
-            arrays[name] = np.array(getattr(self, name), dtype=float)
-        arrays["coupled"] = np.array(self.coupled, dtype=np.int64).reshape(-1, 2)
-        arrays["law"] = np.array(self.law, dtype=float).reshape(-1, 7)
-        widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
-        arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
-        arrays["every"] = np.arange(len(widths), dtype=np.int64)
+        n = len(self.kind)
+        widths = [V_WIDTH[int(kind)] for kind in self.kind]
+        made = {"dof_node": np.repeat(np.arange(n), widths), "every": np.arange(n)}
+        arrays: dict[str, NDArray[Any]] = {
+            name: np.array(made.get(name, getattr(self, name, None)), np.int64 if "int" in kind else float)
+            for name, kind in TREE.fields.items()
+        }
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)

@@ -1,7 +1,6 @@
 """What a solver is: a frozen dataclass of options, and a compiled kernel.
 
-The options (with default, range, unit and one line of help) become the CLI's flags, the rows of the
-docs' table and the columns of benchmarks; ``option`` declares them.
+The options (``option``) become the CLI's flags, the rows of the docs' table and the columns of benchmarks.
 """
 
 from __future__ import annotations
@@ -52,19 +51,12 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """The results of a batch, row by row.
+    """The results of a batch, row by row."""
 
-    Attributes:
-        q: (n, nq) the best found.
-        status: (n,) numbers of ``Status``.
-        miss: (n, 2) metres and radians.
-        iterations, restarts: (n,) steps and random restarts of each.
-    """
-
-    q: Array
-    status: NDArray[np.int64]
-    miss: Array
-    iterations: NDArray[np.int64]
+    q: Array  # (n, nq) the best found
+    status: NDArray[np.int64]  # (n,) numbers of ``Status``
+    miss: Array  # (n, 2) metres and radians
+    iterations: NDArray[np.int64]  # (n,)
     restarts: NDArray[np.int64]
 
     @classmethod
@@ -130,9 +122,7 @@ class Solver(ABC):
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
                 return f"a {goal.name}" + (" that asks for single axes only" if part else "")
-        for feature in sorted(problem.features - self.capabilities):
-            return _FEATURES[feature]
-        return ""
+        return next((_FEATURES[feature] for feature in sorted(problem.features - self.capabilities)), "")
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
@@ -294,10 +284,7 @@ class IterativeSolver(Solver):
 def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
     """What a kernel opens its options with, as a global of its module: then they have their names.
 
-    Those with choices are the number of the choice.
-
-    Raises:
-        TypeError: A field is no float, int, bool or choice.
+    Those with choices are the number of the choice; raises ``TypeError`` for other fields.
     """
     kinds: dict[str, type] = {"float": float, "int": int, "bool": bool, "str": int}
     names = [(item.name, getattr(item.type, "__name__", item.type)) for item in fields(solver)]
@@ -317,11 +304,6 @@ class Run:
         fresh: State and values that a solve begins with.
         traced, whole: Whether a trace is kept; whether nothing is to be done between the steps.
     """
-
-    __slots__ = (
-        "arguments", "best", "budget", "entry", "fresh", "outcome", "seed", "shape", "solver", "start",
-        "state", "tables", "target", "traced", "value", "whole",
-    )  # fmt: skip
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
         solver.require_support(problem)

@@ -259,10 +259,6 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
-# ------------------------------------------------------------------------------------------
-# Whether a solve starts near its goal, which ``auto`` asks before it chooses a method.
-
-
 # A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
 _NEAR = 0.01
 

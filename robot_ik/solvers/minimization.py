@@ -23,15 +23,12 @@ from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
-# ------------------------------------------------------------------------------------------
 # Cones of balls as constraints of a variable metric.
-#
 # A ball whose rotation is as large as its cone allows would leave it along that rotation's axis n, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
 # zero at the minimum, would spoil the update of the metric.)
-
 
 # A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
 AT_CONE = 1e-9
@@ -160,9 +157,7 @@ def transport(tree, goal, work):
         before[u + 2] += out * pz
 
 
-# ------------------------------------------------------------------------------------------
 # The metric of a variable-metric method, projected on the limits that are active.
-#
 # ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the descent direction.  It begins as
 # a multiple of the identity and is updated to the inverse of the Hessian by the steps that are taken
 # (``update_metric``).
@@ -174,7 +169,6 @@ def transport(tree, goal, work):
 #     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 #
 # n is a coordinate for hinges and slides; the cones of balls are below.
-
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12

@@ -35,12 +35,9 @@ from robot_ik.kernels.workspace import POLISHING, open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.families import JacobianSolver
 
-# ------------------------------------------------------------------------------------------
 # Secondary aims φ of the null space, and the part of them that leaves the goals alone.
-#
 # Liégeois (Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE
 # T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wanted besides the goals.
-
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.
 AIMS = ("none", "rest", "limits", "manipulability")

@@ -59,10 +59,6 @@ from robot_ik.solvers.analytic.subproblems import (
 )
 from robot_ik.solvers.base import BatchResult, Solver, take_start
 
-# ------------------------------------------------------------------------------------------
-# The entry points of the closed forms of two and of six hinges.
-
-
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
 _SHOULDER = int(Family.SPHERICAL_SHOULDER)
 
@@ -104,10 +100,6 @@ def closed_form_many(tree, goals, work, form, family, targets, starts, q, status
         status[row] = work.state[ws.STATUS]
 
 
-# ------------------------------------------------------------------------------------------
-# The entry points of a limb's closed form; compiled only for robots that have one.
-
-
 @outlined
 def solve_limb(tree, goal, work, form, mode):
     """Solves from work.start; fills best and status, and the branches if they are asked for."""
@@ -141,10 +133,6 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
         solve_limb(tree, goal, work, form, SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[ws.STATUS]
-
-
-# ------------------------------------------------------------------------------------------
-# The entry points of the proofs, one for each family: compiled when a goal is first missed.
 
 
 @kernel

@@ -29,10 +29,6 @@ from robot_ik.solvers.analytic.swivel import (
     swing,
 )
 
-# ------------------------------------------------------------------------------------------
-# The search for the swivel angle nearest to the start, inside the joint limits.
-
-
 # Angles at which a range of swivel angles is evaluated, besides its cuts: a wide one, and one near the start.
 _WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3
 # Cuts nearer than this (rad) are one.

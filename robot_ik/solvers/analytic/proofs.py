@@ -15,12 +15,9 @@ from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.six_axes import back, centre, relative_back, relative_rotation
 from robot_ik.solvers.analytic.subproblems import angle_between, rotate
 
-# ------------------------------------------------------------------------------------------
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
-#
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
 # the true set lies inside, so that an empty one is a proof.
-
 
 # Rounding allowed for: of angles (an arc cosine near 1 loses half the digits) and of metres or cosines.
 _ANGLE_PAD, PAD = 1e-6, 1e-9
@@ -268,10 +265,6 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
             if wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, along * s3, tilt):
                 return False
     return True
-
-
-# ------------------------------------------------------------------------------------------
-# The same proof for arms with three parallel axes (Universal Robots).
 
 
 @outlined

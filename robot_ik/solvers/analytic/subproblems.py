@@ -101,10 +101,6 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     return best_a, best_b
 
 
-# ------------------------------------------------------------------------------------------
-# The arrays of a closed form, and what all of them share: measuring the start, taking the solution.
-
-
 # n numbers of q belong to the chain: one for a hinge, four for a ball.
 FORM = Layout(
     "Form",
@@ -187,10 +183,6 @@ def invert(target, inverse):
         )
         for j in range(3):
             inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
-
-
-# ------------------------------------------------------------------------------------------
-# Which branch: the one inside the limits that is nearest to the start.
 
 
 @outlined

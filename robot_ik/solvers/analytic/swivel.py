@@ -158,10 +158,6 @@ def swing(form, g, c, s):
         m[row, i] = parts[g, i] + c * parts[g, 9 + i] + s * parts[g, 18 + i]
 
 
-# ------------------------------------------------------------------------------------------
-# Joint angles of a limb's shoulder and wrist: three hinges that meet, or a ball, for one rotation.
-
-
 # Sine below which axes 1 and 3 are nearly in line, and the formulas take more care of digits.
 _NEARLY = 1e-3
 # Volume of three axes from which they count as lying in a plane: the joints' speeds are then without bound.
