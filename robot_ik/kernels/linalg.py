@@ -131,9 +131,11 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
     Args:
         matrix: (n, n) M, symmetric positive definite; lower triangle read.
         gradient: (n,) g, the direction of descent.
-        low, high: (n,) bounds of the step, low <= 0 <= high.
+        low: (n,) lower bounds of the step, low <= 0.
+        high: (n,) upper bounds, high >= 0.
         step: (n,) result.
-        free, side: (n,) int, work space; side is -1 at the lower bound, 1 at the upper, 0 free.
+        free: (n,) work space, int.
+        side: (n,) work space, int: -1 at the lower bound, 1 at the upper, 0 free.
         factor: (n, n) work space.
 
     Returns:

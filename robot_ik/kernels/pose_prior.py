@@ -15,7 +15,7 @@ does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no l
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import rotation_back, slope_of
+from robot_ik.kernels.kinematics import rotation_back, slope_of, unit
 from robot_ik.kernels.residuals import inverse_right_jacobian
 from robot_ik.kernels.tree import FREE
 
@@ -61,9 +61,8 @@ def feature_rate(what, q, a, axis):
             return 0.0 if axis == 0 else (-uz if axis == 1 else uy)
         return uz if axis == 0 else (0.0 if axis == 1 else -ux)
     x, y, z = rotation_back(q, a, 1.0, 0.0, 0.0, 0.0)
-    rx, ry, rz = inverse_right_jacobian(
-        -x, -y, -z, 1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0
-    )
+    ex, ey, ez = unit(axis)
+    rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
     return rx if what == VECTOR_X else (ry if what == VECTOR_Y else rz)
 
 

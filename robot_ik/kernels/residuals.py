@@ -27,8 +27,9 @@ from robot_ik.kernels.kinematics import (
     point_velocity,
     rotation_back,
     slope_of,
+    unit,
 )
-from robot_ik.kernels.tree import BALL, FREE, SLIDE
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 
 # Nearer than this (sine of the angle) two axes are one, or opposite.
 _PARALLEL = 1e-9
@@ -107,15 +108,20 @@ def inverse_right_jacobian(x, y, z, a, b, c):
 
 
 @pure
+def between(ax, ay, az, dx, dy, dz):
+    """Of two unit vectors: their cross product, the sine and cosine of the angle between them, and it."""
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine, cosine = math.sqrt(nx * nx + ny * ny + nz * nz), ax * dx + ay * dy + az * dz
+    return nx, ny, nz, sine, cosine, math.atan2(sine, cosine)
+
+
+@pure
 def axis_error(ax, ay, az, dx, dy, dz):
     """Rotation vector, world axes, that rotates the unit vector a the short way onto the unit vector d.
 
     Returns it with its angle in [0, pi]; at π any axis across a will do.
     """
-    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
-    cosine = ax * dx + ay * dy + az * dz
-    angle = math.atan2(sine, cosine)
+    nx, ny, nz, sine, cosine, angle = between(ax, ay, az, dx, dy, dz)
     if sine > _PARALLEL:
         scale = angle / sine
         return scale * nx, scale * ny, scale * nz, angle
@@ -132,10 +138,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     With n = a × d, s = |n|, c = a·d and θ the angle, the error is (θ/s) n; its derivative is
     (θ/s) n' − ((s − θ c)/s³) c' n, since s θ' = −c'.
     """
-    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
-    cosine = ax * dx + ay * dy + az * dz
-    angle = math.atan2(sine, cosine)
+    nx, ny, nz, sine, cosine, angle = between(ax, ay, az, dx, dy, dz)
     if sine < 1e-3 and cosine > 0.0:
         ratio, slope = 1.0 + angle * angle / 6.0, 1.0 / 3.0 + 2.0 * angle * angle / 15.0
     elif sine > _PARALLEL:
@@ -190,14 +193,9 @@ def mass_center(tree, goal, work, g):
         mass = masses[first + k, 0]
         moments[first + k, 0] = mass
         for i in range(3):
-            moments[first + k, 1 + i] = 0.0
-            if mass > 0.0:
-                moments[first + k, 1 + i] = mass * (
-                    world[k, i]
-                    + world[k, 3 + 3 * i] * masses[first + k, 1]
-                    + world[k, 4 + 3 * i] * masses[first + k, 2]
-                    + world[k, 5 + 3 * i] * masses[first + k, 3]
-                )
+            x, y, z = masses[first + k, 1], masses[first + k, 2], masses[first + k, 3]
+            at = world[k, i] + world[k, 3 + 3 * i] * x + world[k, 4 + 3 * i] * y + world[k, 5 + 3 * i] * z
+            moments[first + k, 1 + i] = mass * at if mass > 0.0 else 0.0
     still = first + n
     moments[still, 0] = masses[still, 0]
     for i in range(1, 4):
@@ -257,21 +255,17 @@ def joint_rows(tree, goal, work, g):
 @pure
 def joint_column(tree, goal, work, g, u, v):
     """The posture's rows of degree of freedom ``v``, in column ``u``."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    q, wanted, jacobian = work.q, goal.posture, work.jacobian
-    k = tree.dof_node[v]
-    i, row = v - vadr[k], goal.row[g] + u
-    if kind[k] < BALL or (kind[k] == FREE and i < 3):
-        shift = kind[k] != 0
-        jacobian[row, u] = goal.joint_weight[g, v] * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+    jacobian, wanted, k = work.jacobian, goal.posture, tree.dof_node[v]
+    joint, i, row = tree.kind[k], v - tree.vadr[k], goal.row[g] + u
+    if joint < BALL or (joint == FREE and i < 3):
+        jacobian[row, u] = goal.joint_weight[g, v] * goal.weight[g, 1 if joint == HINGE else 0]
         return
-    a = qadr[k] + 3 if kind[k] == FREE else qadr[k]
-    x, y, z = rotation_back(q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
+    a = tree.qadr[k] + (3 if joint == FREE else 0)
+    x, y, z = rotation_back(work.q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
     i %= 3
     # The vector belongs to the body's own axes, which the rotation carries along: the left Jacobian.
-    rx, ry, rz = inverse_right_jacobian(
-        -x, -y, -z, 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
-    )
+    ex, ey, ez = unit(i)
+    rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
     w, row, v = goal.weight[g, 1], row - i, v - i
     jacobian[row, u] = w * goal.joint_weight[g, v] * rx
     jacobian[row + 1, u] = w * goal.joint_weight[g, v + 1] * ry

@@ -15,6 +15,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.kinematics import unit
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
 from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, rotate
@@ -340,9 +341,8 @@ def limb(form, lower, upper, mode):
     start_rotation(form)
     if form.groups[1, 0] != NO_JOINTS:
         for j in range(3):
-            x, y, z = relative_rotation(
-                target, extra, 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
-            )
+            x, y, z = unit(j)
+            x, y, z = relative_rotation(target, extra, x, y, z)
             put_column(form.matrices, WHOLE, j, x, y, z)
     column = form.groups[1, 1] - 1
     one, one_fits = image(middle + half, start[column], lower[column], upper[column])
