@@ -1,12 +1,9 @@
 """What this machine can do: does MuJoCo import, which OpenGL draws, is there a display.
 
-Everything that can hang, abort or print to the terminal is tried in a child process with a time
-limit; nothing here changes the process or its environment variables.  No OpenGL is needed by the
-library itself: it matters only for ``mujoco.Renderer`` and for the viewer window.
-
-Facts (MuJoCo 4.0.0): with ``MUJOCO_GL`` naming a back end whose library is missing, ``import mujoco``
-itself fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString``; without a display
-``mujoco.viewer.launch_passive`` waits for ever instead of raising.
+Everything that can hang, abort or print to the terminal is tried in a child process with a time limit;
+nothing here changes the process.  (MuJoCo 4.0.0: with ``MUJOCO_GL`` naming a back end whose library is
+missing, ``import mujoco`` fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString``;
+without a display ``mujoco.viewer.launch_passive`` waits for ever.)
 """
 
 from __future__ import annotations

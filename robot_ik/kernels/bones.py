@@ -1,10 +1,9 @@
 """Joints as points and bones, for the geometric methods.
 
-A *point* is the anchor of a joint or the origin of a goal's frame; a *bone* joins a point to the next
-one along the chain.  The anchor of a hinge may be put anywhere on its axis without changing what moves:
-here it is put nearest to the next point, so that offsets along the axis, and rolls about the tip, are no
-bones.  Under a goal that asks for an orientation it is put nearest to the axis before it, where a wrist's
-axes meet.
+A *point* is the anchor of a joint or the origin of a goal's frame; a *bone* joins a point to the next one
+along the chain.  The anchor of a hinge is put nearest to the next point on its axis, so that offsets along
+the axis are no bones; under a goal that asks for an orientation nearest to the axis before it, where a
+wrist's axes meet.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

@@ -1,7 +1,5 @@
 """The one loop of every iterative solver: begin, proceed, advance.
 
-A solver's kernel is five lines and its own step:
-
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     begin(tree, goal, work)
     while proceed(tree, goal, work):

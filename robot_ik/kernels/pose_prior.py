@@ -7,8 +7,8 @@ g = Σ γ_k P_k (x − μ_k) its gradient and H = Σ γ_k P_k = L Lᵀ, the rows
     r = (−L⁻¹ g, √(2 (E − E₀) − |L⁻¹ g|²)),     J = (Lᵀ ∂x/∂dq, 0)
 
 so that ½ |r|² = E − E₀ and Jᵀ r = −∂E/∂dq exactly, and JᵀJ is the Hessian of the bound that
-expectation-maximisation puts on E (Dempster, Laird & Rubin 1977): a Gauss-Newton step lessens E as its M-step
-does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no less than E₀, the least energy of all.
+expectation-maximisation puts on E (Dempster, Laird & Rubin 1977).  The root is real: the bound's least value,
+E − ½ |L⁻¹ g|², is no less than E₀, the least energy of all.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

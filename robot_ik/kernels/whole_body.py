@@ -4,14 +4,11 @@ Each frame minimises, from where the frame before it ended,
 
     Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
 
-step after step (the linearised rows change with q), two to four steps a frame.  ``low`` and ``high`` are the
-joint limits and what the speed limits leave of them within one frame.  There are no levels of priority
-below the
-hard rows, no test of convergence on the soft ones, and so no restarts: ``lm`` has all that and costs three
-    times
-as much.  A step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
-Optimization*, section 16.2); joints that a step would take over a bound are held there and the step is
-solved again.
+in two to four steps.  ``low`` and ``high`` are the joint limits and what the speed limits leave of them
+within one frame.  There are no levels of priority below the hard rows, no test of convergence on the soft
+ones and no restarts: ``lm`` has all that and costs three times as much.  A step is solved by the Schur
+complement of its hard rows (Nocedal & Wright, *Numerical Optimization*, section 16.2); joints that it would
+take over a bound are held there and it is solved again.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -34,19 +31,17 @@ from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
 """Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis points, and the
-angular
-momentum about the centre of mass since the frame before (kg m² rad)."""
+angular momentum about the centre of mass since the frame before (kg m² rad)."""
 HARD = math.inf
 """The weight of a row that must hold."""
 
 # A step longer than this, rad or m, is shortened: rows are linear near q only.
 _LONGEST = 0.4
-# What a step costs by itself, beside posture weights of 0.02 and more; and the slack of the hard rows, which
-# keeps their system solvable where they depend on each other.
-_DAMPING, _SLACK = 1e-4, 1e-10
-# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and
-# not fled.
-_YIELDING = 1e-2
+# What a step costs by itself, beside posture weights of 0.02 and more.
+_DAMPING = 1e-4
+# Slack of the hard rows, which keeps their system solvable where they depend on each other; and where they
+# contradict each other, by what the bounds leave.
+_SLACK, _YIELDING = 1e-10, 1e-2
 # What a step costs by itself where it would be longer than ``_LONGEST``.
 _CAUTIOUS = 10.0
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
@@ -94,10 +89,8 @@ _open = WHOLE_BODY.open
 
 @pure
 def log_between(a, i, b, j, out):
-    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3].
-
-    The smaller angle.
-    """
+    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3]; the smaller
+    angle."""
     # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
     # 1978).
     for r in range(3):
@@ -277,10 +270,7 @@ def measure_displacement(tree, body, q):
 
 @outlined
 def gather(tree, body, q, target, weight, t, posture):
-    """The quadratic form, its gradient and the hard rows at q.
-
-    Returns the number of hard rows and their miss.
-    """
+    """The quadratic form, its gradient and the hard rows at q; returns the number of these and their miss."""
     matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
     nv = gradient.shape[0]
     forward(tree, tree.every, q, body.world, body.scratch)

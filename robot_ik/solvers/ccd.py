@@ -1,15 +1,11 @@
 """Cyclic coordinate descent: one joint at a time, each to its exact optimum inside its limits.
 
 A rotation about an axis changes both parts of the cost to const − A cos φ − B sin φ, so the best angle is
-atan2(B, A) in closed form, for positions, orientations and any mixture on any frames the joint moves;
-a shift has a parabola.  Wang & Chen (A combined optimization method for solving the inverse kinematics
-problem of mechanical manipulators, IEEE T-RA 7(4), 1991) give the position and orientation terms.
-Unlike the textbook form it rotates joints about their real axes, keeps limits exactly and cannot divide
-by a vanishing cross product: where no angle matters, the joint stays.
-
-``axis="free"`` is the textbook form: each bone rotates about (s − p) × (t − p) by the angle between the two
-(Pađen 2011; Šimunić 2012, section 3.5), and is put back inside its limits.  A hinge takes the part of that
-rotation that is about its own axis, so that three hinges through one point are a bone, too.
+atan2(B, A), for positions, orientations and any mixture on any frames the joint moves; a shift has a parabola
+(Wang & Chen, A combined optimization method for solving the inverse kinematics problem of mechanical
+manipulators, IEEE T-RA 7(4), 1991).  ``axis="free"`` is the textbook form: each bone rotates about
+(s − p) × (t − p) by the angle between the two, and is put back inside its limits (Pađen 2011; Šimunić 2012,
+section 3.5); a hinge takes the part of that rotation about its own axis.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false

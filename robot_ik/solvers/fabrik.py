@@ -1,18 +1,9 @@
 """FABRIK: forward and backward reaching over joint positions, on trees of real joints.
 
-Reaching back, each goal pulls its bones from the tip towards the root: a joint's target is the point at
-bone's length from the next joint's target, on the line to where it stands (Aristidou & Lasenby, FABRIK: A
-fast, iterative solver for the inverse kinematics problem, Graphical Models 73(5), 2011, algorithm 1); at a
-sub-base the targets of its branches are averaged (section 4.2).  Reaching forward puts the root back and
-lets the joints follow, root to tip, each rotating about its real axis inside its limits to where its bone
-comes nearest to its target; on a chain of unlimited balls that is the paper's second half to the letter.
-
-A pose goal fixes the last node: its anchor's target is where the goal's pose puts it, and the joints whose
-anchors meet there (a ball, a spherical wrist, the last hinge of a planar arm) take the orientation.
-
-A target contains no error across a hinge's bone, and hinges whose axes are not parallel would wait
-for each other; so hinges also weigh the goal itself a little (``pull``, ours), and so do balls where the last
-joints cannot take the orientation by themselves.  Near the full reach of a chain progress is slow.
+Aristidou & Lasenby, FABRIK: A fast, iterative solver for the inverse kinematics problem, Graphical Models
+73(5), 2011, algorithm 1 and section 4.2.  Reaching forward, each joint rotates about its real axis inside its
+limits to where its bone comes nearest to its target.  Hinges also weigh the goal itself a little (``pull``,
+ours): a target contains no error across a hinge's bone.  See ``docs/reference/solvers/fabrik.md``.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false

@@ -2,9 +2,7 @@
 
 Zhao & Badler (Inverse kinematics positioning using nonlinear programming for highly articulated figures,
 ACM Transactions on Graphics 13(4), 1994): BFGS steps d = H g, g = −∇G = Jᵀr, in a metric from which the
-active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line search; so the cost never
-rises within a try.  Their linear equalities between joints are kept by construction (coupled joints have
-no columns of their own), their rigidity of joints is the robot's stiffness.
+active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line search.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 

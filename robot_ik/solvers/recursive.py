@@ -1,16 +1,9 @@
 """The recursive method: the chain is pulled by its end like a chain of rings, or not moved at all.
 
-From the tip: if the last bone can reach the goal by turning, it does.  Otherwise it is moved there, and its
-other end must meet its predecessor: at a point of the circle in which the sphere about the goal (radius:
-this bone) cuts the sphere about the predecessor's own base (radius: that bone).  If they do not cut, the
-bone follows the pull and where its other end comes to lie is the predecessor's goal; so on towards the root.
-On success the joints are turned to match; on failure every move is undone and q is, bit for bit, what it
-was (Aho, Implementation of articulated mechanisms in computer animation, University of Helsinki 2000,
-section 4.3).
-
-``guard`` is ours: a dragged bone turns just so far that the bones before it can still reach its end; without
-it, as published, some reachable goals fail.  Where hinges or limits do not allow the points, the try fails
-and is undone.  One goal, one chain, positions only; no restarts unless asked for.
+From the tip, a bone that cannot reach the goal by rotating is moved there, and its other end becomes the goal
+of the bone before it: on the circle where the spheres of both bones cut, else where the pull drags it.  On
+failure q is, bit for bit, what it was (Aho, Implementation of articulated mechanisms in computer animation,
+University of Helsinki 2000, section 4.3).  ``guard`` is ours; see ``docs/reference/solvers/recursive.md``.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false

@@ -1,16 +1,10 @@
-"""Triangulation: root to tip, each bone turned by the law of cosines so that a triangle closes.
+"""Triangulation: root to tip, each bone rotated by the law of cosines so that a triangle closes.
 
 With a = this bone, b = the rest of the chain stretched out, c = from the joint to the target, the bone makes
-the angle arccos((a² + c² − b²) / 2ac) with the line to the target: straight at it when c ≥ a + b, away from
-it when c ≤ b − a (Müller-Cajar & Mukundan, Triangulation: a new algorithm for inverse kinematics, Image and
-Vision Computing New Zealand 2007).  A chain of unlimited balls is solved by one pass, exactly.
-
-``improved`` (after Mukundan, A robust inverse kinematics algorithm for animating a joint chain, International
-Journal of Computer Applications in Technology 34(4), 2009, which avoids the large angles near the root):
-every bone turns only as far as the rest of the chain needs to be able to close, so most of them stay.
-
-Under limits and on hinges a bone may not reach the side of its triangle; then passes repeat from where the
-last one ended, until they help no more.  One goal, one chain; orientations are not served.
+the angle arccos((a² + c² − b²) / 2ac) with the line to the target (Müller-Cajar & Mukundan, Triangulation: a
+new algorithm for inverse kinematics, Image and Vision Computing New Zealand 2007).  ``improved`` (after
+Mukundan, A robust inverse kinematics algorithm for animating a joint chain, IJCAT 34(4), 2009): only as far
+as the rest of the chain needs.  See ``docs/reference/solvers/triangulation.md``.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
