@@ -280,6 +280,11 @@ class CompiledProblem:
             found = self.made[id(solver)] = make()
         return found
 
+    def run_table(self, options: Array) -> Ints:
+        """One table of all that a kernel takes."""
+        tables = {"tree": self.tree, "goals": self.goals, "work": self.work, "options": options}
+        return workspace.RUN.pack(tables)
+
     def _work_arrays(self, robot: Robot, goals: Sequence[Goal], trace_rows: int) -> dict[str, Any]:
         """The work space of a solve."""
         levels = 1 + max(levels_of(goals))

@@ -175,8 +175,7 @@ class LevenbergMarquardt(IterativeSolver):
             from robot_ik.kernels.priorities import LEVEL_OPTIONS
 
             options = np.array([getattr(self, name) for name in LEVEL_OPTIONS], dtype=float)
-        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": options}
-        return (ws.RUN.pack(tables),)
+        return (compiled.run_table(options),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
