@@ -67,9 +67,8 @@ def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
     by_joint: dict[int, Coupling] = {}
     for coupling in found:
         if coupling.joint in by_joint:
-            raise UnsupportedJointError(
-                f"joint {names[coupling.joint]!r} is coupled twice", hint="leave one of the couplings out"
-            )
+            twice = f"joint {names[coupling.joint]!r} is coupled twice"
+            raise UnsupportedJointError(twice, hint="leave one of the couplings out")
         by_joint[coupling.joint] = coupling
     done = []
     for coupling in found:
@@ -111,12 +110,8 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
         leader = node_of.get(coupling.leader, -1)
         polynomial = coupling.law
         if leader < 0:
-            value = (
-                polynomial(float(frozen[addresses[coupling.leader]]))
-                if coupling.leader >= 0
-                else polynomial(0.0)
-            )
-            polynomial = Polynomial([value])
+            at = float(frozen[addresses[coupling.leader]]) if coupling.leader >= 0 else 0.0
+            polynomial = Polynomial([polynomial(at)])
         coupled.append((node_of[coupling.joint], leader))
         law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
     if not coupled:
@@ -158,10 +153,8 @@ def _admissible_interval(
     edges = [low, high]
     for bound in wanted:
         if np.isfinite(bound):
-            roots = (law - bound).roots()
-            edges += [
-                float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9 and low < r.real < high
-            ]
+            roots = np.atleast_1d((law - bound).roots())
+            edges += [float(r.real) for r in roots if abs(r.imag) < 1e-9 and low < r.real < high]
     edges.sort()
     best: tuple[float, float] | None = None
     for a, b in itertools.pairwise(edges):

@@ -21,12 +21,8 @@ from types import ModuleType
 from robot_ik.errors import RobotIkError
 
 #: Debian and Ubuntu packages that bring each back end of ``MUJOCO_GL`` on a bare machine.
-GL_PACKAGES = {
-    "egl": "libegl1 libgl1",
-    "osmesa": "libosmesa6",
-    "glfw": "libgl1 libgl1-mesa-dri",
-    "glx": "libgl1 libgl1-mesa-dri",
-}
+_MESA = "libgl1 libgl1-mesa-dri"
+GL_PACKAGES = {"egl": "libegl1 libgl1", "osmesa": "libosmesa6", "glfw": _MESA, "glx": _MESA}
 #: Values of ``MUJOCO_GL`` that mean "no OpenGL at all".
 GL_OFF = ("disable", "disabled", "off", "false", "0")
 
@@ -60,17 +56,11 @@ print("display opened")
 
 @dataclass(frozen=True)
 class Probe:
-    """What a child process found out.
+    """What a child process found out."""
 
-    Attributes:
-        ok: It ran to its end.
-        text: Its output when it did; else the last line of its complaint.
-        late: It was stopped because its time was over, which proves nothing on a busy machine.
-    """
-
-    ok: bool
-    text: str
-    late: bool = False
+    ok: bool  # it ran to its end
+    text: str  # its output when it did; else the last line of its complaint
+    late: bool = False  # it was stopped because its time was over, which proves nothing on a busy machine
 
 
 def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:
@@ -79,14 +69,9 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
         done = subprocess.run(
             # -P: the current folder must not shadow a package.
             [sys.executable, "-P", "-c", code],
-            check=False,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=timeout,
-            env=None if environment is None else dict(environment),
-        )
+            check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+            timeout=timeout, env=environment,
+        )  # fmt: skip
     except subprocess.TimeoutExpired as stopped:
         # On POSIX the output of a killed child arrives as bytes even in text mode.
         raw: object = stopped.stdout
@@ -99,9 +84,8 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode < 0:
         lines.append(f"killed by signal {-done.returncode}")
-    return Probe(
-        False, lines[-1].removeprefix("AssertionError: ") if lines else f"exit code {done.returncode}"
-    )
+    last = lines[-1] if lines else f"exit code {done.returncode}"
+    return Probe(False, last.removeprefix("AssertionError: "))
 
 
 def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:
@@ -224,11 +208,8 @@ def named_users_of(path: str) -> list[str]:
 
 
 OPENCV_WHEELS = (
-    "opencv-contrib-python-headless",
-    "opencv-python-headless",
-    "opencv-contrib-python",
-    "opencv-python",
-)
+    "opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python",
+)  # fmt: skip
 
 
 def version_of(package: str) -> str:

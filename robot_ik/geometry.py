@@ -26,14 +26,10 @@ def quat_multiply(a: Array, b: Array) -> Array:
     """Hamilton product of quaternions (4,), wxyz: first ``b``, then ``a``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
+    return np.array((
+        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
+    ))  # fmt: skip
 
 
 def quat_to_matrix(wxyz: Array) -> Array:
@@ -189,9 +185,7 @@ class Pose:
     def __matmul__(self, other: ArrayLike) -> Array: ...
 
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:
-        if isinstance(other, Pose):
-            return self.compose(other)
-        return self.apply(other)
+        return self.compose(other) if isinstance(other, Pose) else self.apply(other)
 
     def compose(self, other: Pose) -> Pose:
         """``pose_ac = pose_ab.compose(pose_bc)``; the same as ``@`` with the type known."""
@@ -204,10 +198,7 @@ class Pose:
     def distance(self, other: Pose) -> tuple[float, float]:
         """Distance to ``other``: metres between origins, radians of the rotation between axes."""
         rotation = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
-        return (
-            float(np.linalg.norm(other.position - self.position)),
-            float(np.linalg.norm(rotation)),
-        )
+        return float(np.linalg.norm(other.position - self.position)), float(np.linalg.norm(rotation))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pose):

@@ -13,13 +13,13 @@ _log = logging.getLogger(__name__)
 _MESHES = (".stl", ".obj", ".msh")
 
 
-class Urdf:
-    """A URDF, and the folder that its file names count from.
+def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if found is None else found
 
-    Args:
-        root: Its element ``robot``.
-        folder: See above.
-    """
+
+class Urdf:
+    """A URDF, by its element ``robot``, and the folder that its file names count from."""
 
     def __init__(self, root: ElementTree.Element, folder: Path) -> None:
         self._root, self._folder = root, folder
@@ -53,14 +53,8 @@ class Urdf:
         Fixed joints keep their frames, and meshes are found, unless the file's own ``<mujoco>`` says more.
         A mesh that is not there, or that MuJoCo does not read (.dae), is left out: kinematics needs none.
         """
-        extension = self._root.find("mujoco")
-        if extension is None:
-            extension = ElementTree.SubElement(self._root, "mujoco")
-        compiler = extension.find("compiler")
-        if compiler is None:
-            compiler = ElementTree.SubElement(extension, "compiler")
-        if "fusestatic" not in compiler.attrib:
-            compiler.set("fusestatic", "false")
+        compiler = _child(_child(self._root, "mujoco"), "compiler")
+        compiler.attrib.setdefault("fusestatic", "false")
         if "meshdir" not in compiler.attrib and "strippath" not in compiler.attrib:
             compiler.set("strippath", "false")
             self._find_meshes()

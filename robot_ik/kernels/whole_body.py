@@ -89,9 +89,7 @@ _open = WHOLE_BODY.open
 
 @pure
 def log_between(a, i, b, j, out):
-    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3]; the smaller
-    angle.
-    """
+    """Rotation vector (the smaller angle) from rotation a[i] to b[j], world axes, into out[:3]."""
     # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
     # 1978).
     for r in range(3):

@@ -9,6 +9,7 @@ no solution, a proof is tried that nothing within tolerance can be reached (``pr
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -138,38 +139,30 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 @kernel
 def prove_planar(goals, form):
     """Whether no joint angles bring the form's target within tolerance."""
-    form, goal = open_form(form), open_goals(goals)
-    return planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance)
+    return planar_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
 def prove_wrist(goals, form):
     """The same for a spherical wrist."""
-    form, goal = open_form(form), open_goals(goals)
+    form = open_form(form)
     lever = length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
-    return wrist_is_out_of_reach(
-        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance, lever
-    )
+    return wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
 
 
 @kernel
 def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
-    form, goal = open_form(form), open_goals(goals)
+    form = open_form(form)
     invert(form.target, form.inverse)
     x, y, z = centre(form.inverse, form.extra)
-    return wrist_is_out_of_reach(
-        form.axes, form.extra, form.inverse, form.lower, form.upper, goal.tolerance, length(x, y, z)
-    )
+    return wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, length(x, y, z))
 
 
 @kernel
 def prove_parallel(goals, form):
     """The same for three parallel axes."""
-    form, goal = open_form(form), open_goals(goals)
-    return parallel_is_out_of_reach(
-        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
-    )
+    return parallel_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
@@ -178,6 +171,7 @@ def prove_limb(goals, form):
     return limb_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
 
 
+# Compiled when a goal is first missed.
 PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
     Family.PLANAR_TWO_LINK: prove_planar,
     Family.SPHERICAL_WRIST: prove_wrist,
@@ -197,36 +191,16 @@ _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem.
+    """A closed form made ready for one problem."""
 
-    Attributes:
-        solver: For whom.
-        form: Which one.
-        arrays: By their names in ``FORM``.
-        tables: What the kernels work on: tree, goals, work space, form; holds what ``addresses`` are of.
-        addresses: What the kernels take first.
-        family: The form's number.
-        run: What solves one problem, without numba's inspection of its arguments.
-        batch: What solves many.
-        prove: What proves that no joint angles will do, if anything can.
-    """
-
-    solver: Analytic
     form: Form
-    arrays: dict[str, Any]
-    tables: tuple[Any, ...]
-    addresses: tuple[int, int, int, int]
-    family: int
-    run: Callable[..., None]
-    batch: Callable[..., None]
-    prove: Callable[..., bool] | None
-
-
-@dataclass(frozen=True, eq=False)
-class _Nothing:
-    """What is kept for a problem that has no closed form."""
-
-    solver: Analytic
+    arrays: dict[str, Any]  # by their names in ``FORM``
+    tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
+    addresses: tuple[int, int, int, int]  # of these: what the kernels take first
+    family: int  # the form's number
+    run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
+    batch: Callable[..., None]  # what solves many
+    prove: Callable[..., bool] | None  # what proves that no joint angles will do, if anything can
 
 
 @dataclass(frozen=True)
@@ -248,8 +222,7 @@ class Analytic(Solver):
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
-        found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
-        return found if isinstance(found, Prepared) else None
+        return problem.compiled.made_for(self, lambda: (self, _prepare(problem)))[1]
 
     def load(self, problem: Problem) -> None:
         self._require(problem)
@@ -269,9 +242,8 @@ class Analytic(Solver):
         return prepared
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        prepared = problem.made.get(id(self))
-        if type(prepared) is not Prepared:
-            prepared = self._require(problem)
+        kept = problem.made.get(id(self))
+        prepared: Prepared = (kept and kept[1]) or self._require(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
@@ -304,10 +276,7 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             results.q, results.status, results.miss, results.iterations,
         )  # fmt: skip
-        missed = np.flatnonzero(results.status != ws.CONVERGED)
-        if not len(missed):
-            return
-        for row in missed:
+        for row in np.flatnonzero(results.status != ws.CONVERGED):
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
                 results.status[row] = ws.UNREACHABLE
@@ -327,16 +296,13 @@ class Analytic(Solver):
         take_start(problem, start)
         prepared.run(*prepared.addresses, prepared.family, EVERY)
         names = BRANCH_NAMES[prepared.form.family]
+        signs = itertools.product("+-", repeat=len(names))
         found: list[tuple[str, Array]] = []
-        for row, angles in enumerate(prepared.arrays["branches"]):
-            if np.isnan(angles[0]):
-                continue
-            q = problem.arrays["start"].copy()
-            q[prepared.arrays["qadr"]] = angles
-            bits = [(row >> (len(names) - 1 - k)) & 1 for k in range(len(names))]
-            found.append(
-                (" ".join(f"{n}{'+' if b == 0 else '-'}" for n, b in zip(names, bits, strict=True)), q)
-            )
+        for chosen, angles in zip(signs, prepared.arrays["branches"], strict=False):
+            if not np.isnan(angles[0]):
+                q = problem.arrays["start"].copy()
+                q[prepared.arrays["qadr"]] = angles
+                found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
         return found
 
 
@@ -352,10 +318,10 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
+def _prepare(problem: Problem) -> Prepared | None:
     form = None if problem.features else _form_of(problem)
     if form is None:
-        return _Nothing(solver)
+        return None
     arrays = _arrays(form, problem.robot.tree, problem.target)
     kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
@@ -367,9 +333,8 @@ def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     if prove is not None:
         jit.announce(prove, "proofs of unreachable goals")
         prove = jit.entry(prove, goals, numbers)
-    return Prepared(
-        solver, form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, prove
-    )
+    addresses = (tree, goals, space, numbers)
+    return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, prove)
 
 
 def _form_of(problem: Problem) -> Form | None:
@@ -395,14 +360,9 @@ def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
         limits += [(float(tree.lower[v]), float(tree.upper[v]))] * width
     n = len(qadr)
     lower, upper = (np.array(side) for side in zip(*limits, strict=True))
-    return {
+    return FORM.zeros({"n": n}) | {
         "qadr": np.array(qadr, dtype=np.int64),
-        "axes": form.axes, "extra": form.extra, "groups": form.groups,
+        "axes": form.axes, "extra": form.extra, "groups": form.groups, "target": target,
         "lower": lower, "upper": upper, "least": np.full(n, -np.inf), "most": np.full(n, np.inf),
-        "start": np.zeros(n), "best": np.zeros(n), "branches": np.zeros((8, n)),
-        "target": target, "inverse": np.zeros((1, 12)),
         "middle_rotations": middle_rotations(form), "edges": limit_edges(form, lower, upper),
-        "matrices": np.zeros((7, 9)), "parts": np.zeros((2, 27)), "cuts": np.zeros(64),
-        "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)), "scores": np.zeros(6),
-        "spin": np.zeros((2, 3)), "speeds": np.zeros(2),
     }  # fmt: skip

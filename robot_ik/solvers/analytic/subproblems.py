@@ -109,25 +109,25 @@ FORM = Layout(
     extra="table",  # (5, 3)
     lower="floats",  # (n,) limits; of a ball joint the cone angle stands in ``upper`` of its first number
     upper="floats",  # (n,)
-    start="floats",  # (n,)
-    best="floats",  # (n,)
-    branches="table",  # (8, n)
+    start="floats n",
+    best="floats n",
+    branches="table 8 n",
     target="table",  # (1, 12) the goal in the world
-    inverse="table",  # (1, 12) its inverse, for arms that are solved from the tool
+    inverse="table 1 12",  # its inverse, for arms that are solved from the tool
     # Of limbs only:
     groups="int_table",  # (2, 2) how shoulder and wrist are joined, column of their first number
     middle_rotations="table",  # (2, 3) ``recognise.middle_rotations``
     edges="table",  # (m, 8) ``edges.limit_edges``
     least="floats",  # (n,) -inf: no limits at all
     most="floats",  # (n,) inf
-    matrices="table",  # (7, 9) rotations in use
-    parts="table",  # (2, 27) rotations of shoulder and wrist by swivel angle: constant, cosine's, sine's
-    cuts="floats",  # (64,) swivel angles at which something changes
-    tally="table",  # (4, 4) best of each combination of flips: squared distance, angle, cell's ends
-    trial="table",  # (2, n) angles by flip
-    scores="floats",  # (6,) squared distances: shoulder's two flips, wrist's two; their slope and speed
-    spin="table",  # (2, 3) by the swivel angle: angular velocity of shoulder and wrist
-    speeds="floats",  # (2,) of ball joints: growth of their rotation
+    matrices="table 7 9",  # rotations in use
+    parts="table 2 27",  # rotations of shoulder and wrist by swivel angle: constant, cosine's, sine's
+    cuts="floats 64",  # swivel angles at which something changes
+    tally="table 4 4",  # best of each combination of flips: squared distance, angle, cell's ends
+    trial="table 2 n",  # angles by flip
+    scores="floats 6",  # squared distances: shoulder's two flips, wrist's two; their slope and speed
+    spin="table 2 3",  # by the swivel angle: angular velocity of shoulder and wrist
+    speeds="floats 2",  # of ball joints: growth of their rotation
 )
 open_form = FORM.open
 
