@@ -141,11 +141,7 @@ def levels_of(goals: Sequence[Goal]) -> list[int]:
 
 
 def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
-    """Puts a posture into the arrays.
-
-    Raises:
-        InvalidGoalError: It has not one number for each of the robot's.
-    """
+    """Puts a posture into the arrays; raises ``InvalidGoalError`` unless it has a number for each of q."""
     if np.shape(goal.q) != (robot.nq,):
         raise InvalidGoalError(
             f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}",
@@ -156,12 +152,7 @@ def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal)
 
 
 def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
-    """Puts a pose prior into the arrays; returns how many rows it makes.
-
-    Raises:
-        InvalidGoalError: There is one already.
-        UnknownJointError: The robot lacks a joint of the prior.
-    """
+    """Puts a pose prior, of which there is one at most, into the arrays; returns how many rows it makes."""
     if len(arrays["feature"]):
         raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
     assert goal.prior is not None
@@ -245,9 +236,7 @@ _SOLVERS_KEPT = 16
 class CompiledProblem:
     """The one owner of all that kernels see of a problem; nothing of it is ever replaced.
 
-    A table of addresses keeps its arrays alive (``kernels/bundle.py``), and whoever hands out the address of
-    a table holds the table too.  So an address is good for as long as its holder lives, whatever is compiled,
-    solved or copied in between.
+    So an address is good for as long as its holder, who holds the table too, lives (``kernels/bundle.py``).
 
     Attributes:
         tree, goals, work: Tables of addresses: of the robot's tree, of ``goal_arrays``, of ``arrays``.

@@ -192,6 +192,10 @@ class Goal:
             and is not searched for.  Soft goals have priorities among themselves.
         length: Metres that count as much as one radian; None = 0.15 of the robot's reach.
             A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
+
+    Raises:
+        InvalidGoalError: A wrong shape, a number that is not finite, a zero quaternion or direction, no such
+            axis, a negative weight.
     """
 
     frame: str | None = None
@@ -341,9 +345,6 @@ class PositionGoal(_PointGoal):
 
     Attributes:
         axes: Which coordinates count; ``"z"`` asks for a height only.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
     """
 
     name: ClassVar[str] = "position goal"
@@ -356,9 +357,6 @@ class OrientationGoal(Goal):
     Attributes:
         free_axis: Axis of the frame about which it may rotate freely ("z", "-x" or three numbers):
             only where that axis points is then asked for.
-
-    Raises:
-        InvalidGoalError: Not four finite numbers, a zero quaternion, a negative weight, or no such axis.
     """
 
     wxyz: ArrayLike = ()
@@ -388,9 +386,6 @@ class PoseGoal(Goal):
 
     Attributes:
         free_axis: As in ``OrientationGoal``: a drill or a cup may rotate about its own axis.
-
-    Raises:
-        InvalidGoalError: Wrong shapes, numbers that are not finite, a zero quaternion, a negative weight.
     """
 
     position: ArrayLike = ()
@@ -435,9 +430,6 @@ class AimGoal(Goal):
 
     Attributes:
         axis: The axis that looks, in the frame: "z", "-x" … or three numbers.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, no such axis, a negative weight.
     """
 
     point: ArrayLike = ()
@@ -495,22 +487,14 @@ class _DirectionGoal(Goal):
 
 
 class LineGoal(_DirectionGoal):
-    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
-    """
+    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world."""
 
     name: ClassVar[str] = "line goal"
     across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
 
 
 class PlaneGoal(_DirectionGoal):
-    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
-    """
+    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,)."""
 
     name: ClassVar[str] = "plane goal"
     across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
@@ -520,9 +504,6 @@ class HalfSpaceGoal(_DirectionGoal):
     """The frame's origin on that side of the plane to which ``direction`` (3,) points: a one-sided wall.
 
     Nothing is asked while it is there; the plane goes through ``point`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
     """
 
     name: ClassVar[str] = "half-space goal"
@@ -535,9 +516,6 @@ class CenterOfMassGoal(_PointGoal):
     Attributes:
         frame: Name of a body: of it and all that hangs on it; None means everything in the model.
         axes: Which coordinates count; ``"xy"`` balances over a point and leaves the height free.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
     """
 
     name: ClassVar[str] = "centre-of-mass goal"
@@ -556,9 +534,6 @@ class PostureGoal(Goal):
         q: (nq,) where the joints are wanted.
         joints: How much single joints count, by name; those not named count 1, or 0 if ``only``.
         only: Leave out the joints that are not named.
-
-    Raises:
-        InvalidGoalError: No finite numbers, or a negative weight.
     """
 
     frame: str | None = field(default=None, init=False)
@@ -594,11 +569,7 @@ class PostureGoal(Goal):
         return replace(self, q=q)
 
     def joint_weights(self, robot: Robot) -> Array:
-        """(nv,) how much each degree of freedom counts.
-
-        Raises:
-            UnknownJointError: The goal names a joint that is not active.
-        """
+        """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""
         for joint in self.joints:
             if joint not in robot.joints:
                 raise UnknownJointError(joint, robot.joints)

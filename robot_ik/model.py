@@ -69,11 +69,7 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
     """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and a URDF's speed limits.
 
     Unnamed joints are called ``joint_<id>``.  A URDF keeps its fixed-joint frames, unless it asks for
-    ``fusestatic``.
-
-    Args:
-        source: A file, its text, or a spec, which stays as it is.
-        path: What to call it in messages.
+    ``fusestatic``.  ``path`` is for messages.
 
     Returns:
         The model; and joint -> rad/s or m/s, empty for anything but a URDF.
@@ -224,11 +220,7 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
 
 
 def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
-    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
-
-    Raises:
-        UnknownFrameError: A tool names a site or body that the model does not have.
-    """
+    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts."""
     sites = {
         model.site(s).name: ModelFrame(
             model.site(s).name, int(model.site_bodyid[s]), Pose(model.site_pos[s], model.site_quat[s])
@@ -262,11 +254,7 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 
 
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
-    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all.
-
-    Raises:
-        UnknownJointError: With the close names.
-    """
+    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
     if isinstance(joints, str):
         if joints not in file.groups:
             raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
@@ -293,13 +281,7 @@ def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[A
 
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
-    """Stiffness (nv,) of the active joints: from robot.toml where it names the joint, else 1.
-
-    ``names`` are those of all joints of the model.
-
-    Raises:
-        UnknownJointError: robot.toml names a joint that the model does not have.
-    """
+    """Stiffness (nv,): from robot.toml where it names the joint, else 1; ``names`` of all joints."""
     for name in file.stiffness:
         if name not in names:
             raise UnknownJointError(name, names)
@@ -430,15 +412,9 @@ def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
 def build_tree(
     model: mujoco.MjModel, joints: list[int] | None = None, qpos: Array | None = None
 ) -> tuple[Tree, tuple[Attachment, ...]]:
-    """Tree of a model in which only ``joints`` (MuJoCo ids; default all) move.
+    """Tree of a model in which only ``joints`` (MuJoCo ids; default all) move; attachments of all bodies.
 
-    Args:
-        model: Any compiled model with hinge, slide, ball and free joints.
-        joints: Active joints; the others are frozen.
-        qpos: (model.nq,) where the frozen joints stand; default ``model.qpos0``.
-
-    Returns:
-        The tree, and the attachment of every body of the model, by MuJoCo id.
+    The others are frozen where ``qpos`` (model.nq,) has them; default ``model.qpos0``.
     """
     active = set(range(model.njnt)) if joints is None else set(joints)
     where = np.array(model.qpos0 if qpos is None else qpos, dtype=float)

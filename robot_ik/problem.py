@@ -62,11 +62,7 @@ class Budget:
 
 
 def checked_goals(goals: object) -> list[Goal]:
-    """One goal or several as a list.
-
-    Raises:
-        GoalError: None at all, or something that is not a goal.
-    """
+    """One goal or several as a list; raises ``GoalError`` for none, or what is not a goal."""
     # Asked at run time too: a bare Pose or array is a likely mistake, and deserves a sentence.
     several = [goals] if isinstance(goals, Goal) else list(goals) if hasattr(goals, "__iter__") else []
     if not several or not all(isinstance(g, Goal) for g in several):
@@ -208,11 +204,7 @@ class Problem:
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
-        """Refuses other calls meanwhile; the hot loop has these lines itself.
-
-        Raises:
-            ProblemInUseError: Another thread's call is under way.
-        """
+        """Refuses other calls meanwhile (``ProblemInUseError``); the hot loop has these lines itself."""
         try:
             self.token.pop()
         except IndexError:

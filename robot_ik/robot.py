@@ -150,22 +150,14 @@ class Robot:
         return file if file.is_file() else None
 
     def frame(self, name: str | None = None) -> ModelFrame:
-        """The frame of that name (default: the tool).
-
-        Raises:
-            UnknownFrameError: With the close names.
-        """
+        """The frame of that name (default: the tool); raises ``UnknownFrameError`` with the close names."""
         try:
             return self._frames[self.tool if name is None else name]
         except KeyError:
             raise UnknownFrameError(str(name), self._frames) from None
 
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
-        """``q`` as a float array (nq,).
-
-        Raises:
-            ModelError: Wrong length, or a number that is not finite.
-        """
+        """``q`` as a float array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
         try:
             array = np.asarray(q, dtype=float)
         except (TypeError, ValueError) as error:
@@ -181,10 +173,7 @@ class Robot:
         return array
 
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
-        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,).
-
-        A number is the id of a body in the model.
-        """
+        """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
         if isinstance(frame, int):
             return self._bodies[frame].node, pose_row(self._bodies[frame].local)
         at = self.frame(frame)
@@ -220,12 +209,7 @@ class Robot:
         return np.array(data.subtree_com[self._body_id(body)])
 
     def masses(self, body: str | None = None) -> Array:
-        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``.
-
-        Raises:
-            UnknownFrameError: No such body.
-            ModelError: It has no mass.
-        """
+        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``; raises if none."""
         table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
         if not table[:, 0].sum() > LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
@@ -331,8 +315,8 @@ class Robot:
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
 
-        The centre is where the first joint stands; the radius adds up all offsets after it, slides at
-        their longest.  None where the base floats or a slide is unlimited.
+        The centre is where the first joint stands; the radius adds up all offsets after it, slides at their
+        longest.  None where the base floats or a slide is unlimited.
         """
         node, local = self.attachment(frame)
         return self.tree.reach(node, local)

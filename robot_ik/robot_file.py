@@ -86,8 +86,8 @@ class ReachScene(Table):
 class GalleryScene(Table):
     """What `robot-ik robots --gallery` draws beside the home pose.
 
-    A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
-    are at home.  ``view_deg``: the viewing direction, azimuth (from x towards y) and elevation.
+    A goal is a position, or a position and a quaternion wxyz, in the world; frames of ``keep`` stay as at
+    home.  ``view_deg``: azimuth (from x towards y) and elevation of the viewing direction.
     """
 
     about: str = "reaching"
@@ -97,10 +97,7 @@ class GalleryScene(Table):
 
 
 class FigureParts(Table):
-    """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
-
-    ``bend``: the keyframe of a deep bend.
-    """
+    """Frames that make a model a figure, by side where there are two; ``bend``: a keyframe."""
 
     hands: dict[str, str] = Field(default={})
     feet: dict[str, str] = Field(default={})
@@ -186,11 +183,7 @@ def catalogue() -> dict[str, Path]:
 
 
 def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
-    """Model file and contents of a ``robot.toml``.
-
-    Raises:
-        ConfigError: With file, key and what is allowed.
-    """
+    """Model file and contents of a ``robot.toml``; raises ``ConfigError`` as ``read_table``."""
     parsed = read_table(_RobotTable, path, "robot.toml")
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(

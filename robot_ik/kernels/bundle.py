@@ -131,20 +131,12 @@ def _lower_number(context: Any, builder: Any, kind: RowType, pointer: Any, name:
 
 
 def named_row(title: str, fields: tuple[tuple[str, type], ...]) -> Callable[[Any], Any]:
-    """What opens, in compiled code, an array (n,) of floats as numbers with names.
-
-    Args:
-        title: Of the row, for messages of the compiler.
-        fields: Name and ``float``, ``int`` or ``bool`` of each number.
-    """
+    """What opens, in compiled code, an array (n,) of floats as numbers (float, int, bool) with names."""
     return _opener(RowType(title, fields))
 
 
 def address_of(table: NDArray[Any]) -> Any:
-    """The address of a packed table, whose user must hold the table too; other arrays as they are.
-
-    An integer passes into compiled code a tenth of a microsecond faster than an array.
-    """
+    """The address of a packed table, which its user must hold too: quicker to pass; or another array."""
     return table.ctypes.data if owned(table) else table
 
 
@@ -171,9 +163,7 @@ class Layout:
         }
 
     def pack(self, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-        """The table of addresses (fields, 3) of ``arrays``; it keeps these very arrays alive.
-
-        A copy of the table does not: pass it on, or pack another.
+        """The table of addresses (fields, 3) of ``arrays``; it, but no copy of it, keeps them alive.
 
         Raises:
             TypeError: An array has the wrong type or number of dimensions, or is not C-contiguous.

@@ -109,8 +109,7 @@ def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
 def sources(module: str) -> list[Path]:
     """Every source that can change the compiled code of a module, its own among them, in a fixed order.
 
-    Args:
-        module: Its full name; for one outside ``robot_ik`` (a user's, a test's) every source of the kernels.
+    Of a module outside ``robot_ik`` (a user's, a test's) every source of the kernels.
     """
     own = _file_of(module.removeprefix("robot_ik.")) if module.startswith("robot_ik.") else None
     todo = [own] if own else list((_PACKAGE / "kernels").glob("*.py"))
@@ -274,17 +273,13 @@ def literal(function: F) -> F:
 def outlined(function: F) -> F:
     """Like ``pure`` but never forced into its callers: what is large or called from several places.
 
-    Stated explicitly, as a function first compiled for a forced one would inherit the force: goals of two
-    priorities then were one function of 209,000 lines, which LLVM took two minutes for.
+    Stated explicitly, as a function first compiled for a forced one would inherit the force.
     """
     return _compile_inner(function, forceinline=False)
 
 
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """The compiled code of an entry point, which takes arguments of the types of these and asks no more.
-
-    numba's own call inspects the type of each argument first, which costs a tenth of a microsecond.
-    """
+    """The compiled code of an entry point for such types: without numba's inspection of them, 0.1 µs each."""
     types = tuple(numba.typeof(argument) for argument in arguments)
     try:
         function.compile(types)
@@ -317,11 +312,7 @@ def announce(function: Any, what: str) -> None:
 
 @intrinsic
 def noinline(_typing: Any) -> Any:
-    """Keeps LLVM from copying the compiled function that calls it into all its callers.
-
-    A limb's closed form calls one function from many places, several levels deep: copied, it compiles for a
-    minute in place of seconds, and runs no faster.
-    """
+    """Keeps LLVM from copying the function that calls it: a limb's would compile for a minute."""
 
     def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         builder.function.attributes.add("noinline")

@@ -96,10 +96,7 @@ def apply_step(tree, goal, nodes, step, dq, q):
 
 @pure
 def step_bounds(tree, goal, work):
-    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
-
-    In units of the step, which ``apply_step`` shortens for stiff joints.
-    """
+    """work.low <= step <= work.high: how far each degree of freedom may go from work.q, as a step."""
     kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
     dofs, joint_scale, q, low, high = goal.dofs, goal.joint_scale, work.q, work.low, work.high
     for u in range(dofs.shape[0]):
@@ -483,11 +480,7 @@ def judge(tree, goal, work, within):
 
 @outlined
 def proceed(tree, goal, work):
-    """Whether to take another step; measures where the last one led, handles budget, stalled tries, restarts.
-
-    This is the one place where a solver measures: what it calls is large, and would be compiled once more
-    for each other.
-    """
+    """Whether to take another step; the one place that measures: what it calls is large."""
     state = work.state
     while state[ws.STATUS] == ws.RUNNING:
         if state[ws.AWAITED] != ws.NOTHING:

@@ -37,10 +37,8 @@ _PARALLEL = 1e-9
 
 @outlined
 def rotation_error(target, current, g, out, at):
-    """Rotation vector, world axes, that rotates current[g] into target[g] (pose rows), into out[at:at+3].
-
-    Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
-    """
+    """Rotation vector, world, from current[g] to target[g] into out[at:at+3]; returns its angle in [0,
+    pi]."""
     # M = R_target · R_currentᵀ, of which only what is needed is formed.
     m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
     m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
@@ -117,10 +115,7 @@ def between(ax, ay, az, dx, dy, dz):
 
 @pure
 def axis_error(ax, ay, az, dx, dy, dz):
-    """Rotation vector, world axes, that rotates the unit vector a the short way onto the unit vector d.
-
-    Returns it with its angle in [0, pi]; at π any axis across a will do.
-    """
+    """Rotation vector, world, from the unit vector a the short way to d, and its angle in [0, pi]."""
     nx, ny, nz, sine, cosine, angle = between(ax, ay, az, dx, dy, dz)
     if sine > _PARALLEL:
         scale = angle / sine
@@ -184,8 +179,7 @@ _AT_POINT = 1e-9
 def mass_center(tree, goal, work, g):
     """Centre of mass into frames[g, :3]; first moments of what hangs on each node into goal.moments.
 
-    goal.masses holds for each node its own mass and centre, seen from the node, and in a last row those
-    of the bodies that do not move.
+    goal.masses has mass and centre of each node, seen from it, and in a last row those that do not move.
     """
     parent, world, masses, moments, frames = tree.parent, work.world, goal.masses, goal.moments, work.frames
     n, first = parent.shape[0], goal.row_codes[g, BLOCK]
@@ -468,10 +462,7 @@ def evaluate(tree, goal, work):
 
 @outlined
 def whole_columns(tree, goal, work, points, g, first, end):
-    """The columns listed in goal.movers[g, first:end], of a whole position, orientation or pose.
-
-    Those of joints that cannot move the goal are zero from the beginning, and stay it.
-    """
+    """Columns goal.movers[g, first:end] of a whole position, orientation or pose; others stay zero."""
     kind, vadr, dof_node, moved = tree.kind, tree.vadr, tree.dof_node, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
@@ -552,8 +543,7 @@ def clamp_residual(goal, residual, wanted, clamp, alike):
 def goal_jacobian(tree, goal, work, points):
     """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact.
 
-    ``points`` (g, 12) are the poses whose origins the position rows move: work.frames, or goal.target
-    for the alternative Jacobian.
+    Position rows move the origins of ``points`` (g, 12): work.frames, or goal.target (alternative Jacobian).
     """
     dofs, joint_scale, jacobian = goal.dofs, goal.joint_scale, work.jacobian
     for g in range(goal.kind.shape[0]):

@@ -109,12 +109,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, node: int, local: Array) -> tuple[Array, float] | None:
-        """A ball that a point can never leave: centre (3,) and radius in metres; see ``Robot.reach``.
-
-        Args:
-            node: Node that carries the point.
-            local: (3,) or longer, the point seen from the node.
-        """
+        """A ball that a point (``local``, seen from ``node``) can never leave, as ``Robot.reach`` has it."""
         chain = self.ancestors(node)
         if not chain or self.kind[chain[0]] == FREE:
             return None

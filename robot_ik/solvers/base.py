@@ -152,10 +152,7 @@ class Solver(ABC):
     def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
-        The problem's budget is that of each row.
-
-        Raises:
-            As ``solve``.
+        The problem's budget is that of each row; errors as of ``solve``.
         """
         with problem.in_use():
             self.attempt_many(problem, targets, starts, results, problem.budget)
@@ -296,13 +293,8 @@ def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
 class Run:
     """A solver's compiled loop for one problem: made once, so that the hot loop only copies numbers.
 
-    Attributes:
-        solver, budget, seed: What ``fresh`` was made for.
-        entry: The compiled loop without numba's inspection of its arguments.
-        tables: What it works on; holds what ``arguments`` has addresses of.
-        arguments: What it takes: the addresses of tables, and arrays.
-        fresh: State and values that a solve begins with.
-        traced, whole: Whether a trace is kept; whether nothing is to be done between the steps.
+    ``tables`` holds what ``arguments`` has addresses of; ``entry`` is the loop itself; ``fresh`` are the
+    state and values that a solve with that budget and seed begins with.
     """
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
@@ -329,10 +321,7 @@ class Run:
 
 
 def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
-    """Runs a kernel piece by piece: between, it reads the clock and takes the rows of the trace away.
-
-    A solve in pieces is the same to the last bit.
-    """
+    """Runs a kernel in pieces, the same to the last bit: between, it reads the clock and the trace."""
     rows: list[Array] = []
     state, longest = run.state, len(trace) or workspace.NO_LIMIT
     seconds = run.budget.seconds
@@ -356,11 +345,7 @@ def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
 
 
 def take_start(problem: Problem, start: ArrayLike | None) -> None:
-    """Puts the start (nq,) of a solve, default home, where the kernels read it.
-
-    Raises:
-        ModelError: Wrong length, or a number that is not finite.
-    """
+    """Puts the start (nq,), default home, where the kernels read it; raises as ``Robot.check_q``."""
     begin = problem.arrays["start"]
     if type(start) is np.ndarray and start.shape == begin.shape:
         if start is not begin:
