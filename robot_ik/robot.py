@@ -375,11 +375,7 @@ def load_robot(
 
 
 def make_robot(
-    model: mujoco.MjModel,
-    path: Path,
-    file: RobotFile,
-    joints: Sequence[str] | str | None,
-    tool: str | None,
+    model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = joint_names(model)

@@ -30,9 +30,8 @@ def uniform(state):
     x ^= x << types.uint64(25)
     x ^= x >> types.uint64(27)
     state[ws.SEED] = types.int64(x)
-    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
-        1.0 / 9007199254740992.0
-    )
+    bits = (x * types.uint64(2685821657736338717)) >> types.uint64(11)
+    return types.float64(bits) * (1.0 / 9007199254740992.0)
 
 
 @outlined
@@ -64,13 +63,11 @@ def draw(tree, nodes, start, state, q):
 def apply_step(tree, goal, nodes, step, dq, q):
     """q = q ⊕ joint scale · step for the goals' joints, inside the limits; ``dq`` is work space."""
     dofs, joint_scale = goal.dofs, goal.joint_scale
-    kind, qadr, vadr, dof_node, lower, upper = (
-        tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
-    )  # fmt: skip
+    kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
     floating = False
     for u in range(dofs.shape[0]):
         v = dofs[u]
-        k = dof_node[v]
+        k = tree.dof_node[v]
         if kind[k] < BALL:
             a = qadr[k]
             q[a] = min(max(q[a] + joint_scale[u] * step[u], lower[v]), upper[v])
@@ -204,14 +201,6 @@ def some_within_reach(goal, work):
     return found
 
 
-@pure
-def may_restart(state):
-    """Whether another random start may help: not towards what is proven out of reach."""
-    return state[ws.RESTARTS] < state[ws.MAX_RESTARTS] and (
-        state[ws.ANY_UNREACHABLE] == 0 or state[ws.SEARCH] == ws.SEARCHING
-    )
-
-
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
@@ -266,16 +255,6 @@ def keep_best(work):
     copy(work.q, work.best)
 
 
-@pure
-def begin_try(work):
-    """Resets what belongs to one descent, whose start has been measured."""
-    state, value = work.state, work.value
-    state[ws.TRY_STEPS] = 0
-    state[ws.STALLS] = 0
-    value[ws.TRY_COST] = value[ws.COST]
-    value[ws.ACCEPTED] = math.inf
-
-
 @outlined
 def begin(tree, goal, work):
     """First call of a solve: put the start inside the limits.  Later calls go on."""
@@ -294,12 +273,6 @@ def begin(tree, goal, work):
 
 
 @pure
-def kept_for_polish(state):
-    """Steps of the budget that no random try may use, so that the result is a local minimum."""
-    return min(_KEPT, state[ws.MAX_ITERATIONS] // 4)
-
-
-@pure
 def rival_wins(work):
     """Whether the best of the random tries clearly beats the solution near the start; it is then polished."""
     value = work.value
@@ -315,12 +288,12 @@ def rival_wins(work):
 def next_try(tree, goal, work):
     """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
-    more = may_restart(state)
-    if (
-        state[ws.POLISHING] == 0
-        and more
-        and state[ws.ITERATIONS] + kept_for_polish(state) < state[ws.MAX_ITERATIONS]
-    ):
+    # Not towards what is proven out of reach.
+    more = state[ws.ANY_UNREACHABLE] == 0 or state[ws.SEARCH] == ws.SEARCHING
+    more = more and state[ws.RESTARTS] < state[ws.MAX_RESTARTS]
+    # No random try may use the steps of the polish: the result is a local minimum.
+    left = state[ws.MAX_ITERATIONS] - min(_KEPT, state[ws.MAX_ITERATIONS] // 4) - state[ws.ITERATIONS]
+    if state[ws.POLISHING] == 0 and more and left > 0:
         if state[ws.RESTARTS] == 0:
             copy(work.best, work.nearby)
         state[ws.RESTARTS] += 1
@@ -376,15 +349,6 @@ def begin_search(goal, work):
 
 
 @pure
-def polish_found(goal, work):
-    """The search has found what meets the goals within reach: from there all goals count again."""
-    state, value = work.state, work.value
-    ask_for_all(goal)
-    value[ws.BEST_COST], value[ws.SHARE] = math.inf, min(value[ws.SHARE], 1.0)
-    state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.FOUND, 1, ws.TRY
-
-
-@pure
 def end_search(goal, work):
     """The better of what was kept and what was found; the former unless the latter clearly beats it."""
     state, value = work.state, work.value
@@ -433,7 +397,9 @@ def judge(tree, goal, work, within):
             state[ws.STATUS] = ws.NUMERICAL
             return
     if within and state[ws.SEARCH] == ws.SEARCHING:
-        polish_found(goal, work)
+        ask_for_all(goal)  # what meets those within reach is found: from there all count again
+        value[ws.BEST_COST], value[ws.SHARE] = math.inf, min(value[ws.SHARE], 1.0)
+        state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.FOUND, 1, ws.TRY
         return
     if within and state[ws.SEARCH] == ws.ASKED:  # the solution near the start meets them already
         end_search(goal, work)
@@ -466,7 +432,8 @@ def judge(tree, goal, work, within):
     if better and state[ws.SEARCH] != ws.SEARCHING:
         keep_best(work)
     if awaited != ws.STEP:
-        begin_try(work)
+        state[ws.TRY_STEPS] = state[ws.STALLS] = 0
+        value[ws.TRY_COST], value[ws.ACCEPTED] = cost, math.inf
         return
     if state[ws.POLISHING] > 0 and value[ws.SHARE] > 0.0:
         shorten(work, better)

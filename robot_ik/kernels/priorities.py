@@ -14,7 +14,6 @@ from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import follow
 from robot_ik.kernels.level_step import (
     better,
-    keep_levels,
     leave_level,
     level_met,
     levels_met,
@@ -31,6 +30,7 @@ from robot_ik.kernels.loop import (
     draw,
     drop_unreachable,
     judge,
+    keep_best,
     record,
     some_within_reach,
 )
@@ -95,8 +95,7 @@ def keep_first(work):
     """In the try from the start every step that is kept is the best so far."""
     state = work.state
     if state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
-        copy(work.q, work.best)
-        work.value[ws.BEST_COST] = work.value[ws.COST]
+        keep_best(work)
 
 
 @outlined
@@ -133,10 +132,10 @@ def level_step(tree, goal, work, options):
 
 
 @pure
-def converge(work, cost):
+def converge(work):
     """The solution is work.q: all that is needed is met."""
-    copy(work.q, work.best)
-    work.value[ws.BEST_COST], work.state[ws.STATUS] = cost, ws.CONVERGED
+    keep_best(work)
+    work.state[ws.STATUS] = ws.CONVERGED
     return True
 
 
@@ -148,7 +147,7 @@ def step_together(tree, goal, work):
     met = levels_met(goal, work, needed)
     pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
     if met and largest <= _REST:
-        return converge(work, work.value[ws.COST])
+        return converge(work)
     if largest > _NEAR or state[ws.STALLS] >= _AT_MOST:
         return False
     copy(work.q, work.accepted)
@@ -166,7 +165,7 @@ def step_together(tree, goal, work):
     state[ws.PRESSED] = pressed
     keep_first(work)
     if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
-        return converge(work, work.value[ws.COST])
+        return converge(work)
     return True
 
 
@@ -194,15 +193,6 @@ def start_anew(tree, goal, work):
     begin_at(tree, goal, work, work.candidate)
 
 
-@pure
-def some_unreachable_first(goal, work):
-    """Whether a goal of the first level is proven out of reach."""
-    found = False
-    for g in range(goal.kind.shape[0]):
-        found = found or (goal.level[g] == 0 and work.unreachable[g] == 1)
-    return found
-
-
 @outlined
 def try_again(tree, goal, work):
     """Another try for the first level; False where none can help.
@@ -210,10 +200,12 @@ def try_again(tree, goal, work):
     Where it has goals that are proven out of reach, the others are searched for without them, first from the
     best so far, and once.
     """
-    state = work.state
+    state, beyond = work.state, False
+    for g in range(goal.kind.shape[0]):
+        beyond = beyond or (goal.level[g] == 0 and work.unreachable[g] == 1)
     if state[ws.SEARCH] == ws.FOUND:
         return False
-    if state[ws.SEARCH] == ws.SEARCHING or not some_unreachable_first(goal, work):
+    if state[ws.SEARCH] == ws.SEARCHING or not beyond:
         start_anew(tree, goal, work)
         return True
     if not some_within_reach(goal, work):
@@ -234,8 +226,8 @@ def end_try(tree, goal, work):
     for level in range(max(state[ws.LEVEL], 0), levels):
         leave_level(goal, work, level)
     if state[ws.SEARCH] != ws.SEARCHING and better(work, levels):
-        keep_levels(work)
-        work.value[ws.BEST_COST] = work.value[ws.COST]
+        copy(work.level_bar, work.level_best)
+        keep_best(work)
     met = True
     for level in range(needed_levels(goal)):
         met = met and work.level_best[level] < 0.0
@@ -303,9 +295,12 @@ def begin_levels(tree, goal, work, first_damping):
         state[ws.STATUS] = ws.RUNNING  # what is only wanted is still to be served
 
 
-@pure
-def run_levels(tree, goal, work, options):
-    """All steps of a solve, until it ends or its slice does."""
+@kernel
+def lm_levels(run):
+    """``lm`` for goals of several priorities, and for soft ones; its options are ``LEVEL_OPTIONS``."""
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
+    options = open_options(run.options)
     state, levels = work.state, work.level_cost.shape[0]
     if state[ws.STATUS] != ws.RUNNING:
         begin_levels(tree, goal, work, options.damping)
@@ -320,11 +315,3 @@ def run_levels(tree, goal, work, options):
             next_level(tree, goal, work, options.damping)
         else:
             level_step(tree, goal, work, options)
-
-
-@kernel
-def lm_levels(run):
-    """``lm`` for goals of several priorities, and for soft ones; its options are ``LEVEL_OPTIONS``."""
-    run = ws.open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
-    run_levels(tree, goal, work, open_options(run.options))

@@ -37,8 +37,7 @@ _PARALLEL = 1e-9
 
 @outlined
 def rotation_error(target, current, g, out, at):
-    """Rotation vector, world, from current[g] to target[g] into out[at:at+3]; returns its angle in [0,
-    pi]."""
+    """Rotation vector, world, from current[g] to target[g] into out[at:at+3]; returns its angle."""
     # M = R_target · R_currentᵀ, of which only what is needed is formed.
     m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
     m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
@@ -149,11 +148,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     rx = (py * dz - pz * dy) + (ay * qz - az * qy)
     ry = (pz * dx - px * dz) + (az * qx - ax * qz)
     rz = (px * dy - py * dx) + (ax * qy - ay * qx)
-    return (
-        slope * along * nx - ratio * rx,
-        slope * along * ny - ratio * ry,
-        slope * along * nz - ratio * rz,
-    )
+    return (slope * along * nx - ratio * rx, slope * along * ny - ratio * ry, slope * along * nz - ratio * rz)
 
 
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;

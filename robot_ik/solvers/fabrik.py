@@ -16,14 +16,7 @@ from typing import ClassVar
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import workspace as ws
-from robot_ik.kernels.bones import (
-    distance,
-    has_orientation,
-    link_points,
-    locate_all,
-    open_bones,
-    settle,
-)
+from robot_ik.kernels.bones import distance, has_orientation, link_points, locate_all, open_bones, settle
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, proceed
@@ -50,11 +43,7 @@ class Fabrik(BoneSolver):
     patience: int = option(10, "passes without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     pull: float = option(
-        0.1,
-        "hinges: weight of the goal beside the targets of points",
-        low=0.0,
-        high=10.0,
-        usual=(0.0, 1.0),
+        0.1, "hinges: weight of the goal beside the targets of points", low=0.0, high=10.0, usual=(0.0, 1.0)
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
     kick: float = option(

@@ -206,10 +206,9 @@ def has_levels(compiled: CompiledProblem) -> bool:
 def stride_bounds(tree, goal, work, stride):
     """``step_bounds``, but no more than ``stride`` at once; in later tries joints may wrap around."""
     step_bounds(tree, goal, work)
-    low, high, joint_scale = work.low, work.high, goal.joint_scale
-    around = may_wrap(tree, work)
+    low, high, around = work.low, work.high, may_wrap(tree, work)
     for u in range(low.shape[0]):
-        most = stride / joint_scale[u]
+        most = stride / goal.joint_scale[u]
         if around and can_wrap(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:

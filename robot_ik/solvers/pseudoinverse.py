@@ -173,12 +173,9 @@ class Pseudoinverse(JacobianSolver):
     """The shortest step that solves the linear model; fast near a solution, rough near singularities."""
 
     cutoff: float = option(
-        1e-4,
-        "singular values below this share of the largest count as zero",
-        low=1e-12,
-        high=1.0,
+        1e-4, "singular values below this share of the largest count as zero", low=1e-12, high=1.0,
         usual=(0.0, 0.1),
-    )
+    )  # fmt: skip
     aim: str = option("none", "what the null space is used for", choices=AIMS)
     aim_gain: float = option(0.2, "share of the aim in each step", low=0.0, high=1e3, usual=(0.0, 1.0))
     halvings: int = option(

@@ -41,13 +41,9 @@ class SelectivelyDamped(JacobianSolver):
     """Smooth near singularities and at unreachable targets without a damping to tune."""
 
     max_step: float = option(
-        math.pi / 4,
-        "γ_max: largest change of one joint in a step",
-        low=1e-4,
-        high=1e6,
-        unit="rad",
+        math.pi / 4, "γ_max: largest change of one joint in a step", low=1e-4, high=1e6, unit="rad",
         usual=(0.0, 2.0),
-    )
+    )  # fmt: skip
 
     name: ClassVar[str] = "sdls"
     title: ClassVar[str] = "selectively damped least squares"

@@ -49,11 +49,7 @@ class Triangulation(BoneSolver):
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     improved: bool = option(True, "rotate each bone no farther than the rest needs", low=0, high=1)
     pull: float = option(
-        0.1,
-        "hinges: weight of the goal beside the targets of points",
-        low=0.0,
-        high=10.0,
-        usual=(0.0, 1.0),
+        0.1, "hinges: weight of the goal beside the targets of points", low=0.0, high=10.0, usual=(0.0, 1.0)
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
 
