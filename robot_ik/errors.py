@@ -25,7 +25,7 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint with the known names that are close; empty where there are none."""
+    """A hint with the known names that are close, if any."""
     close = close_matches(name, known)
     return f"did you mean {' or '.join(close)}?" if close else ""
 
@@ -34,15 +34,12 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     """One sentence for an unknown name: the close ones first, then what exists."""
     shown = repr(name)
     text = f"unknown {kind} {shown if len(shown) <= 60 else shown[:59] + '…'}"
-    close = close_matches(name, known)
-    if close:
-        text += f"; did you mean {' or '.join(repr(c) for c in close)}?"
-    if known:
-        shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
-        text += f" Known: {shown}." if close else f"; known: {shown}."
-    else:
-        text += f"; there is no {kind} at all here."
-    return text
+    if not known:
+        return f"{text}; there is no {kind} at all here."
+    shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
+    if close := close_matches(name, known):
+        return f"{text}; did you mean {' or '.join(map(repr, close))}? Known: {shown}."
+    return f"{text}; known: {shown}."
 
 
 def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
@@ -59,11 +56,7 @@ def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
 
 
 class RobotIkError(Exception):
-    """Root of all errors of this package.
-
-    Attributes:
-        hint: What to try next, one or two lines; empty when the message says it all.
-    """
+    """Root of all errors of this package; ``hint`` is what to try next, if anything."""
 
     def __init__(self, message: str, *, hint: str = "") -> None:
         super().__init__(message)
@@ -99,13 +92,7 @@ class CalibrationError(CameraError):
 
 
 class ConfigError(RobotIkError, ValueError):
-    """A configuration file is wrong.
-
-    Attributes:
-        file: The file.
-        key: Dotted key, or empty when the whole file is meant.
-        allowed: What would be right, as text.
-    """
+    """A configuration file is wrong: ``file``, dotted ``key`` (empty: the whole), what is ``allowed``."""
 
     def __init__(
         self, problem: str, *, file: Path | str, key: str = "", allowed: str = "", hint: str = ""
@@ -151,13 +138,7 @@ def _servo(id: int, joint: str) -> str:
 
 
 class BusTimeoutError(HardwareError):
-    """A servo did not answer.
-
-    Attributes:
-        joint, id, register, port: Who was asked what, and where.
-        last_good: Seconds since the last good reply, ``None`` if there never was one.
-        everyone: No other servo answers either.
-    """
+    """A servo, or ``everyone``, did not answer; ``last_good``: seconds since a reply, None: never."""
 
     def __init__(
         self,
@@ -182,12 +163,7 @@ class BusCorruptError(HardwareError):
 
 
 class ServoRefusedError(HardwareError):
-    """A servo answered an instruction with an error number (Protocol 2.0, ERR bits 0-6).
-
-    Attributes:
-        id, register: Who and what.
-        code: The number; ``reason`` is its name in the manual.
-    """
+    """A servo answered with an error number (Protocol 2.0, ERR bits 0-6); ``reason`` is its name."""
 
     def __init__(self, *, id: int, register: str, code: int, reason: str, joint: str = "") -> None:
         self.id, self.register, self.code, self.reason, self.joint = id, register, code, reason, joint
@@ -198,12 +174,7 @@ _NOT_THE_SERVOS = "check power, cable, ids, the arm file; robot-ik servo scan lo
 
 
 class ServoMismatchError(HardwareError):
-    """The servos found on the bus are not the ones that the arm file, or another ``source``, names.
-
-    Attributes:
-        expected: Servo id -> "joint: model" as the source says.
-        found: Servo id -> model as the bus says.
-    """
+    """The servos found (id -> model) are not those that the arm file, or another ``source``, names."""
 
     def __init__(
         self,
@@ -226,11 +197,7 @@ class ServoMismatchError(HardwareError):
 
 
 class MotorFaultError(HardwareError):
-    """A servo has shut down or the arm has latched a fault.
-
-    Attributes:
-        joint: Joint name; ``status``: decoded hardware error names.
-    """
+    """A servo has shut down or the arm has latched a fault; ``status``: decoded hardware error names."""
 
     def __init__(self, joint: str, status: Sequence[str], *, hint: str = "") -> None:
         self.joint, self.status = joint, tuple(status)
@@ -255,12 +222,7 @@ class ArmStateError(HardwareError):
 
 
 class ModelError(RobotIkError):
-    """A robot model cannot be found, read or used.
-
-    Attributes:
-        path: The file, when there is one.
-        reason: What the reader (usually MuJoCo) said.
-    """
+    """A robot model cannot be found, read or used; ``reason`` is what the reader (usually MuJoCo) said."""
 
     def __init__(
         self, message: str, *, path: Path | str | None = None, reason: str = "", hint: str = ""

@@ -17,20 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError, UnknownJointError
 from robot_ik.geometry import Pose, rotation_z_to
-from robot_ik.kernels.residuals import (
-    AIMED,
-    ALL_AXES,
-    NO_ORIENTATION,
-    NO_POSITION,
-    OF_FRAME,
-    OF_JOINTS,
-    OF_MASS,
-    OF_PRIOR,
-    ONE_AXIS,
-    ONE_SIDE,
-    SOME_AXES,
-    WHOLE,
-)
+from robot_ik.kernels import residuals as codes
 from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 
 if TYPE_CHECKING:
@@ -101,11 +88,10 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
             f"{what} is a zero quaternion, which is no orientation",
             hint="quaternions are w, x, y, z; 1 0 0 0 is no rotation",
         )
-    if norm == 1.0:
-        return array
-    unit = array / norm
-    unit.flags.writeable = False
-    return unit
+    if norm != 1.0:
+        array = array / norm
+        array.setflags(write=False)
+    return array
 
 
 def positive_number(value: float, what: str) -> float:
@@ -159,25 +145,25 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class Rows:
-    """Which rows a goal makes: all that the kernels know of its kind (``kernels/residuals.py``).
+    """Which rows a goal makes: all that the kernels know of its kind (codes of ``kernels/residuals.py``).
 
     Attributes:
-        position, orientation, of: Codes: what of the position and orientation is asked for, and of what.
+        position, orientation, of: What of the position and orientation is asked for, and of what.
         mask: (3,) which coordinates count, in the axes of the target.
         axis: (3,) the axis of the frame that is aligned with the target's, or aimed at it.
     """
 
-    position: int = NO_POSITION
-    orientation: int = NO_ORIENTATION
-    of: int = OF_FRAME
+    position: int = codes.NO_POSITION
+    orientation: int = codes.NO_ORIENTATION
+    of: int = codes.OF_FRAME
     mask: tuple[float, float, float] = (1.0, 1.0, 1.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     @property
     def whole(self) -> bool:
         """A whole position, orientation or pose of a frame: what every method understands."""
-        whole = self.position in (NO_POSITION, WHOLE) and self.orientation in (NO_ORIENTATION, ALL_AXES)
-        return whole and self.of == OF_FRAME
+        position, orientation = (codes.NO_POSITION, codes.WHOLE), (codes.NO_ORIENTATION, codes.ALL_AXES)
+        return self.position in position and self.orientation in orientation and self.of == codes.OF_FRAME
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -276,7 +262,7 @@ class Goal:
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         """Metres and radians off ``target`` at ``q``, by MuJoCo's own forward pass; no weight, no miss."""
-        if self.rows.of == OF_MASS:
+        if self.rows.of == codes.OF_MASS:
             return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
         return self.off(robot.measure(q, self.frame), target)
 
@@ -284,25 +270,25 @@ class Goal:
         """Metres and radians that a frame at ``here`` is off ``target``, in what is asked for."""
         rows, asked = self.rows, self.weights
         metres = radians = 0.0
-        if rows.position != NO_POSITION and asked[0] > 0.0:
+        if rows.position != codes.NO_POSITION and asked[0] > 0.0:
             off = (target.rotation.T @ (target.position - here.position)) * rows.mask
-            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.position == ONE_SIDE else off))
-        if rows.orientation == ALL_AXES and asked[1] > 0.0:
+            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.position == codes.ONE_SIDE else off))
+        if rows.orientation == codes.ALL_AXES and asked[1] > 0.0:
             radians = here.distance(target)[1]
-        elif rows.orientation in (ONE_AXIS, AIMED) and asked[1] > 0.0:
-            axis, wanted = here.rotation @ rows.axis, target.rotation @ rows.axis
-            if rows.orientation == AIMED:
-                wanted = target.position - here.position
-                if np.linalg.norm(wanted) < 1e-9:
-                    return metres, 0.0
-            sine, cosine = float(np.linalg.norm(np.cross(axis, wanted))), float(axis @ wanted)
-            radians = float(np.arctan2(sine, cosine))
+        elif rows.orientation in (codes.ONE_AXIS, codes.AIMED) and asked[1] > 0.0:
+            aimed = rows.orientation == codes.AIMED
+            axis = here.rotation @ rows.axis
+            wanted = target.position - here.position if aimed else target.rotation @ rows.axis
+            if np.linalg.norm(wanted) >= 1e-9:
+                radians = math.atan2(np.linalg.norm(np.cross(axis, wanted)), axis @ wanted)
         return metres, radians
 
 
 # Made once: goals are made in loops.
-_WHOLE_ORIENTATION = {part: Rows(position=part, orientation=ALL_AXES) for part in (NO_POSITION, WHOLE)}
-_WHOLE_POSITION = Rows(position=WHOLE)
+_WHOLE_ORIENTATION = {
+    part: Rows(position=part, orientation=codes.ALL_AXES) for part in (codes.NO_POSITION, codes.WHOLE)
+}
+_WHOLE_POSITION = Rows(position=codes.WHOLE)
 
 
 def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
@@ -310,7 +296,7 @@ def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
     if free_axis is None:
         return _WHOLE_ORIENTATION[position]
     x, y, z = axis_vector(free_axis, "free_axis").tolist()
-    return Rows(position=position, orientation=ONE_AXIS, axis=(x, y, z))
+    return Rows(position=position, orientation=codes.ONE_AXIS, axis=(x, y, z))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -330,7 +316,7 @@ class _PointGoal(Goal):
         self._set(rows=self._rows_of(axes_mask(self.axes)))
 
     def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
-        return _WHOLE_POSITION if all(mask) else Rows(position=SOME_AXES, mask=mask)
+        return _WHOLE_POSITION if all(mask) else Rows(position=codes.SOME_AXES, mask=mask)
 
     @property
     def target(self) -> Pose:
@@ -370,7 +356,7 @@ class OrientationGoal(Goal):
         super().__post_init__()
         weight = positive_number(self.weight, "weight")
         self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=weight, weights=(0.0, weight))
-        self._set(rows=_orientation_rows(NO_POSITION, self.free_axis))
+        self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
 
     @property
     def target(self) -> Pose:
@@ -408,7 +394,7 @@ class PoseGoal(Goal):
             position_weight=metres,
             angle_weight=radians,
             weights=(metres, radians),
-            rows=_orientation_rows(WHOLE, self.free_axis),
+            rows=_orientation_rows(codes.WHOLE, self.free_axis),
         )
 
     @classmethod
@@ -444,7 +430,7 @@ class AimGoal(Goal):
         x, y, z = axis_vector(self.axis).tolist()
         weight = positive_number(self.weight, "weight")
         self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
-        self._set(rows=Rows(orientation=AIMED, axis=(x, y, z)))
+        self._set(rows=Rows(orientation=codes.AIMED, axis=(x, y, z)))
 
     @property
     def target(self) -> Pose:
@@ -490,14 +476,14 @@ class LineGoal(_DirectionGoal):
     """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world."""
 
     name: ClassVar[str] = "line goal"
-    across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
+    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(1.0, 1.0, 0.0))
 
 
 class PlaneGoal(_DirectionGoal):
     """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,)."""
 
     name: ClassVar[str] = "plane goal"
-    across: ClassVar[Rows] = Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
+    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(0.0, 0.0, 1.0))
 
 
 class HalfSpaceGoal(_DirectionGoal):
@@ -507,7 +493,7 @@ class HalfSpaceGoal(_DirectionGoal):
     """
 
     name: ClassVar[str] = "half-space goal"
-    across: ClassVar[Rows] = Rows(position=ONE_SIDE, mask=(0.0, 0.0, 1.0))
+    across: ClassVar[Rows] = Rows(position=codes.ONE_SIDE, mask=(0.0, 0.0, 1.0))
 
 
 class CenterOfMassGoal(_PointGoal):
@@ -521,7 +507,7 @@ class CenterOfMassGoal(_PointGoal):
     name: ClassVar[str] = "centre-of-mass goal"
 
     def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
-        return Rows(position=SOME_AXES, of=OF_MASS, mask=mask)
+        return Rows(position=codes.SOME_AXES, of=codes.OF_MASS, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -558,7 +544,7 @@ class PostureGoal(Goal):
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
         weight = positive_number(self.weight, "weight")
         self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
-        self._set(weights=(weight, weight), rows=Rows(of=OF_JOINTS))
+        self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -626,7 +612,7 @@ class PosePriorGoal(Goal):
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
         weight = positive_number(self.weight, "weight")
-        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=OF_PRIOR))
+        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
 
     @property
     def signature(self) -> tuple[object, ...]:

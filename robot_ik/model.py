@@ -242,10 +242,9 @@ def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame
 
 def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
     """Default frame of a model without robot.toml: a telling name, else the last site or body."""
-    for wanted in _TOOL_NAMES:
-        for name in frames:
-            if name.lower() == wanted:
-                return name
+    telling = [name for wanted in _TOOL_NAMES for name in frames if name.lower() == wanted]
+    if telling:
+        return telling[0]
     if model.nsite and model.site(model.nsite - 1).name:
         return str(model.site(model.nsite - 1).name)
     if not frames:
@@ -333,10 +332,7 @@ class _Builder:
     def __init__(self, model: mujoco.MjModel, active: set[int], qpos: Array) -> None:
         self.model, self.active, self.qpos = model, active, qpos
         self.joint_ids: list[int] = []
-        self.kind: list[int] = []
-        self.parent: list[int] = []
-        self.qadr: list[int] = []
-        self.vadr: list[int] = []
+        self.nodes: list[tuple[int, int, int, int]] = []  # kind, parent, where it begins in q and in dq
         self.constant: list[Array] = []
         self.bodies: list[Attachment] = [Attachment(-1, Pose())]
         self.nq = self.nv = 0
@@ -370,12 +366,9 @@ class _Builder:
             constant = constant.compose(align).compose(Pose(wxyz=rotation_exp([0.0, 0.0, -reference])))
         elif kind == SLIDE:
             constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
-        node = len(self.kind)
+        node = len(self.nodes)
         self.joint_ids.append(joint)
-        self.kind.append(kind)
-        self.parent.append(-1 if kind == FREE else at.node)
-        self.qadr.append(self.nq)
-        self.vadr.append(self.nv)
+        self.nodes.append((kind, -1 if kind == FREE else at.node, self.nq, self.nv))
         self.constant.append(pose_row(Pose() if kind == FREE else constant))
         self.nq += Q_WIDTH[kind]
         self.nv += V_WIDTH[kind]
@@ -386,7 +379,7 @@ def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Arr
     """Limits (nv,) as MuJoCo has them, and finite ranges (nv,) to draw random starts from."""
     lower, upper = np.full(builder.nv, -np.inf), np.full(builder.nv, np.inf)
     low, high = np.full(builder.nv, -np.pi), np.full(builder.nv, np.pi)
-    for joint, kind, v in zip(builder.joint_ids, builder.kind, builder.vadr, strict=True):
+    for joint, (kind, _, _, v) in zip(builder.joint_ids, builder.nodes, strict=True):
         if kind in (SLIDE, FREE):  # without limits: one metre either way
             shift = slice(v, v + (3 if kind == FREE else 1))
             low[shift], high[shift] = -1.0, 1.0
@@ -402,11 +395,8 @@ def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Arr
 
 def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
     """(nq,): where the numbers of q stand in the model's whole qpos."""
-    found: list[int] = []
-    for joint, kind in zip(tree.joint_ids, tree.kind, strict=True):
-        start = int(model.jnt_qposadr[joint])
-        found += range(start, start + Q_WIDTH[int(kind)])
-    return np.array(found, dtype=np.int64)
+    starts = zip(model.jnt_qposadr[list(tree.joint_ids)].tolist(), tree.kind.tolist(), strict=True)
+    return np.array([start + i for start, kind in starts for i in range(Q_WIDTH[kind])], dtype=np.int64)
 
 
 def build_tree(
@@ -421,9 +411,7 @@ def build_tree(
     builder = _Builder(model, active, where)
     for body in range(1, model.nbody):
         builder.body(body)
-    kind, parent, qadr, vadr = (
-        np.array(a, dtype=np.int64) for a in (builder.kind, builder.parent, builder.qadr, builder.vadr)
-    )
+    kind, parent, qadr, vadr = np.array(builder.nodes, dtype=np.int64).reshape(-1, 4).T
     tree = Tree(
         tuple(builder.joint_ids), kind, parent, qadr, vadr,
         np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
@@ -437,15 +425,13 @@ def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]
     Only the body ``root`` and all that hangs on it count.
     """
     table = np.zeros((tree.size + 1, 4))
-    inside = {root}
+    inside: set[int] = set()
     for body in range(root, model.nbody):
-        if body != root and int(model.body_parentid[body]) not in inside:
-            continue
-        inside.add(body)
-        mass, at = float(model.body_mass[body]), bodies[body]
-        row = table[at.node]  # node -1, the world, is the last row
-        row[0] += mass
-        row[1:] += mass * at.local.compose(Pose(model.body_ipos[body])).position
+        if body == root or int(model.body_parentid[body]) in inside:
+            inside.add(body)
+            at = bodies[body]  # of node -1, the world, is the last row
+            moment = (1.0, *at.local.compose(Pose(model.body_ipos[body])).position)
+            table[at.node] += float(model.body_mass[body]) * np.array(moment)
     carried = table[:, 0] > 0.0
     table[carried, 1:] /= table[carried, :1]
     return table

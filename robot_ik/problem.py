@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 # What the compiled loops can count to.
 _MOST = 1 << 62
+_WHOLE = int | np.integer
 
 
 @dataclass(frozen=True)
@@ -50,9 +51,8 @@ class Budget:
     restarts: int | None = None
 
     def __post_init__(self) -> None:
-        for count in (self.iterations, 0 if self.restarts is None else self.restarts):
-            whole = isinstance(count, int | np.integer)
-            if not (whole and 0 <= count <= _MOST):
+        for count in (self.iterations, self.restarts or 0):
+            if not (isinstance(count, _WHOLE) and 0 <= count <= _MOST):
                 raise InvalidGoalError(
                     f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"
                 )
@@ -123,12 +123,10 @@ class Problem:
         return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.target, strict=True))
 
     def __repr__(self) -> str:
-        goals = ", ".join(repr(goal) for goal in self.goals[:4])
+        goals = ", ".join(map(repr, self.goals[:4]))
         more = f", … {len(self.given) - 4} more" if len(self.given) > 4 else ""
-        return (
-            f"Problem({self.robot.name!r}, [{goals}{more}], {self.tolerance!r}, {self.budget!r}, "
-            f"seed={self.seed}, trace={self.trace})"
-        )
+        rest = f"{self.tolerance!r}, {self.budget!r}, seed={self.seed}, trace={self.trace}"
+        return f"Problem({self.robot.name!r}, [{goals}{more}], {rest})"
 
     def length(self, goal: Goal) -> float:
         """Metres that count as much as one radian for a goal."""
@@ -137,16 +135,14 @@ class Problem:
     @property
     def features(self) -> frozenset[str]:
         """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
-        arrays, found = self.compiled.goal_arrays, set()
-        if (self.robot.tree.coupled[:, 1] >= 0).any() and len(arrays["coupled"]):
-            found.add("couplings")
-        if any(goal.soft for goal in self.given):
-            found.add("soft")
-        elif len({goal.priority for goal in self.given}) > 1:
-            found.add("priorities")
-        if (arrays["joint_scale"] != 1.0).any():
-            found.add("stiffness")
-        return frozenset(found)
+        arrays, soft = self.compiled.goal_arrays, any(goal.soft for goal in self.given)
+        found = {
+            "couplings": (self.robot.tree.coupled[:, 1] >= 0).any() and len(arrays["coupled"]),
+            "soft": soft,
+            "priorities": not soft and len({goal.priority for goal in self.given}) > 1,
+            "stiffness": (arrays["joint_scale"] != 1.0).any(),
+        }
+        return frozenset(name for name, asked in found.items() if asked)
 
     @cached_property
     def mover(self) -> Mover:
@@ -246,7 +242,7 @@ class Problem:
         return found[0]
 
     def _require_index(self, index: object) -> int:
-        if isinstance(index, bool) or not isinstance(index, int | np.integer):
+        if isinstance(index, bool) or not isinstance(index, _WHOLE):
             raise InvalidGoalError(f"a goal is named by its frame or its index, not by {index!r}")
         if not 0 <= index < len(self.given):
             raise InvalidGoalError(f"there is no goal {index}: this problem has 0 … {len(self.given) - 1}")
@@ -255,8 +251,7 @@ class Problem:
     def _retarget_whole(self, target: Any, index: int) -> None:
         """As ``retarget`` for a whole position, orientation or pose."""
         if isinstance(target, Goal):
-            self._require_same(target, index)
-            self._put(target, index)
+            self._put(self._require_same(target, index), index)
             return
         row = self.target[index]
         if isinstance(target, Pose):
@@ -281,8 +276,7 @@ class Problem:
         """As ``retarget`` for a goal that is no whole position, orientation or pose: it is replaced."""
         mine = self.given[index]
         if isinstance(target, Goal):
-            self._require_same(target, index)
-            moved = target
+            moved = self._require_same(target, index)
         elif isinstance(mine, PostureGoal):
             moved = mine.moved_to_q(target)
         elif isinstance(target, Pose):
@@ -297,14 +291,10 @@ class Problem:
 
     def _put(self, goal: Goal, index: int) -> None:
         """Takes a goal of the same kind in place of one."""
-        self._aim(goal, index)
-        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
-
-    def _aim(self, goal: Goal, index: int) -> None:
-        """Takes the target of a goal of the same kind."""
         if isinstance(goal, PostureGoal):
             set_posture(self.robot, self.compiled.goal_arrays, index, goal)
         self.target[index] = target_row(goal)
+        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
 
     def exchange(self, goals: Sequence[Goal]) -> None:
         """Takes goals with the same ``goal_kind`` in place of all: other targets, other sizes of weights."""
@@ -313,11 +303,10 @@ class Problem:
                 metres, radians = goal.weights
                 weight = metres / self.length(goal), radians
                 self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
-            self._aim(goal, index)
-        self.given = tuple(goals)
+            self._put(goal, index)
 
-    def _require_same(self, target: Goal, index: int) -> None:
-        """Raises ``InvalidGoalError`` unless ``target`` differs from the goal in its target only."""
+    def _require_same(self, target: Goal, index: int) -> Goal:
+        """``target``; raises ``InvalidGoalError`` unless it differs from the goal in its target only."""
         mine, tool = self.given[index], self.robot.tool
         if target.signature != mine.signature or (target.frame or tool) != (mine.frame or tool):
             raise InvalidGoalError(
@@ -325,6 +314,7 @@ class Problem:
                 f"not for a {target.name} of {target.frame or tool!r} or for other weights",
                 hint="another kind of goal, frame or weight needs a new Problem",
             )
+        return target
 
     def out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
         """(n,) whether targets (n, 12) of the first goal are farther than all links laid end to end.
@@ -343,7 +333,7 @@ def goal_kind(goal: Goal) -> Hashable:
 
 
 # Made once: ``solve`` asks in every call.
-_TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
+_TOLERANCE, _BUDGET = Tolerance | None, Budget | None
 
 
 def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:

@@ -21,30 +21,11 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik import model as mjcf
 from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Tree
-from robot_ik.model import (
-    LEAST_MASS,
-    Attachment,
-    ModelFrame,
-    active_joints,
-    build_tree,
-    guess_tool,
-    home_qpos,
-    inertia_table,
-    joint_names,
-    joint_stiffness,
-    mass_table,
-    model_frames,
-    motion_limits,
-    pose_row,
-    qpos_addresses,
-    random_q,
-    read_model,
-    row_pose,
-)
 from robot_ik.robot_file import RobotFile, find_robot
 
 if TYPE_CHECKING:
@@ -85,8 +66,8 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     couplings: tuple[Coupling, ...]
-    _frames: dict[str, ModelFrame] = field(repr=False)
-    _bodies: tuple[Attachment, ...] = field(repr=False)
+    _frames: dict[str, mjcf.ModelFrame] = field(repr=False)
+    _bodies: tuple[mjcf.Attachment, ...] = field(repr=False)
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -149,7 +130,7 @@ class Robot:
         file = self.folder / "arm.toml"
         return file if file.is_file() else None
 
-    def frame(self, name: str | None = None) -> ModelFrame:
+    def frame(self, name: str | None = None) -> mjcf.ModelFrame:
         """The frame of that name (default: the tool); raises ``UnknownFrameError`` with the close names."""
         try:
             return self._frames[self.tool if name is None else name]
@@ -175,10 +156,10 @@ class Robot:
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
         """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
         if isinstance(frame, int):
-            return self._bodies[frame].node, pose_row(self._bodies[frame].local)
+            return self._bodies[frame].node, mjcf.pose_row(self._bodies[frame].local)
         at = self.frame(frame)
         body = self._bodies[at.body]
-        return body.node, pose_row(body.local.compose(at.local))
+        return body.node, mjcf.pose_row(body.local.compose(at.local))
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
         """Pose of a frame (default: the tool) in the world at ``q`` (nq,).
@@ -188,7 +169,7 @@ class Robot:
         """
         out = np.empty((1, 12))
         kinematics.tree_frame(*self._work(q, frame), out)
-        return row_pose(out[0])
+        return mjcf.row_pose(out[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
@@ -210,14 +191,14 @@ class Robot:
 
     def masses(self, body: str | None = None) -> Array:
         """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``; raises if none."""
-        table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
-        if not table[:, 0].sum() > LEAST_MASS:
+        table = mjcf.mass_table(self.model, self.tree, self._bodies, self._body_id(body))
+        if not table[:, 0].sum() > mjcf.LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
 
     def inertias(self) -> Array:
         """(n, 10) mass, centre and inertia of what each node carries, see ``model.inertia_table``."""
-        return inertia_table(self.model, self.tree, self._bodies)
+        return mjcf.inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
@@ -236,12 +217,10 @@ class Robot:
         return data
 
     def _body_id(self, name: str | None) -> int:
-        if name is None:
-            return 0
-        names = [self.model.body(b).name for b in range(self.model.nbody)]
-        if name not in names:
-            raise UnknownFrameError(name, [n for n in names if n])
-        return names.index(name)
+        names = {self.model.body(b).name: b for b in range(self.model.nbody)}
+        if name is not None and name not in names:
+            raise UnknownFrameError(name, filter(None, names))
+        return 0 if name is None else names[name]
 
     def qpos(self, q: ArrayLike) -> Array:
         """(model.nq,): ``q`` at its addresses, the frozen joints where they stand."""
@@ -282,7 +261,7 @@ class Robot:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
-        return self.follow(random_q(self.tree, self.home, rng))
+        return self.follow(mjcf.random_q(self.tree, self.home, rng))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
         """The same robot inside the intersection of its limits and these (nv,); home moves inside.
@@ -333,7 +312,7 @@ class Robot:
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
-        return qpos_addresses(self.model, self.tree)
+        return mjcf.qpos_addresses(self.model, self.tree)
 
 
 def load_robot(
@@ -357,20 +336,15 @@ def load_robot(
         ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
         UnknownJointError, UnknownFrameError: With the close names.
     """
-    source: Path | str | mujoco.MjSpec
     if isinstance(name, mujoco.MjSpec) or (isinstance(name, str) and name.lstrip().startswith("<")):
-        source, file = name, RobotFile(name="model")
-        path = Path("<memory>/model")
-    else:
-        source, file = find_robot(name)
-        path = source
-    model, velocity = read_model(source, path)
-    if path is not source:  # its own name
-        named = model.names[: model.names.index(b"\0")].decode() or "model"
-        file = file.model_copy(update={"name": named})
+        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
+        file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
         path = Path(f"<memory>/{file.name}")
+    else:
+        path, file = find_robot(name)
+        model, velocity = mjcf.read_model(path, path)
     if velocity:
-        file = file.model_copy(update={"velocity": {**velocity, **file.velocity}})
+        file = file.model_copy(update={"velocity": velocity | file.velocity})
     return make_robot(model, path, file, joints, tool)
 
 
@@ -378,9 +352,9 @@ def make_robot(
     model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
-    names = joint_names(model)
-    rest = home_qpos(model, path, file)
-    tree, bodies = build_tree(model, active_joints(names, joints, file), rest)
+    names = mjcf.joint_names(model)
+    rest = mjcf.home_qpos(model, path, file)
+    tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)
     couplings: list[Coupling] = []
     if model.neq or file.couplings:
         from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
@@ -389,12 +363,12 @@ def make_robot(
         tree = with_couplings(tree, couplings, rest, model.jnt_qposadr)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
-    frames = model_frames(model, file)
-    default_tool = tool or file.tool or guess_tool(model, frames)
+    frames = mjcf.model_frames(model, file)
+    default_tool = tool or file.tool or mjcf.guess_tool(model, frames)
     if default_tool not in frames:
         raise UnknownFrameError(default_tool, frames)
     active = tuple(names[j] for j in tree.joint_ids)
-    speed, acceleration = motion_limits(tree, active, file)
+    speed, acceleration = mjcf.motion_limits(tree, active, file)
     robot = Robot(
         name=file.name,
         path=path,
@@ -403,8 +377,8 @@ def make_robot(
         joints=active,
         velocity=speed,
         acceleration=acceleration,
-        stiffness=joint_stiffness(tree, names, file),
-        home=rest[qpos_addresses(model, tree)],
+        stiffness=mjcf.joint_stiffness(tree, names, file),
+        home=rest[mjcf.qpos_addresses(model, tree)],
         tool=default_tool,
         frozen_qpos=rest,
         file=file,

@@ -61,12 +61,7 @@ _CAUSE = {
 
 @dataclass(frozen=True)
 class Miss:
-    """Honest distance to the goals, unweighted: the largest of all that are not soft.
-
-    Attributes:
-        position: Metres; 0 when no goal asks for a position.
-        angle: Radians; 0 when no goal asks for an orientation.
-    """
+    """Honest distance to the goals, unweighted, m and rad: the largest of those that are not soft."""
 
     position: float
     angle: float
@@ -142,11 +137,7 @@ class Solution:
         return tuple(Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows)
 
     def require(self) -> Solution:
-        """This solution if it converged.
-
-        Raises:
-            NotConvergedError: Carries the solution; says how far off it is and why.
-        """
+        """This solution if it converged; else raises ``NotConvergedError``: how far off it is and why."""
         if self.converged:
             return self
         miss = self.miss

@@ -8,32 +8,11 @@ out of reach.  Levels of soft goals come last: they are never met, and never sea
 
 import math
 
+from robot_ik.kernels import level_step, loop
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import named_row
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import follow
-from robot_ik.kernels.level_step import (
-    better,
-    leave_level,
-    level_met,
-    levels_met,
-    measure_levels,
-    needed_levels,
-    restore,
-    stacked_step,
-)
-from robot_ik.kernels.loop import (
-    apply_step,
-    ask_for_all,
-    begin,
-    copy,
-    draw,
-    drop_unreachable,
-    judge,
-    keep_best,
-    record,
-    some_within_reach,
-)
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 
@@ -60,15 +39,15 @@ _TOGETHER = -1
 @pure
 def take_step(tree, goal, work):
     """Measures where work.step leads, in the costs of the levels."""
-    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
-    measure_levels(tree, goal, work)
+    loop.apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    level_step.measure_levels(tree, goal, work)
 
 
 @pure
 def revert_step(tree, goal, work):
     """To where work.accepted is."""
-    copy(work.accepted, work.q)
-    measure_levels(tree, goal, work)
+    loop.copy(work.accepted, work.q)
+    level_step.measure_levels(tree, goal, work)
 
 
 @pure
@@ -76,7 +55,7 @@ def count_step(goal, work):
     """One step more."""
     work.state[ws.ITERATIONS] += 1
     if work.trace.shape[0] > 0:
-        record(goal.tolerance, work)
+        loop.record(goal.tolerance, work)
 
 
 @pure
@@ -95,28 +74,28 @@ def keep_first(work):
     """In the try from the start every step that is kept is the best so far."""
     state = work.state
     if state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
-        keep_best(work)
+        loop.keep_best(work)
 
 
 @outlined
-def level_step(tree, goal, work, options):
+def step_level(tree, goal, work, options):
     """One step of the level that is being served; taken back unless it helps and harms no earlier level."""
     state, value = work.state, work.value
     floor, least = options.floor, options.least
     increase, decrease = options.increase, options.decrease
     level = state[ws.LEVEL]
     before = work.level_cost[level]
-    soft = level >= needed_levels(goal)
+    soft = level >= level_step.needed_levels(goal)
     if state[ws.TRY_STEPS] == 0 and not soft:
         value[ws.DAMPING] = options.damping
-    copy(work.q, work.accepted)
+    loop.copy(work.q, work.accepted)
     damping = value[ws.DAMPING] if soft else value[ws.DAMPING] * before + floor
-    pressed, largest = stacked_step(tree, goal, work, level, damping)
+    pressed, largest = level_step.stacked_step(tree, goal, work, level, damping)
     if soft and largest <= _REST:
         state[ws.STALLS] = _LEVEL_PATIENCE
         return
     take_step(tree, goal, work)
-    helped = restore(tree, goal, work, level) and work.level_cost[level] < before
+    helped = level_step.restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
         progress = value[ws.PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
         state[ws.PRESSED] = pressed
@@ -134,7 +113,7 @@ def level_step(tree, goal, work, options):
 @pure
 def converge(work):
     """The solution is work.q: all that is needed is met."""
-    keep_best(work)
+    loop.keep_best(work)
     work.state[ws.STATUS] = ws.CONVERGED
     return True
 
@@ -143,20 +122,20 @@ def converge(work):
 def step_together(tree, goal, work):
     """One step of all levels at once; False where that does not lead on."""
     state, levels = work.state, work.level_cost.shape[0]
-    needed, last = needed_levels(goal), levels - 1
-    met = levels_met(goal, work, needed)
-    pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
+    needed, last = level_step.needed_levels(goal), levels - 1
+    met = level_step.levels_met(goal, work, needed)
+    pressed, largest = level_step.stacked_step(tree, goal, work, last, _SOFT_DAMPING)
     if met and largest <= _REST:
         return converge(work)
     if largest > _NEAR or state[ws.STALLS] >= _AT_MOST:
         return False
-    copy(work.q, work.accepted)
-    copy(work.level_cost, work.level_bar)
+    loop.copy(work.q, work.accepted)
+    loop.copy(work.level_cost, work.level_bar)
     take_step(tree, goal, work)
     helped = not met or work.level_cost[last] < work.level_bar[last]
     for level in range(needed):
         shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
-        helped = helped and (shrunk or level_met(goal, work, level, _NEARLY_MET))
+        helped = helped and (shrunk or level_step.level_met(goal, work, level, _NEARLY_MET))
     state[ws.STALLS] += 1
     count_step(goal, work)
     if not helped:
@@ -164,7 +143,7 @@ def step_together(tree, goal, work):
         return False
     state[ws.PRESSED] = pressed
     keep_first(work)
-    if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
+    if level_step.levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
         return converge(work)
     return True
 
@@ -173,8 +152,8 @@ def step_together(tree, goal, work):
 def begin_at(tree, goal, work, q):
     """Begins with the first level at ``q``."""
     state = work.state
-    copy(q, work.q)
-    measure_levels(tree, goal, work)
+    loop.copy(q, work.q)
+    level_step.measure_levels(tree, goal, work)
     state[ws.LEVEL], state[ws.STALLS], state[ws.TRY_STEPS] = 0, 0, 0
 
 
@@ -184,12 +163,12 @@ def start_anew(tree, goal, work):
     state, lowest = work.state, math.inf
     state[ws.RESTARTS] += 1
     for _ in range(state[ws.DRAWS]):
-        draw(tree, work.nodes, work.start, state, work.q)
+        loop.draw(tree, work.nodes, work.start, state, work.q)
         follow(tree, work.q)
-        measure_levels(tree, goal, work)
+        level_step.measure_levels(tree, goal, work)
         if work.level_cost[0] < lowest:
             lowest = work.level_cost[0]
-            copy(work.q, work.candidate)
+            loop.copy(work.q, work.candidate)
     begin_at(tree, goal, work, work.candidate)
 
 
@@ -208,12 +187,12 @@ def try_again(tree, goal, work):
     if state[ws.SEARCH] == ws.SEARCHING or not beyond:
         start_anew(tree, goal, work)
         return True
-    if not some_within_reach(goal, work):
+    if not loop.some_within_reach(goal, work):
         return False
-    drop_unreachable(goal, work)
+    loop.drop_unreachable(goal, work)
     state[ws.SEARCH] = ws.SEARCHING
     begin_at(tree, goal, work, work.best)
-    return not level_met(goal, work, 0)
+    return not level_step.level_met(goal, work, 0)
 
 
 @outlined
@@ -224,12 +203,12 @@ def end_try(tree, goal, work):
     """
     state, levels = work.state, work.level_cost.shape[0]
     for level in range(max(state[ws.LEVEL], 0), levels):
-        leave_level(goal, work, level)
-    if state[ws.SEARCH] != ws.SEARCHING and better(work, levels):
-        copy(work.level_bar, work.level_best)
-        keep_best(work)
+        level_step.leave_level(goal, work, level)
+    if state[ws.SEARCH] != ws.SEARCHING and level_step.better(work, levels):
+        loop.copy(work.level_bar, work.level_best)
+        loop.keep_best(work)
     met = True
-    for level in range(needed_levels(goal)):
+    for level in range(level_step.needed_levels(goal)):
         met = met and work.level_best[level] < 0.0
     more = work.level_best[0] >= 0.0 and state[ws.POLISHING] == 0
     if met:
@@ -244,19 +223,19 @@ def end_try(tree, goal, work):
         return
     else:
         state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
-    ask_for_all(goal)
+    loop.ask_for_all(goal)
 
 
 @outlined
 def next_level(tree, goal, work, first_damping):
     """Leaves a level that is met, or that no step helps any more."""
     state, level = work.state, work.state[ws.LEVEL]
-    met = level_met(goal, work, level)
+    met = level_step.level_met(goal, work, level)
     if state[ws.SEARCH] == ws.SEARCHING:
         if met:  # from here all goals count again
-            ask_for_all(goal)
+            loop.ask_for_all(goal)
             state[ws.SEARCH] = ws.FOUND
-            copy(work.q, work.candidate)
+            loop.copy(work.q, work.candidate)
             begin_at(tree, goal, work, work.candidate)
         else:
             end_try(tree, goal, work)
@@ -264,12 +243,12 @@ def next_level(tree, goal, work, first_damping):
     if in_random_try(state) and not met:
         end_try(tree, goal, work)
         return
-    leave_level(goal, work, level)
-    copy(work.q, work.accepted)
-    if not restore(tree, goal, work, level + 1):
+    level_step.leave_level(goal, work, level)
+    loop.copy(work.q, work.accepted)
+    if not level_step.restore(tree, goal, work, level + 1):
         revert_step(tree, goal, work)
     state[ws.LEVEL], state[ws.STALLS] = level + 1, 0
-    work.value[ws.DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
+    work.value[ws.DAMPING] = first_damping if level + 1 < level_step.needed_levels(goal) else _SOFT_DAMPING
 
 
 @pure
@@ -284,14 +263,14 @@ def exhausted(state):
 def begin_levels(tree, goal, work, first_damping):
     """Measures the start."""
     state = work.state
-    begin(tree, goal, work)
+    loop.begin(tree, goal, work)
     if state[ws.STATUS] == ws.RUNNING:
-        judge(tree, goal, work, measure_levels(tree, goal, work))
+        loop.judge(tree, goal, work, level_step.measure_levels(tree, goal, work))
     for level in range(work.level_cost.shape[0]):
         work.level_best[level] = math.inf
     work.value[ws.DAMPING] = first_damping
     state[ws.LEVEL] = _TOGETHER
-    if state[ws.STATUS] == ws.CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
+    if state[ws.STATUS] == ws.CONVERGED and level_step.needed_levels(goal) < work.level_cost.shape[0]:
         state[ws.STATUS] = ws.RUNNING  # what is only wanted is still to be served
 
 
@@ -311,7 +290,7 @@ def lm_levels(run):
         elif level == _TOGETHER:
             if not step_together(tree, goal, work):
                 state[ws.LEVEL], state[ws.STALLS] = 0, 0
-        elif level_met(goal, work, level) or exhausted(state):
+        elif level_step.level_met(goal, work, level) or exhausted(state):
             next_level(tree, goal, work, options.damping)
         else:
-            level_step(tree, goal, work, options)
+            step_level(tree, goal, work, options)

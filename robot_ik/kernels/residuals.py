@@ -17,18 +17,9 @@ import math
 
 from numba import types
 
+from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import (
-    across,
-    difference,
-    dof_axis,
-    frame_pose,
-    point_velocity,
-    rotation_back,
-    slope_of,
-    unit,
-)
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 
 # Nearer than this (sine of the angle) two axes are one, or opposite.
@@ -121,7 +112,7 @@ def axis_error(ax, ay, az, dx, dy, dz):
         return scale * nx, scale * ny, scale * nz, angle
     if cosine > 0.0:
         return nx, ny, nz, angle
-    ux, uy, uz = across(ax, ay, az)
+    ux, uy, uz = kinematics.across(ax, ay, az)
     return angle * ux, angle * uy, angle * uz, angle
 
 
@@ -138,7 +129,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     elif sine > _PARALLEL:
         ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
     else:  # by π: only the way about the axis that ``axis_error`` takes counts
-        ux, uy, uz = across(ax, ay, az)
+        ux, uy, uz = kinematics.across(ax, ay, az)
         wx = (ay * pz - az * py) - (dy * qz - dz * qy)
         wy = (az * px - ax * pz) - (dz * qx - dx * qz)
         wz = (ax * py - ay * px) - (dx * qy - dy * qx)
@@ -207,7 +198,7 @@ def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
         return 0.0, 0.0, 0.0
     share = mass / moments[first + work.world.shape[0], 0]
     s = 1.0 / mass
-    x, y, z = point_velocity(
+    x, y, z = kinematics.point_velocity(
         work.world, k, ax, ay, az, rotational,
         s * moments[first + k, 1], s * moments[first + k, 2], s * moments[first + k, 3],
     )  # fmt: skip
@@ -219,7 +210,7 @@ def joint_rows(tree, goal, work, g):
     """Rows of a posture: the distance of each joint to where it is wanted; returns (|r|², within)."""
     kind, residual, miss, off = tree.kind, work.residual, work.miss, work.dq
     metres, radians, cost = 0.0, 0.0, 0.0
-    difference(tree, work.q, goal.posture[g], off)
+    kinematics.difference(tree, work.q, goal.posture[g], off)
     for u in range(goal.dofs.shape[0]):
         v = goal.dofs[u]
         k = tree.dof_node[v]
@@ -250,10 +241,12 @@ def joint_column(tree, goal, work, g, u, v):
         jacobian[row, u] = goal.joint_weight[g, v] * goal.weight[g, 1 if joint == HINGE else 0]
         return
     a = tree.qadr[k] + (3 if joint == FREE else 0)
-    x, y, z = rotation_back(work.q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
+    x, y, z = kinematics.rotation_back(
+        work.q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3]
+    )
     i %= 3
     # The vector belongs to the body's own axes, which the rotation carries along: the left Jacobian.
-    ex, ey, ez = unit(i)
+    ex, ey, ez = kinematics.unit(i)
     rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
     w, row, v = goal.weight[g, 1], row - i, v - i
     jacobian[row, u] = w * goal.joint_weight[g, v] * rx
@@ -300,7 +293,7 @@ def partial_rows(tree, goal, work, g):
     if row_codes[g, OF] == OF_MASS:
         mass_center(tree, goal, work, g)
     else:
-        frame_pose(work.world, goal.node[g], goal.local, g, frames)
+        kinematics.frame_pose(work.world, goal.node[g], goal.local, g, frames)
     row, cost, distance, angle = goal.row[g], 0.0, 0.0, 0.0
     if row_codes[g, POSITION_PART] != NO_POSITION:
         distance = position_rows(goal, work, g, row)
@@ -331,12 +324,12 @@ def partial_column(tree, goal, work, g, u, v, moves):
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
         return
-    ax, ay, az, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+    ax, ay, az, rotational = kinematics.dof_axis(tree.kind, world, k, v - tree.vadr[k])
     if row_codes[g, OF] == OF_MASS:
         vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, rotational)
     else:
         fx, fy, fz = frames[g, 0], frames[g, 1], frames[g, 2]
-        vx, vy, vz = point_velocity(world, k, ax, ay, az, rotational, fx, fy, fz)
+        vx, vy, vz = kinematics.point_velocity(world, k, ax, ay, az, rotational, fx, fy, fz)
     vx, vy, vz = moves * vx, moves * vy, moves * vz
     if row_codes[g, POSITION_PART] != NO_POSITION:
         target, w = goal.target, goal.weight[g, 0]
@@ -432,7 +425,7 @@ def evaluate(tree, goal, work):
             continue
         if kind == PRIOR:
             continue
-        frame_pose(world, nodes[g], local, g, frames)
+        kinematics.frame_pose(world, nodes[g], local, g, frames)
         row = rows[g]
         if kind != ORIENTATION:
             x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
@@ -473,11 +466,11 @@ def whole_columns(tree, goal, work, points, g, first, end):
         mover = goal.movers[g, at]
         u, v = goal.column[mover], goal.moved[mover]
         k = dof_node[v]
-        ax, ay, az, rotational = dof_axis(kind, world, k, v - vadr[k])
+        ax, ay, az, rotational = kinematics.dof_axis(kind, world, k, v - vadr[k])
         moves = float(moved[g, mover])
         if what != ORIENTATION:
             w = metre * moves
-            x, y, z = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+            x, y, z = kinematics.point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
             jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
         if what != POSITION:
             w = radian * moves if rotational else 0.0
@@ -493,7 +486,7 @@ def add_tied(tree, goal, work, points):
     for c in range(goal.coupled.shape[0]):
         coupling, u, v = goal.coupled[c, 0], goal.coupled[c, 1], goal.coupled[c, 2]
         mover = goal.dofs.shape[0] + c
-        slope = slope_of(tree, coupling, work.q)
+        slope = kinematics.slope_of(tree, coupling, work.q)
         for r in range(jacobian.shape[0]):
             kept[r] = jacobian[r, u]
         for g in range(goal.kind.shape[0]):

@@ -16,17 +16,9 @@ import math
 
 from numba import types
 
+from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import (
-    difference,
-    dof_axis,
-    forward,
-    frame_pose,
-    integrate,
-    point_velocity,
-    width_of,
-)
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
@@ -201,9 +193,9 @@ def mass_rows(tree, body, momentum, target, t, g):
     row, miss, share = body.row, body.miss, body.share
     clear_rows(row)
     for k in range(tree.kind.shape[0]):
-        for i in range(width_of(tree.kind[k])):
+        for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, rotational = dof_axis(tree.kind, body.world, k, i)
+            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, body.world, k, i)
             cx, cy, cz, lx, ly, lz = mass_column(
                 body.carried, body.center, body.world, k, ax, ay, az, rotational
             )
@@ -227,11 +219,11 @@ def frame_rows(tree, body, what, target, t, g):
     px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]
     k = body.node[g]
     while k >= 0:
-        for i in range(width_of(tree.kind[k])):
+        for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, rotational = dof_axis(tree.kind, world, k, i)
+            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, world, k, i)
             if what == POSITION:
-                ax, ay, az = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+                ax, ay, az = kinematics.point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
             elif not rotational:
                 ax, ay, az = 0.0, 0.0, 0.0
             row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
@@ -256,7 +248,7 @@ def frame_rows(tree, body, what, target, t, g):
 def measure_displacement(tree, body, q):
     """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
     previous = body.previous
-    difference(tree, previous, q, body.displacement)
+    kinematics.difference(tree, previous, q, body.displacement)
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]
         if tree.kind[k] == FREE:
@@ -272,7 +264,7 @@ def gather(tree, body, q, target, weight, t, posture):
     """The quadratic form, its gradient and the hard rows at q; returns the number of these and their miss."""
     matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
     nv = gradient.shape[0]
-    forward(tree, tree.every, q, body.world, body.scratch)
+    kinematics.forward(tree, tree.every, q, body.world, body.scratch)
     carry(tree, body)
     measure_displacement(tree, body, q)
     for i in range(nv):
@@ -293,7 +285,7 @@ def gather(tree, body, q, target, weight, t, posture):
         if what in (CENTER_OF_MASS, MOMENTUM):
             mass_rows(tree, body, what == MOMENTUM, target, at, g)
         else:
-            frame_pose(body.world, body.node[g], body.local, g, body.pose)
+            kinematics.frame_pose(body.world, body.node[g], body.local, g, body.pose)
             frame_rows(tree, body, what, target, at, g)
         for i in range(3):
             if not body.axes[g] >> i & 1:
@@ -452,7 +444,7 @@ def take_step(tree, body, q, count):
             body.step[v] *= _LONGEST / longest
     for v in range(n):
         body.step[v] = min(max(body.step[v], body.low[v]), body.high[v])
-    integrate(tree, tree.every, q, body.step)
+    kinematics.integrate(tree, tree.every, q, body.step)
     return longest
 
 
@@ -493,7 +485,7 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
                 a, v = tree.qadr[k], tree.vadr[k]
                 to = min(max(here[a] + body.displacement[v], body.lower[v]), body.upper[v])
                 body.displacement[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
-        integrate(tree, tree.every, here, body.displacement)
+        kinematics.integrate(tree, tree.every, here, body.displacement)
         longest = math.inf
         for step in range(steps + 1):
             count, miss[t] = gather(tree, body, here, target, weight, t, posture)

@@ -14,18 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import (
-    AT_BOUND,
-    cap,
-    extra_damping,
-    filtered_step,
-    fix_pushed_by_gradient,
-    fix_pushed_by_step,
-    keep_inside,
-    prepare,
-    svd,
-    volume,
-)
+from robot_ik.kernels import jacobian_step as steps
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import difference, follow, integrate
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
@@ -83,8 +72,8 @@ def manipulability(tree, goal, work):
     for r in range(work.residual.shape[0]):
         work.residual[r] = 0.0  # the geometric Jacobian, which knows of no target
     goal_jacobian(tree, goal, work, work.frames)
-    svd(work.jacobian, work.left, work.sigma, work.right)
-    return volume(work.sigma)
+    steps.svd(work.jacobian, work.left, work.sigma, work.right)
+    return steps.volume(work.sigma)
 
 
 @outlined
@@ -147,7 +136,7 @@ def keep_aim_inside(work):
     """Drops what the aim asks of joints that stand at a bound and would leave it, or are fixed."""
     for u in range(work.aim.shape[0]):
         a = work.aim[u]
-        leaves = (a < 0.0 and work.low[u] > -AT_BOUND) or (a > 0.0 and work.high[u] < AT_BOUND)
+        leaves = (a < 0.0 and work.low[u] > -steps.AT_BOUND) or (a > 0.0 and work.high[u] < steps.AT_BOUND)
         if leaves or work.side[u] != 0:
             work.aim[u] = 0.0
 
@@ -203,20 +192,20 @@ def pseudo_step(tree, goal, work, options):
     clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
     cutoff = options.cutoff
     set_aim(tree, goal, work, options.aim, options.aim_gain)
-    prepare(tree, goal, work, clamp, alternative)
-    extra = math.sqrt(extra_damping(work))
+    steps.prepare(tree, goal, work, clamp, alternative)
+    extra = math.sqrt(steps.extra_damping(work))
     if work.state[POLISHING] > 0:
         cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
-    fix_pushed_by_gradient(work)
+    steps.fix_pushed_by_gradient(work)
     keep_aim_inside(work)
     for _ in range(work.step.shape[0] + 1):
-        svd(work.jacobian, work.left, work.sigma, work.right)
-        filtered_step(work, cutoff, extra)
+        steps.svd(work.jacobian, work.left, work.sigma, work.right)
+        steps.filtered_step(work, cutoff, extra)
         add_null_motion(work, cutoff)
-        if not fix_pushed_by_step(work):
+        if not steps.fix_pushed_by_step(work):
             break
-    share = keep_inside(work)
-    return share * cap(work, gain, max_step)
+    share = steps.keep_inside(work)
+    return share * steps.cap(work, gain, max_step)
 
 
 @outlined

@@ -30,14 +30,8 @@ from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
+from robot_ik.solvers.analytic import proofs, subproblems
 from robot_ik.solvers.analytic.limb import limb
-from robot_ik.solvers.analytic.proofs import (
-    length,
-    limb_is_out_of_reach,
-    parallel_is_out_of_reach,
-    planar_is_out_of_reach,
-    wrist_is_out_of_reach,
-)
 from robot_ik.solvers.analytic.recognise import (
     BRANCH_NAMES,
     Family,
@@ -47,17 +41,6 @@ from robot_ik.solvers.analytic.recognise import (
     recognise,
 )
 from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
-from robot_ik.solvers.analytic.subproblems import (
-    EVERY,
-    FORM,
-    SOLVE,
-    START_ONLY,
-    invert,
-    measure_start,
-    nearest,
-    open_form,
-    settle,
-)
 from robot_ik.solvers.base import BatchResult, Solver, take_start
 
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
@@ -67,7 +50,7 @@ _SHOULDER = int(Family.SPHERICAL_SHOULDER)
 @outlined
 def solve_axes(tree, goal, work, form, family, mode):
     """Solves from work.start, which is the solution if it is at the goal; fills best, status and branches."""
-    if not measure_start(tree, goal, work, form, mode):
+    if not subproblems.measure_start(tree, goal, work, form, mode):
         return
     axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
     lower, upper = form.lower, form.upper
@@ -76,27 +59,34 @@ def solve_axes(tree, goal, work, form, family, mode):
     elif family == _WRIST:
         found = spherical_wrist(axes, extra, target, start, lower, upper, branches)
     elif family == _SHOULDER:
-        invert(target, form.inverse)
+        subproblems.invert(target, form.inverse)
         found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
     else:
         found = three_parallel(axes, extra, target, start, branches)
-    row = nearest(branches, start, lower, upper, form.best)
-    settle(tree, goal, work, form, row, found)
+    row = subproblems.nearest(branches, start, lower, upper, form.best)
+    subproblems.settle(tree, goal, work, form, row, found)
 
 
 @kernel
 def closed_form(tree, goals, work, form, family, mode):
     """One solve."""
-    solve_axes(open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form), family, mode)
+    solve_axes(
+        open_tree(tree), open_goals(goals), ws.open_work(work), subproblems.open_form(form), family, mode
+    )
 
 
 @kernel
 def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form)
+    tree, goal, work, form = (
+        open_tree(tree),
+        open_goals(goals),
+        ws.open_work(work),
+        subproblems.open_form(form),
+    )
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        solve_axes(tree, goal, work, form, family, SOLVE)
+        solve_axes(tree, goal, work, form, family, subproblems.SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[ws.STATUS]
 
@@ -104,9 +94,9 @@ def closed_form_many(tree, goals, work, form, family, targets, starts, q, status
 @outlined
 def solve_limb(tree, goal, work, form, mode):
     """Solves from work.start; fills best and status, and the branches if they are asked for."""
-    if not measure_start(tree, goal, work, form, mode):
+    if not subproblems.measure_start(tree, goal, work, form, mode):
         return
-    if mode == EVERY:
+    if mode == subproblems.EVERY:
         branches = form.branches
         for row in range(branches.shape[0]):
             for j in range(branches.shape[1]):
@@ -114,24 +104,29 @@ def solve_limb(tree, goal, work, form, mode):
         # First without limits: a branch that is nowhere inside them is still a branch.
         limb(form, form.least, form.most, mode)
     row, found = limb(form, form.lower, form.upper, mode)
-    if mode == EVERY:
+    if mode == subproblems.EVERY:
         return
-    settle(tree, goal, work, form, row, found)
+    subproblems.settle(tree, goal, work, form, row, found)
 
 
 @kernel
 def closed_limb(tree, goals, work, form, _family, mode):
     """One solve."""
-    solve_limb(open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form), mode)
+    solve_limb(open_tree(tree), open_goals(goals), ws.open_work(work), subproblems.open_form(form), mode)
 
 
 @kernel
 def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), ws.open_work(work), open_form(form)
+    tree, goal, work, form = (
+        open_tree(tree),
+        open_goals(goals),
+        ws.open_work(work),
+        subproblems.open_form(form),
+    )
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        solve_limb(tree, goal, work, form, SOLVE)
+        solve_limb(tree, goal, work, form, subproblems.SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[ws.STATUS]
 
@@ -139,36 +134,38 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
 @kernel
 def prove_planar(goals, form):
     """Whether no joint angles bring the form's target within tolerance."""
-    return planar_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
+    return proofs.planar_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
 def prove_wrist(goals, form):
     """The same for a spherical wrist."""
-    form = open_form(form)
-    lever = length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
-    return wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
+    form = subproblems.open_form(form)
+    lever = proofs.length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
+    return proofs.wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
 
 
 @kernel
 def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
-    form = open_form(form)
-    invert(form.target, form.inverse)
+    form = subproblems.open_form(form)
+    subproblems.invert(form.target, form.inverse)
     x, y, z = centre(form.inverse, form.extra)
-    return wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, length(x, y, z))
+    return proofs.wrist_is_out_of_reach(
+        form, form.inverse, open_goals(goals).tolerance, proofs.length(x, y, z)
+    )
 
 
 @kernel
 def prove_parallel(goals, form):
     """The same for three parallel axes."""
-    return parallel_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
+    return proofs.parallel_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
 def prove_limb(goals, form):
     """The same for a limb."""
-    return limb_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
+    return proofs.limb_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
 # Compiled when a goal is first missed.
@@ -193,6 +190,7 @@ _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
 class Prepared:
     """A closed form made ready for one problem."""
 
+    solver: Analytic  # for whom
     form: Form
     arrays: dict[str, Any]  # by their names in ``FORM``
     tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
@@ -201,6 +199,13 @@ class Prepared:
     run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
     batch: Callable[..., None]  # what solves many
     prove: Callable[..., bool] | None  # what proves that no joint angles will do, if anything can
+
+
+@dataclass(frozen=True, eq=False)
+class _Nothing:
+    """What is kept for a problem that has no closed form."""
+
+    solver: Analytic
 
 
 @dataclass(frozen=True)
@@ -222,7 +227,8 @@ class Analytic(Solver):
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
-        return problem.compiled.made_for(self, lambda: (self, _prepare(problem)))[1]
+        found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
+        return found if isinstance(found, Prepared) else None
 
     def load(self, problem: Problem) -> None:
         self._require(problem)
@@ -242,17 +248,18 @@ class Analytic(Solver):
         return prepared
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        kept = problem.made.get(id(self))
-        prepared: Prepared = (kept and kept[1]) or self._require(problem)
+        prepared = problem.made.get(id(self))
+        if type(prepared) is not Prepared:
+            prepared = self._require(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
-        mode = START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
+        mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
+        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
             state[ws.STATUS] = ws.UNREACHABLE
-        if mode == START_ONLY and state[ws.STATUS] != ws.CONVERGED:
+        if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
             state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
         number, iterations = state[: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
@@ -294,7 +301,7 @@ class Analytic(Solver):
     def _branches(self, problem: Problem, start: ArrayLike | None) -> list[tuple[str, Array]]:
         prepared = self._require(problem)
         take_start(problem, start)
-        prepared.run(*prepared.addresses, prepared.family, EVERY)
+        prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
         names = BRANCH_NAMES[prepared.form.family]
         signs = itertools.product("+-", repeat=len(names))
         found: list[tuple[str, Array]] = []
@@ -318,23 +325,23 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(problem: Problem) -> Prepared | None:
+def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     form = None if problem.features else _form_of(problem)
     if form is None:
-        return None
+        return _Nothing(solver)
     arrays = _arrays(form, problem.robot.tree, problem.target)
     kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
     compiled = problem.compiled
-    tables = (compiled.tree, compiled.goals, compiled.work, FORM.pack(arrays))
+    tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))
     tree, goals, space, numbers = (address_of(table) for table in tables)
-    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), SOLVE)
+    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
     prove = PROOFS.get(form.family)
     if prove is not None:
         jit.announce(prove, "proofs of unreachable goals")
         prove = jit.entry(prove, goals, numbers)
     addresses = (tree, goals, space, numbers)
-    return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, prove)
+    return Prepared(solver, form, arrays, tables, addresses, int(form.family), run, batch, prove)
 
 
 def _form_of(problem: Problem) -> Form | None:
@@ -360,7 +367,7 @@ def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
         limits += [(float(tree.lower[v]), float(tree.upper[v]))] * width
     n = len(qadr)
     lower, upper = (np.array(side) for side in zip(*limits, strict=True))
-    return FORM.zeros({"n": n}) | {
+    return subproblems.FORM.zeros({"n": n}) | {
         "qadr": np.array(qadr, dtype=np.int64),
         "axes": form.axes, "extra": form.extra, "groups": form.groups, "target": target,
         "lower": lower, "upper": upper, "least": np.full(n, -np.inf), "most": np.full(n, np.inf),
