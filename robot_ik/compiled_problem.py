@@ -51,13 +51,11 @@ def moved_goal(goal: Goal, row: Array) -> Goal:
 def kind_of(goal: Goal) -> int:
     """The kernel's code: a whole position, orientation or pose, a pose prior, or PARTIAL for all the rest."""
     rows = goal.rows
-    if rows.of == OF_PRIOR:
-        return residuals.PRIOR
     if not rows.whole:
-        return residuals.PARTIAL
-    if rows.position == WHOLE:
-        return residuals.POSITION if rows.orientation == NO_ORIENTATION else residuals.POSE
-    return residuals.ORIENTATION
+        return residuals.PRIOR if rows.of == OF_PRIOR else residuals.PARTIAL
+    if rows.orientation == NO_ORIENTATION:
+        return residuals.POSITION
+    return residuals.POSE if rows.position == WHOLE else residuals.ORIENTATION
 
 
 def compile_goals(
@@ -204,8 +202,7 @@ def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
     """Joints whose motion the goal feels."""
     tree = robot.tree
     if isinstance(goal, PostureGoal):
-        joint_weights = goal.joint_weights(robot)
-        return {int(tree.dof_node[v]) for v in range(tree.nv) if joint_weights[v] > 0.0}
+        return set(tree.dof_node[goal.joint_weights(robot) > 0.0].tolist())
     if isinstance(goal, PosePriorGoal) and goal.prior is not None:
         return set(goal.prior.indices(robot)[:, 2].tolist())
     if goal.rows.of == OF_MASS:

@@ -52,15 +52,14 @@ def matrix_to_quat(rotation: ArrayLike) -> Array:
     r = np.asarray(rotation, dtype=float)
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     pick = int(np.argmax([trace, r[0, 0], r[1, 1], r[2, 2]]))
-    if pick == 0:
-        q = [1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
-    elif pick == 1:
-        q = [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]]
+    w, x, y, z = 1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    if pick == 1:
+        w, x, y, z = x, 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
     elif pick == 2:
-        q = [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]]
-    else:
-        q = [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]]
-    quat = np.array(q)
+        w, x, y, z = y, r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]
+    elif pick == 3:
+        w, x, y, z = z, r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]
+    quat = np.array([w, x, y, z])
     quat /= np.linalg.norm(quat)
     return -quat if quat[0] < 0 else quat
 

@@ -273,7 +273,7 @@ class Robot:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
         except (TypeError, ValueError) as error:
             raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
-        if np.isnan(low).any() or np.isnan(high).any():
+        if np.isnan([low, high]).any():
             raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
         low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
         for v in np.flatnonzero(low > high):

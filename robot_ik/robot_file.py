@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
+from robot_ik.errors import ConfigError, ModelError, UnknownRobotError, close_matches
 from robot_ik.tables import Pair, Position, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
@@ -229,6 +229,8 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     if not isinstance(given, str | os.PathLike):
         raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
     if str(name).startswith(DESCRIPTIONS):
+        from robot_ik.urdf import described_model  # which few robots need
+
         described = str(name).removeprefix(DESCRIPTIONS)
         return described_model(described), RobotFile(name=described)
     path = known.get(str(name)) or Path(name).expanduser()
@@ -258,32 +260,3 @@ def _refuse_missing(path: Path) -> None:
         close = close_matches(path.name, beside)
         hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
         raise ModelError(f"there is no file {path}", path=path, hint=hint)
-
-
-def described_model(name: str) -> Path:
-    """The model file of a description of the package robot_descriptions: its MJCF, else its URDF.
-
-    The package gets it with git, once, unless it lies in its cache.
-
-    Raises:
-        MissingExtraError: The package is not installed.
-        UnknownRobotError: It has no such description; close ones are named.
-        ModelError: git could not get it.
-    """
-    try:
-        from robot_descriptions import DESCRIPTIONS as known
-    except ImportError as error:
-        raise MissingExtraError("robot_descriptions", "descriptions", f"the robot {name!r}") from error
-    if name not in known:
-        raise UnknownRobotError(name, known, hint="all names: python -m robot_descriptions list")
-    try:
-        module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # git's own errors are of many classes, and long
-        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
-        reason = next((line.strip() for line in reversed(str(error).splitlines()) if line.strip()), "")
-        raise ModelError(
-            f"the description {name!r} is not in {folder}, and git could not get it: {reason[:200]}",
-            reason=str(error),
-            hint=f"where there is a network: python -m robot_descriptions pull {name}",
-        ) from error
-    return Path(getattr(module, "MJCF_PATH", None) or module.URDF_PATH)

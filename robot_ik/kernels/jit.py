@@ -80,7 +80,6 @@ _OPTIONS: dict[str, Any] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
 }  # fmt: skip
 
-
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Packages with compiled code: what compiled code of one file takes from another lies in them.
 _COMPILED_PACKAGES = ("kernels", "solvers", "camera")
@@ -123,13 +122,9 @@ def sources(module: str) -> list[Path]:
 
 
 def _user_cache() -> Path:
-    if "XDG_CACHE_HOME" in os.environ:
-        return Path(os.environ["XDG_CACHE_HOME"])
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local")))
-    return Path.home() / ".cache"
+    usual = {"darwin": "Library/Caches", "win32": "AppData/Local"}.get(sys.platform, ".cache")
+    windows = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    return Path(os.environ.get("XDG_CACHE_HOME") or windows or Path.home() / usual)
 
 
 @functools.cache
@@ -302,10 +297,9 @@ _announced: set[str] = set()
 
 def announce(function: Any, what: str) -> None:
     """Logs one line if calling ``function`` now means compiling it (some seconds, once per machine)."""
-    name = function.__name__
-    if name in _announced:
+    if function.__name__ in _announced:
         return
-    _announced.add(name)
+    _announced.add(function.__name__)
     if not compiled(function):
         logger.info("compiling %s: up to a minute, once on this machine", what)
 

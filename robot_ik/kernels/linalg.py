@@ -174,14 +174,10 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
     return keep_to_box(low, high, side, step)
 
 
-# The damped step inside a box where a problem has fewer rows than joints: solved among the rows.
-# With m rows and n > m joints, (JᵀJ + λ) d = Jᵀr is as well d = Jᵀy with (JJᵀ + λ) y = r: a smaller system
-# and a better conditioned one.  A joint that stops at a bound takes its column out of JJᵀ and its share
-# out of r.  Since λy is what is left of the residual, Jᵀy says of every joint where it would like to go:
-# of those that are free, where they go.
-#
-# ``hits`` (n, m) and ``counts`` (n,) list for every column the rows in which it may not be zero: in a
-# tree most joints move few of the goals.
+# The damped step inside a box among m rows of n > m joints: (JᵀJ + λ) d = Jᵀr is as well d = Jᵀy with (JJᵀ +
+# λ) y = r, a smaller system and a better conditioned one.  A joint that stops at a bound takes its column out
+# of JJᵀ and its share out of r; of the others Jᵀy says where they go.  ``hits`` (n, m) and ``counts`` (n,)
+# list for every column the rows in which it may not be zero: in a tree most joints move few of the goals.
 
 
 @outlined

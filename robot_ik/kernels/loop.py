@@ -109,15 +109,6 @@ def step_bounds(tree, goal, work):
             high[u] = 3.0
 
 
-@pure
-def finite(q):
-    """Whether all numbers are."""
-    size = 0.0
-    for i in range(q.shape[0]):
-        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
-    return size < math.inf
-
-
 @outlined
 def record(tolerance, work):
     """One trace row; of goals that are only wanted, and of parts not asked for, the miss does not count."""
@@ -129,20 +120,14 @@ def record(tolerance, work):
     for g in range(miss.shape[0]):
         position = max(position, miss[g, 0] if tolerance[g, 0] < math.inf else 0.0)
         angle = max(angle, miss[g, 1] if tolerance[g, 1] < math.inf else 0.0)
-    trace[row, 0] = state[ws.ITERATIONS]
-    trace[row, 1] = state[ws.RESTARTS]
-    trace[row, 2] = value[ws.COST]
-    trace[row, 3] = position
-    trace[row, 4] = angle
-    trace[row, 5] = value[ws.DAMPING]
-    trace[row, 6] = value[ws.STEP_NORM]
+    trace[row, 0], trace[row, 1] = state[ws.ITERATIONS], state[ws.RESTARTS]
+    trace[row, 2], trace[row, 3], trace[row, 4] = value[ws.COST], position, angle
+    trace[row, 5], trace[row, 6] = value[ws.DAMPING], value[ws.STEP_NORM]
     state[ws.TRACE_ROWS] = row + 1
 
 
-# Goals that are proven out of reach beside others that are not.
 # A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
-# beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
-# vanishing weight costs the others nothing.
+# beside it can: they are searched for without it, and all goals share the last descent.
 
 
 @pure
@@ -204,14 +189,11 @@ def some_within_reach(goal, work):
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
-# The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
-# it, and the share of the cost that counts as progress.  Far finer than in a try: a solution that still
-# creeps would move at every tick; and patient, because a step that did not help only says that the next must
-# be shorter.
-_POLISH_STEPS = 2000
-_KEPT = 200
-_POLISH_PROGRESS = 1e-9
-_POLISH_PATIENCE = 10
+# The last, polishing descent from the best point found: steps granted, those of a budget kept for it …
+_POLISH_STEPS, _KEPT = 2000, 200
+# … and the share of the cost that counts as progress: a solution that still creeps would move at every tick.
+# Patient, because a step that did not help only says that the next must be shorter.
+_POLISH_PROGRESS, _POLISH_PATIENCE = 1e-9, 10
 
 
 @outlined
@@ -261,9 +243,10 @@ def begin(tree, goal, work):
     state = work.state
     if state[ws.STATUS] != ws.FRESH:
         return
-    if not finite(work.start):
-        state[ws.STATUS] = ws.NUMERICAL
-        return
+    for i in range(work.start.shape[0]):
+        if not abs(work.start[i]) < math.inf:  # NaN too
+            state[ws.STATUS] = ws.NUMERICAL
+            return
     if mark_unreachable(goal, work):  # no other start will help these goals
         state[ws.ANY_UNREACHABLE], state[ws.FIRST_STEPS] = 1, ws.NO_LIMIT
     copy(work.start, work.q)
@@ -297,8 +280,7 @@ def next_try(tree, goal, work):
         if state[ws.RESTARTS] == 0:
             copy(work.best, work.nearby)
         state[ws.RESTARTS] += 1
-        state[ws.DRAWN] = 0
-        value[ws.LOWEST] = math.inf
+        state[ws.DRAWN], value[ws.LOWEST] = 0, math.inf
         draw_next(tree, work)
         return True
     if state[ws.SEARCH] == ws.SEARCHING:  # in vain

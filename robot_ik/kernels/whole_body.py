@@ -130,11 +130,8 @@ def carry(tree, body):
         x, y, z = carried[k, 1] - center[0], carried[k, 2] - center[1], carried[k, 3] - center[2]
         carried[k, 0] = m
         carried[k, 1], carried[k, 2], carried[k, 3] = m * x, m * y, m * z
-        carried[k, 4], carried[k, 5], carried[k, 6] = (
-            m * (y * y + z * z),
-            m * (x * x + z * z),
-            m * (x * x + y * y),
-        )
+        carried[k, 4], carried[k, 5] = m * (y * y + z * z), m * (x * x + z * z)
+        carried[k, 6] = m * (x * x + y * y)
         carried[k, 7], carried[k, 8], carried[k, 9] = -m * x * y, -m * x * z, -m * y * z
         xx, yy, zz = inertia[k, 4], inertia[k, 5], inertia[k, 6]
         xy, xz, yz = inertia[k, 7], inertia[k, 8], inertia[k, 9]
@@ -170,28 +167,18 @@ def mass_column(carried, center, world, k, ax, ay, az, rotational):
     tx, ty, tz = sx + m * px, sy + m * py, sz + m * pz
     vx, vy, vz = ay * pz - az * py, az * px - ax * pz, ax * py - ay * px
     return (
-        inverse * (ay * tz - az * ty),
-        inverse * (az * tx - ax * tz),
-        inverse * (ax * ty - ay * tx),
+        inverse * (ay * tz - az * ty), inverse * (az * tx - ax * tz), inverse * (ax * ty - ay * tx),
         carried[k, 4] * ax + carried[k, 7] * ay + carried[k, 8] * az + sy * vz - sz * vy,
         carried[k, 7] * ax + carried[k, 5] * ay + carried[k, 9] * az + sz * vx - sx * vz,
         carried[k, 8] * ax + carried[k, 9] * ay + carried[k, 6] * az + sx * vy - sy * vx,
-    )
-
-
-@pure
-def clear_rows(row):
-    """Zeroes three rows."""
-    for i in range(3):
-        for v in range(row.shape[1]):
-            row[i, v] = 0.0
+    )  # fmt: skip
 
 
 @outlined
 def mass_rows(tree, body, momentum, target, t, g):
     """Rows and misses of the centre of mass, or of the angular momentum about it."""
     row, miss, share = body.row, body.miss, body.share
-    clear_rows(row)
+    row[:] = 0.0
     for k in range(tree.kind.shape[0]):
         for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
@@ -215,7 +202,7 @@ def mass_rows(tree, body, momentum, target, t, g):
 def frame_rows(tree, body, what, target, t, g):
     """Rows and misses of a frame's position, rotation or line of sight."""
     row, miss, share, world, pose = body.row, body.miss, body.share, body.world, body.pose
-    clear_rows(row)
+    row[:] = 0.0
     px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]
     k = body.node[g]
     while k >= 0:

@@ -68,8 +68,7 @@ def leaves_cone(work, vector, u):
 @outlined
 def hold_cone(work, u):
     """Makes the cone of the ball whose first coordinate is ``u`` active."""
-    metric, normal, image = work.metric, work.outward, work.rhs
-    n, square = metric.shape[0], 0.0
+    metric, normal, image, n = work.metric, work.outward, work.rhs, work.metric.shape[0]
     x, y, z = normal[u], normal[u + 1], normal[u + 2]
     for i in range(n):
         image[i] = x * metric[i, u] + y * metric[i, u + 1] + z * metric[i, u + 2]
@@ -129,16 +128,11 @@ def transport(tree, goal, work):
         if cosine < 0.5:  # off the edge, or too far along it to be the same constraint
             release_cone(work, u)
             continue
-        for vector in (moved, before):
-            out = along(vector, u, x, y, z)
-            vector[u] -= out * x
-            vector[u + 1] -= out * y
-            vector[u + 2] -= out * z
         vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
         for vector in (moved, before):
-            vector[u], vector[u + 1], vector[u + 2] = rotated(
-                vector[u], vector[u + 1], vector[u + 2], vx, vy, vz, k
-            )
+            out = along(vector, u, x, y, z)
+            a, b, c = vector[u] - out * x, vector[u + 1] - out * y, vector[u + 2] - out * z
+            vector[u], vector[u + 1], vector[u + 2] = rotated(a, b, c, vx, vy, vz, k)
         for i in range(n):
             metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(
                 metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
@@ -402,11 +396,8 @@ def line_search(tree, goal, work, options, slope):
             clipped = False
             for u in range(search_direction.shape[0]):
                 clipped = clipped or work.step[u] != share * search_direction[u]
-            if (
-                slope_left(tree, goal, work) <= curvature * slope
-                or clipped
-                or 2.0 * share * longest > max_step
-            ):
+            eased = slope_left(tree, goal, work) <= curvature * slope
+            if eased or clipped or 2.0 * share * longest > max_step:
                 return True
             good = share
             share = 2.0 * share if bad == 0.0 else 0.5 * (good + bad)
