@@ -98,8 +98,7 @@ class Problem:
         """Compiles the goals.
 
         Raises:
-            GoalError: No goal at all, or something that is not a goal.
-            UnknownFrameError: A goal names a frame that the robot does not have.
+            GoalError, UnknownFrameError: No goal, something that is none, or a frame that does not exist.
             UnsupportedJointError: A frozen joint should follow one that the goals would move.
         """
         require_options(robot, tolerance, budget, seed)
@@ -215,14 +214,14 @@ class Problem:
         moves = [(self._index_of(key), target) for key, target in targets.items()]
         if len({index for index, _ in moves}) < len(moves):
             raise InvalidGoalError(f"two of the keys {list(targets)!r} mean the same goal")
-        arrays = self.compiled.goal_arrays
-        before = self.given, {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
+        given, arrays = self.given, self.compiled.goal_arrays
+        before = {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
         try:
             for index, target in moves:
                 (self._retarget_whole if self._whole[index] else self._retarget_partial)(target, index)
         except InvalidGoalError:
-            self.given = before[0]
-            for name, array in before[1].items():
+            self.given = given
+            for name, array in before.items():
                 arrays[name][...] = array
             raise
 

@@ -153,18 +153,14 @@ class _RobotTable(_Keys):
 class RobotFile(_Keys):
     """What ``robot.toml`` says; for a bare model file everything but the name is empty.
 
-    Attributes:
-        velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
-        stiffness: Of joints by name: one of 4 moves half as far as one of 1 where both could serve.
-        couplings: Joints that follow another, by name.
-        speeds: Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
-        figure: Hands, feet, eyes of a figure.
+    ``stiffness`` of joints by name: one of 4 moves half as far as one of 1 where both could serve.
     """
 
     name: str
     path: Path | None = None
-    velocity: dict[str, float] = Field(default={})
-    acceleration: dict[str, float] = Field(default={})
+    velocity: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
+    acceleration: dict[str, float] = Field(default={})  # … and rad/s²
+    # Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
     speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
 

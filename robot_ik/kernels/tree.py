@@ -48,16 +48,9 @@ open_tree = TREE.open
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree:
-    """Arrays of a kinematic tree, read-only, and ``handle``, the same for compiled code.
+    """Arrays of a kinematic tree (``TREE``), read-only, and ``handle``, the same for compiled code."""
 
-    Attributes:
-        joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
-        nq, nv: Length of q and of dq.
-        coupled, law: Joints that follow another, see ``model.py``.
-        handle: Their packed table; holds addresses, so it is only good while this tree lives.
-    """
-
-    joint_ids: tuple[int, ...]
+    joint_ids: tuple[int, ...]  # (n,) MuJoCo joint of each node
     kind: Ints
     parent: Ints
     qadr: Ints
@@ -73,7 +66,7 @@ class Tree:
     law: Array = field(default_factory=lambda: np.zeros((0, 7)))
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
-    handle: Ints = field(init=False, repr=False)
+    handle: Ints = field(init=False, repr=False)  # the packed table: good while this tree lives
 
     def __post_init__(self) -> None:
         n = len(self.kind)

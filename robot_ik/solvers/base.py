@@ -92,17 +92,13 @@ class Solver(ABC):
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value, meta = getattr(self, item.name), item.metadata
+            value, meta, file = getattr(self, item.name), item.metadata, f"solver {self.name}"
             if meta.get("choices") and value not in meta["choices"]:
-                raise ConfigError(
-                    f"{value!r} is no choice", file=f"solver {self.name}", key=item.name,
-                    allowed=", ".join(meta["choices"]),
-                )  # fmt: skip
+                allowed = ", ".join(meta["choices"])
+                raise ConfigError(f"{value!r} is no choice", file=file, key=item.name, allowed=allowed)
             if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
-                raise ConfigError(
-                    f"{value} is out of range", file=f"solver {self.name}", key=item.name,
-                    allowed=f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip(),
-                )  # fmt: skip
+                allowed = f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip()
+                raise ConfigError(f"{value} is out of range", file=file, key=item.name, allowed=allowed)
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
@@ -175,11 +171,7 @@ class Solver(ABC):
 
     @abstractmethod
     def load(self, problem: Problem) -> None:
-        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same.
-
-        Raises:
-            UnsupportedGoalError: As ``solve``.
-        """
+        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same."""
 
 
 # What a problem may ask for beside its goals, as text.
