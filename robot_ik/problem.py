@@ -51,7 +51,8 @@ class Budget:
     restarts: int | None = None
 
     def __post_init__(self) -> None:
-        for count in (self.iterations, self.restarts or 0):
+        counts: list[Any] = [self.iterations, 0 if self.restarts is None else self.restarts]
+        for count in counts:
             if not (isinstance(count, _WHOLE) and 0 <= count <= _MOST):
                 raise InvalidGoalError(
                     f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"

@@ -168,13 +168,13 @@ class Robot:
             UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
         """
         out = np.empty((1, 12))
-        kinematics.tree_frame(*self._work(q, frame), out)
+        kinematics.tree_frame(*self._work(q, frame, out))
         return mjcf.row_pose(out[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
         jacobian = np.empty((6, self.nv))
-        kinematics.tree_jacobian(*self._work(q, frame), np.empty((1, 12)), jacobian)
+        kinematics.tree_jacobian(*self._work(q, frame, np.empty((1, 12)), jacobian))
         return jacobian
 
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
@@ -307,12 +307,12 @@ class Robot:
     def _with_home_inside(self) -> Robot:
         return dataclasses.replace(self, home=self.follow(self.clip(self.home)))
 
-    def _work(self, q: ArrayLike, frame: str | None) -> tuple[Any, ...]:
-        """What the kernels take for a frame at ``q``, work space last."""
+    def _work(self, q: ArrayLike, frame: str | None, *results: Array) -> tuple[Any, ...]:
+        """What the kernels take for a frame at ``q``: work space, then results."""
         node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
         world, scratch = np.empty((self.tree.size, 12)), np.empty((2, 12))
-        return self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch
+        return self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, *results
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
