@@ -8,12 +8,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import InvalidGoalError, UnsupportedJointError
+from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import rotation_z_to
 from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
 from robot_ik.kernels import residuals, workspace
 from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_MASS, OF_PRIOR, WHOLE
-from robot_ik.model import joint_names, pose_row, row_pose
+from robot_ik.model import pose_row, row_pose
 from robot_ik.robot import Robot
 
 T = TypeVar("T")
@@ -61,19 +61,16 @@ def kind_of(goal: Goal) -> int:
 def compile_goals(
     robot: Robot, goals: Sequence[Goal], tolerance: Tolerance
 ) -> tuple[dict[str, Any], int, Ints]:
-    """Arrays by their names in ``residuals.GOALS``, length of the residual, and nodes as ``CompiledProblem``.
-
-    Raises:
-        UnknownFrameError, UnknownJointError: A goal names what the robot does not have.
-        InvalidGoalError: A posture of the wrong length, or a body without mass.
-        UnsupportedJointError: A frozen joint follows one that the goals would move.
-    """
+    """Arrays by their names in ``residuals.GOALS``, length of the residual, nodes; raises as ``Problem``."""
     tree, count = robot.tree, len(goals)
     moved = [_moved_nodes(robot, goal) for goal in goals]
     coupled_to = {int(node): int(leader) for node, leader in tree.coupled}
     used = set().union(*moved)
     leaders = {coupled_to.get(k, k) for k in used} - {-1}
-    _refuse_broken(robot, leaders)
+    if robot.couplings:
+        from robot_ik.couplings import refuse_broken  # which few arms have
+
+        refuse_broken(robot, leaders)
     dofs = np.array([v for v in range(tree.nv) if int(tree.dof_node[v]) in leaders], dtype=np.int64)
     coupled = [
         (c, int(np.flatnonzero(dofs == tree.vadr[leader])[0]), int(tree.vadr[node]))
@@ -141,10 +138,8 @@ def levels_of(goals: Sequence[Goal]) -> list[int]:
 def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
     """Puts a posture into the arrays; raises ``InvalidGoalError`` unless it has a number for each of q."""
     if np.shape(goal.q) != (robot.nq,):
-        raise InvalidGoalError(
-            f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}",
-            hint="start from robot.home and change what matters",
-        )
+        wrong = f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}"
+        raise InvalidGoalError(wrong, hint="start from robot.home and change what matters")
     arrays["posture"][g] = goal.q
     arrays["joint_weight"][g] = goal.joint_weights(robot)
 
@@ -209,21 +204,6 @@ def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
         carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
         return {k for node in carried for k in tree.ancestors(int(node))}
     return set(tree.ancestors(robot.attachment(goal.frame)[0]))
-
-
-def _refuse_broken(robot: Robot, leaders: set[int]) -> None:
-    """Raises ``UnsupportedJointError`` if a joint that stands still should follow one that moves."""
-    active = {joint: k for k, joint in enumerate(robot.tree.joint_ids)}
-    for coupling in robot.couplings:
-        if coupling.joint in active or active.get(coupling.leader) not in leaders:
-            continue
-        names = joint_names(robot.model)
-        follower, leader = names[coupling.joint], names[coupling.leader]
-        raise UnsupportedJointError(
-            f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
-            path=robot.path,
-            hint="let both move or none: load_robot(…, joints=[…])",
-        )
 
 
 # Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.

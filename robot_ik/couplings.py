@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 from robot_ik.errors import ModelError, UnknownJointError, UnsupportedJointError
 from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -166,3 +170,18 @@ def _admissible_interval(
     if best is None:
         return None
     return (given[0] if best[0] <= low else best[0]), (given[1] if best[1] >= high else best[1])
+
+
+def refuse_broken(robot: Robot, leaders: set[int]) -> None:
+    """Raises ``UnsupportedJointError`` if a joint that stands still should follow one that moves."""
+    active = {joint: k for k, joint in enumerate(robot.tree.joint_ids)}
+    for coupling in robot.couplings:
+        if coupling.joint in active or active.get(coupling.leader) not in leaders:
+            continue
+        ids = (coupling.joint, coupling.leader)
+        follower, leader = (robot.model.joint(j).name or f"joint_{j}" for j in ids)
+        raise UnsupportedJointError(
+            f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
+            path=robot.path,
+            hint="let both move or none: load_robot(…, joints=[…])",
+        )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Known names most like ``name``, best first (compared without regard to case)."""
+    """Known names most like ``name``, best first, without regard to case."""
     name = str(name)  # None or a number is an unknown name too
     by_lower = {item.lower(): item for item in known}
     found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
@@ -170,30 +170,21 @@ class ServoRefusedError(HardwareError):
         super().__init__(f"{_servo(id, joint)} refused {register}: {reason} (error {code})")
 
 
-_NOT_THE_SERVOS = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
-
-
 class ServoMismatchError(HardwareError):
     """The servos found (id -> model) are not those that the arm file, or another ``source``, names."""
 
     def __init__(
-        self,
-        expected: Mapping[int, str],
-        found: Mapping[int, str],
-        *,
-        port: str,
-        hint: str = "",
+        self, expected: Mapping[int, str], found: Mapping[int, str], *, port: str, hint: str = "",
         source: str = "the arm file",
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.expected, self.found, self.port = dict(expected), dict(found), port
         ids = sorted({*expected, *found})
         width = max([len(expected.get(i, "")) for i in ids] + [8])
         rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
         rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
-        super().__init__(
-            f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
-            hint=hint or _NOT_THE_SERVOS,
-        )
+        text = f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows)
+        usual = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+        super().__init__(text, hint=hint or usual)
 
 
 class MotorFaultError(HardwareError):
@@ -283,10 +274,8 @@ class UnsupportedGoalError(GoalError):
 
     def __init__(self, solver: str, goal: str, able: Iterable[str]) -> None:
         self.solver, self.goal, self.able = solver, goal, tuple(able)
-        super().__init__(
-            f"solver {solver!r} cannot serve {goal}",
-            hint=f"these can: {', '.join(self.able)}" if self.able else "no solver can yet",
-        )
+        hint = f"these can: {', '.join(self.able)}" if self.able else "no solver can yet"
+        super().__init__(f"solver {solver!r} cannot serve {goal}", hint=hint)
 
 
 class ProblemInUseError(RobotIkError):

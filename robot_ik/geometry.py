@@ -114,9 +114,8 @@ class Pose:
         except (TypeError, ValueError) as error:
             raise InvalidPoseError(f"a pose is made of numbers, not {position!r}, {wxyz!r}") from error
         if p.shape != (3,) or q.shape != (4,):
-            raise InvalidPoseError(
-                f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}"
-            )
+            shapes = f"{p.shape}, {q.shape}"
+            raise InvalidPoseError(f"a pose is a position (3,) and a quaternion wxyz (4,), not {shapes}")
         w, x, y, z = q.tolist()
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not math.isfinite(sum(p.tolist(), norm)) and not (np.isfinite(p).all() and np.isfinite(q).all()):
@@ -124,10 +123,8 @@ class Pose:
         if norm < 1e-12:
             raise InvalidPoseError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
         q /= norm
-        p.flags.writeable = False
-        q.flags.writeable = False
-        object.__setattr__(self, "position", p)
-        object.__setattr__(self, "wxyz", q)
+        p.flags.writeable = q.flags.writeable = False
+        self.__dict__.update(position=p, wxyz=q)
 
     @classmethod
     def of_checked(cls, position: Array, wxyz: Array) -> Pose:

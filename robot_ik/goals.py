@@ -84,10 +84,8 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
     w, x, y, z = array.tolist()
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < 1e-9:
-        raise InvalidGoalError(
-            f"{what} is a zero quaternion, which is no orientation",
-            hint="quaternions are w, x, y, z; 1 0 0 0 is no rotation",
-        )
+        hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
+        raise InvalidGoalError(f"{what} is a zero quaternion, which is no orientation", hint=hint)
     if norm != 1.0:
         array = array / norm
         array.setflags(write=False)
@@ -237,9 +235,8 @@ class Goal:
     @cached_property
     def rows(self) -> Rows:
         """Which rows it makes; each kind sets it when it is made."""
-        raise InvalidGoalError(
-            f"a {self.name} says nothing of what is wanted", hint="take one of rik.goals.GOALS"
-        )
+        nothing = f"a {self.name} says nothing of what is wanted"
+        raise InvalidGoalError(nothing, hint="take one of rik.goals.GOALS")
 
     @cached_property
     def weights(self) -> tuple[float, float]:
@@ -538,9 +535,8 @@ class PostureGoal(Goal):
         if not count:
             raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
         if not isinstance(self.joints, Mapping):
-            raise InvalidGoalError(
-                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
-            )
+            wrong = f"joints must say how much each counts, not {self.joints!r}"
+            raise InvalidGoalError(wrong, hint='such as {"elbow": 2.0}')
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
         weight = positive_number(self.weight, "weight")
         self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
@@ -588,9 +584,6 @@ class PosePriorGoal(Goal):
     Attributes:
         prior: ``PosePrior.of(robot)``, or one that you learned.
         weight: On the rows, whose half square is the energy over its least: it counts squared.
-
-    Raises:
-        InvalidGoalError: No prior, a negative weight, or asked to be needed.
     """
 
     frame: str | None = field(default=None, init=False)
@@ -606,9 +599,8 @@ class PosePriorGoal(Goal):
 
         super().__post_init__()
         if not isinstance(self.prior, PosePrior):
-            raise InvalidGoalError(
-                f"a pose prior goal needs a PosePrior, not {self.prior!r}", hint="PosePrior.of(robot)"
-            )
+            wrong = f"a pose prior goal needs a PosePrior, not {self.prior!r}"
+            raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
         weight = positive_number(self.weight, "weight")

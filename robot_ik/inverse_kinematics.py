@@ -59,8 +59,7 @@ def borrowed_problem(
 ) -> Iterator[tuple[Solver, Problem]]:
     """A method, and a problem for the goals: one that is at hand, or a new one.
 
-    Targets, weights, budget and seed are set each time, and results are not remembered.  A problem in whose
-    use something is raised is not used again.
+    Targets, weights, budget and seed are set each time.  Where something is raised, it is not used again.
     """
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)

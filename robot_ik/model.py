@@ -55,11 +55,11 @@ class ModelFrame:
     local: Pose
 
 
+# Arrays of MuJoCo's model, one row a body, joint, …
 _NUMBERS = (
     "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
     "jnt_range", "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "qpos0", "key_qpos",
 )  # fmt: skip
-"""Arrays of MuJoCo's model, one row a body, joint, …"""
 
 
 def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, float]]:
@@ -203,31 +203,30 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
-    if isinstance(file.home, tuple):
-        if len(file.home) != model.nq:
-            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
-        return np.array(file.home, dtype=float)
+    home = file.home
+    if isinstance(home, tuple):
+        if len(home) != model.nq:
+            raise ModelError(f"{path}: home has {len(home)} numbers, the model {model.nq}", path=path)
+        return np.array(home, dtype=float)
     keys = {model.key(k).name: k for k in range(model.nkey)}
-    if file.home is not None and file.home not in keys:
-        raise ModelError(
-            f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path
-        )
-    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
-    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
+    if home is None:
+        home = "home" if "home" in keys else next(iter(keys), None)
+    elif home not in keys:
+        known = ", ".join(keys) or "none"
+        raise ModelError(f"{path} has no keyframe {home!r}; it has: {known}", path=path)
+    return np.array(model.qpos0 if home is None else model.key_qpos[keys[home]], dtype=float)
 
 
 def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
     """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts."""
-    sites = {
-        model.site(s).name: ModelFrame(
-            model.site(s).name, int(model.site_bodyid[s]), Pose(model.site_pos[s], model.site_quat[s])
-        )
-        for s in range(model.nsite)
-    }
-    bodies = {model.body(b).name: ModelFrame(model.body(b).name, b, Pose()) for b in range(1, model.nbody)}
-    for unnamed in (sites, bodies):
-        unnamed.pop("", None)
-    found: dict[str, ModelFrame] = {}
+    sites, bodies, found = {}, {}, {}
+    for s in range(model.nsite):
+        if name := model.site(s).name:
+            local = Pose(model.site_pos[s], model.site_quat[s])
+            sites[name] = ModelFrame(name, int(model.site_bodyid[s]), local)
+    for b in range(1, model.nbody):
+        if name := model.body(b).name:
+            bodies[name] = ModelFrame(name, b, Pose())
     for tool, target in file.tools.items():
         where = sites if target.site else bodies
         wanted = target.site or target.body or ""
@@ -251,14 +250,11 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
     """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
-    if isinstance(joints, str):
-        if joints not in file.groups:
-            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
-        wanted: Sequence[str] = file.groups[joints]
-    elif joints is not None:
-        wanted = joints
-    else:
-        wanted = file.groups.get("arm", names)
+    wanted = file.groups.get("arm", names) if joints is None else joints
+    if isinstance(wanted, str):
+        if wanted not in file.groups:
+            raise UnknownJointError(wanted, file.groups, hint="a single string names a joint group")
+        wanted = file.groups[wanted]
     for joint in wanted:
         if joint not in names:
             raise UnknownJointError(joint, names)
@@ -396,16 +392,12 @@ def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
     return np.array([start + i for start, kind in starts for i in range(Q_WIDTH[kind])], dtype=np.int64)
 
 
-def build_tree(
-    model: mujoco.MjModel, joints: list[int] | None = None, qpos: Array | None = None
-) -> tuple[Tree, tuple[Attachment, ...]]:
-    """Tree of a model in which only ``joints`` (MuJoCo ids; default all) move; attachments of all bodies.
+def build_tree(model: mujoco.MjModel, joints: list[int], qpos: Array) -> tuple[Tree, tuple[Attachment, ...]]:
+    """Tree of a model in which only ``joints`` (MuJoCo ids) move; attachments of all bodies.
 
-    The others are frozen where ``qpos`` (model.nq,) has them; default ``model.qpos0``.
+    The others are frozen where ``qpos`` (model.nq,) has them.
     """
-    active = set(range(model.njnt)) if joints is None else set(joints)
-    where = np.array(model.qpos0 if qpos is None else qpos, dtype=float)
-    builder = _Builder(model, active, where)
+    builder = _Builder(model, set(joints), qpos)
     for body in range(1, model.nbody):
         builder.body(body)
     kind, parent, qadr, vadr = np.array(builder.nodes, dtype=np.int64).reshape(-1, 4).T

@@ -34,11 +34,7 @@ _KEY = re.compile(r"""([\w.-]{1,60})["']?\s*[=:]""")
 def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") -> str:
     """The text of a file that somebody named; ``what`` it should be is for the message: "the arm file".
 
-    Args:
-        path: The file.
-        what: See above.
-        hint: What to try if there is none.
-        errors: What to do about bytes that are no UTF-8, as for ``bytes.decode``.
+    ``hint`` says what to try if there is none, ``errors`` what to do about bytes that are no UTF-8.
 
     Raises:
         ConfigError: It is not there, may not be read, has no end, or is no text.
@@ -69,11 +65,7 @@ def read_json(path: Path, what: str, hint: str = "") -> Any:
 
 
 def read_csv(path: Path, what: str) -> list[list[str]]:
-    """The rows of a CSV file.
-
-    Raises:
-        ConfigError: As ``read_text``; or a cell is longer than the reader takes.
-    """
+    """The rows of a CSV file; raises as ``read_text``, or where a cell is longer than the reader takes."""
     rows = csv.reader(read_text(path, what).splitlines())
     try:
         return list(rows)

@@ -144,10 +144,8 @@ class Robot:
         except (TypeError, ValueError) as error:
             raise ModelError(f"{what} must be {self.nq} numbers, not {q!r}") from error
         if array.shape != (self.nq,):
-            raise ModelError(
-                f"{what} must have shape ({self.nq},), not {array.shape}",
-                hint=f"{self.name} has these active joints: {', '.join(self.joints)}",
-            )
+            hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
+            raise ModelError(f"{what} must have shape ({self.nq},), not {array.shape}", hint=hint)
         # A sum of floats is finite whenever all are (and of a sane size), and costs a third of isfinite.
         if not math.isfinite(sum(array.tolist())) and not np.isfinite(array).all():
             raise ModelError(f"{what} must be finite, not {array.tolist()}")
@@ -162,11 +160,7 @@ class Robot:
         return body.node, mjcf.pose_row(body.local.compose(at.local))
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
-        """Pose of a frame (default: the tool) in the world at ``q`` (nq,).
-
-        Raises:
-            UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
-        """
+        """World pose of a frame (default: the tool) at ``q`` (nq,); raises as ``frame``, ``check_q``."""
         out = np.empty((1, 12))
         kinematics.tree_frame(*self._work(q, frame, out))
         return mjcf.row_pose(out[0])

@@ -202,23 +202,18 @@ def _per_joint(
     if values is None:
         return {}
     if len(values) != len(joints) or not all(v > 0 for v in values):
+        allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm"
         raise ConfigError(
-            f"{len(values)} numbers for {len(joints)} joints",
-            file=path, key=key, allowed="one positive number, deg/s or deg/s², for each joint of groups.arm",
-        )  # fmt: skip
+            f"{len(values)} numbers for {len(joints)} joints", file=path, key=key, allowed=allowed
+        )
     return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
 
 
 def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     """Model file and ``robot.toml`` contents for a catalogue name, a path or a robot_descriptions name.
 
-    A ``robot.toml`` beside a model file counts when it names that file.
-
-    Raises:
-        UnknownRobotError: No name of the catalogue.
-        ModelError: A path, but of no file.
-        ConfigError: Its ``robot.toml`` is wrong.
-        MissingExtraError: The package robot_descriptions is asked for and not there.
+    A ``robot.toml`` beside a model file counts when it names that file.  Raises as ``load_robot``;
+    ``ConfigError`` where it is wrong, ``MissingExtraError`` without the package robot_descriptions.
     """
     known = catalogue()
     given: object = name
@@ -248,9 +243,8 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
 def _refuse_missing(path: Path) -> None:
     """Raises ``ModelError`` where ``path`` is meant as a path and not as a name."""
     if path.is_dir():
-        raise ModelError(
-            f"the folder {path} has no robot.toml", path=path, hint="name the MJCF or URDF file in it"
-        )
+        hint = "name the MJCF or URDF file in it"
+        raise ModelError(f"the folder {path} has no robot.toml", path=path, hint=hint)
     if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES:
         beside = [p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODEL_SUFFIXES]
         close = close_matches(path.name, beside)

@@ -140,12 +140,11 @@ class Solution:
         """This solution if it converged; else raises ``NotConvergedError``: how far off it is and why."""
         if self.converged:
             return self
-        miss = self.miss
+        off = f"{1000 * self.miss.position:.2f} mm, {np.degrees(self.miss.angle):.3f}° off"
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
-            f"{1000 * miss.position:.2f} mm, {np.degrees(miss.angle):.3f}° off after {self.iterations} steps",
-            self,
-        )
+            f"{off} after {self.iterations} steps", self,
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         return (

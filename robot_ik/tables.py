@@ -143,11 +143,7 @@ Made = TypeVar("Made", bound=Table)
 
 
 def check_table(model: type[Made], data: Any, file: Path | str) -> Made:
-    """The content of a file, as a parser made it, with every key checked.
-
-    Raises:
-        ConfigError: A key is unknown, missing, of another type or out of range.
-    """
+    """The content of a file, as a parser made it; raises ``ConfigError`` where a key is not right."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
