@@ -121,8 +121,8 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
     if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
         return np.array([pose_row(pose) for pose in several]), True
     array = numbers(several, "poses")
-    bad = int((~(np.abs(array) <= LARGEST)).sum())  # NaN too
-    if bad:
+    if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
+        bad = int((~(np.abs(array) <= LARGEST)).sum())
         raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
     rows = np.zeros((array.shape[0] if array.ndim else 0, 12))
     shape = array.shape[1:]
@@ -185,7 +185,9 @@ def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
             f"starts have shape {array.shape}",
             hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
         )
-    return np.broadcast_to(array, (count, robot.nq)).copy()
+    rows = np.empty((count, robot.nq))
+    rows[...] = array
+    return rows
 
 
 def solve_batch(

@@ -80,14 +80,12 @@ def compile_goals(
     movers = np.append(dofs, [v for _, _, v in coupled]).astype(np.int64)
     moves = [[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved]
     stiffness = robot.stiffness[dofs]
-    arrays: dict[str, Any] = {
+    arrays: dict[str, Any] = residuals.GOALS.zeros({"g": count, "nq": robot.nq, "nv": robot.nv}) | {
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
         "row_codes": np.array([(g.rows.position, g.rows.orientation, g.rows.of, 0) for g in goals]),
-        "row": np.empty(count, dtype=np.int64),
         "level": np.array(levels_of(goals), dtype=np.int64),
         "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
         "node": np.full(count, -1, dtype=np.int64),
-        "local": np.zeros((count, 12)),
         "target": np.array([target_row(goal) for goal in goals]),
         "mask": np.array([goal.rows.mask for goal in goals], dtype=float),
         "weight": np.array([goal.weights for goal in goals], dtype=float),
@@ -98,10 +96,6 @@ def compile_goals(
         "moves": np.array(moves, dtype=np.int64).reshape(count, len(movers)),
         "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "coupled": np.array(coupled, dtype=np.int64).reshape(-1, 3),
-        "posture": np.zeros((count, robot.nq)),
-        "joint_weight": np.zeros((count, robot.nv)),
-        "feature": np.zeros((0, 3), dtype=np.int64),
-        "prior": np.zeros((0, 0)),
     }  # fmt: skip
     masses: list[Array] = []
     rows = 0

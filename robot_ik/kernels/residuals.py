@@ -377,11 +377,11 @@ GOALS = Layout(
     "Goals",
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL, PRIOR
     row_codes="int_table",  # (g, ROW_CODES) which rows a PARTIAL goal makes, see ``partial_rows``
-    row="ints",  # (g,) first row of its residual
+    row="ints g",  # (g,) first row of its residual
     level="ints",  # (g,) its position in the order of priorities, 0 first; soft goals come after all others
     soft="ints",  # (g,) 1: wanted, not needed
     node="ints",  # (g,) node that carries its frame, -1 = world
-    local="table",  # (g, 12) frame seen from the node
+    local="table g 12",  # frame seen from the node
     target="table",  # (g, 12) wanted pose, world
     mask="table",  # (g, 3) which coordinates count, in the axes of the target
     weight="table",  # (g, 2) on metres (already over the length scale) and on radians, as it counts now
@@ -400,10 +400,10 @@ GOALS = Layout(
     coupled="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is coupled
     masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
-    posture="table",  # (g, nq) where a posture wants the joints
-    joint_weight="table",  # (g, nv) and how much each counts
-    feature="int_table",  # (n, 3) the features of a pose prior, see ``pose_prior``; there is one at most
-    prior="table",  # (…, n) its mixture, and its work space
+    posture="table g nq",  # where a posture wants the joints
+    joint_weight="table g nv",  # and how much each counts
+    feature="int_table 0 3",  # (n, 3) the features of a pose prior, see ``pose_prior``; there is one at most
+    prior="table 0 0",  # (…, n) its mixture, and its work space
 )
 open_goals = GOALS.open
 
