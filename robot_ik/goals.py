@@ -535,8 +535,9 @@ class PostureGoal(Goal):
         if not count:
             raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
         if not isinstance(self.joints, Mapping):
-            wrong = f"joints must say how much each counts, not {self.joints!r}"
-            raise InvalidGoalError(wrong, hint='such as {"elbow": 2.0}')
+            raise InvalidGoalError(
+                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
+            )
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
         weight = positive_number(self.weight, "weight")
         self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)

@@ -116,7 +116,7 @@ class Coupled(Table):
     offset: float = 0.0
 
 
-class _Motion(Table):
+class _MotionTable(Table):
     velocity_deg: Several[float] | None = None
     acceleration_deg: Several[float] | None = None
 
@@ -145,7 +145,7 @@ class _RobotTable(_Keys):
     version: Annotated[Literal[1], Field(alias="schema")]
     title: str
     model: str
-    motion: _Motion = _Motion()
+    motion: _MotionTable = _MotionTable()
     speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
     provenance: _Provenance = _Provenance()
 
