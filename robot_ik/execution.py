@@ -365,7 +365,7 @@ def follow(
         start = source.read().q
     first = joint_vector(robot, start, "start")
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
-    following = _Following(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
+    following = _FollowState(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
     following.load()
     report, schedule = following.report, Schedule(clock)
     begin = schedule.origin
@@ -385,7 +385,7 @@ def follow(
             return report
 
 
-class _Following:
+class _FollowState:
     """State of `follow`: how it solves, and the report, whose ``q`` is the command."""
 
     def __init__(
