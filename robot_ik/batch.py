@@ -79,11 +79,7 @@ def run_batch(
 ) -> BatchSolution:
     """Solves each row of ``targets`` (n, 12) from its row of ``starts`` (n, nq), on so many threads.
 
-    Args:
-        parts: Lends a method and a problem of one goal to each thread.
-        targets: Pose rows (n, 12).
-        starts: (n, nq).
-        threads: None = one for each core this process may use.
+    ``parts`` lends a method and a problem of one goal to each; None: one for each core this process may use.
 
     Raises:
         InvalidGoalError: No thread at all.
@@ -104,10 +100,9 @@ def run_batch(
         name = part(targets, starts, results)
     else:
         edges = [len(targets) * k // count for k in range(count + 1)]
-        shares = [slice(first, last) for first, last in itertools.pairwise(edges)]
+        shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
         with ThreadPoolExecutor(count) as pool:
-            done = [pool.submit(part, targets[s], starts[s], results.part(s)) for s in shares]
-            name, *_ = [one.result() for one in done]
+            name, *_ = pool.map(lambda s: part(targets[s], starts[s], results.part(s)), shares)
     miss, seconds = results.miss, time.perf_counter() - began
     return BatchSolution(
         results.q, results.status, miss[:, 0], miss[:, 1], results.iterations, results.restarts, seconds, name
@@ -121,12 +116,7 @@ def usable_cores() -> int:
 
 
 def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
-    """Targets as pose rows (n, 12), and whether their orientation counts.
-
-    Raises:
-        InvalidGoalError: Wrong shape, a number that is not finite, a zero quaternion, a matrix that is no
-            rotation.
-    """
+    """Targets as pose rows (n, 12), and whether their orientation counts; raises as ``solve_batch``."""
     several: Any = [poses] if isinstance(poses, Pose) else poses
     if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
         return np.array([pose_row(pose) for pose in several]), True
@@ -135,16 +125,17 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
         bad = int((~(np.abs(array) <= LARGEST)).sum())
         raise InvalidGoalError(f"{bad} numbers of the poses are not finite and below {LARGEST:g}")
     rows = np.zeros((array.shape[0] if array.ndim else 0, 12))
-    if array.ndim == 2 and array.shape[1] == 3:
+    shape = array.shape[1:]
+    if shape == (3,):
         rows[:, :3] = array
         rows[:, [3, 7, 11]] = 1.0
         return rows, False
-    if array.ndim == 3 and array.shape[1:] == (4, 4):
+    if shape == (4, 4):
         rows[:, :3] = array[:, :3, 3]
         rows[:, 3:] = array[:, :3, :3].reshape(-1, 9)
         _require_rotations(rows)
         return rows, True
-    if array.ndim == 2 and array.shape[1] == 7:
+    if shape == (7,):
         rows[:, :3] = array[:, :3]
         norm = np.linalg.norm(array[:, 3:], axis=1)
         if (norm < 1e-9).any():
@@ -187,11 +178,7 @@ def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: An
 
 
 def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
-    """Starts (n, nq); one start (nq,), or home, counts for all.
-
-    Raises:
-        InvalidGoalError: Wrong shape, or not finite.
-    """
+    """Starts (n, nq); one start (nq,), or home, counts for all; raises as ``solve_batch``."""
     array = robot.home if starts is None else numbers(starts, "starts")
     if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
         raise InvalidGoalError(

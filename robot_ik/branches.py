@@ -95,7 +95,8 @@ def _branches(
     robot: Robot, goal: Goal | Pose | NDArray[np.float64], start: ArrayLike | None, limits: bool
 ) -> Branches:
     """``solve_all`` for one."""
-    wanted = goal if isinstance(goal, Goal) else PoseGoal.at(None, _pose_of(goal))
+    pose = Pose.from_matrix(goal) if isinstance(goal, np.ndarray) else goal
+    wanted = PoseGoal.at(None, pose) if isinstance(pose, Pose) else pose
     with borrowed_problem(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
         origin = robot.home if start is None else robot.check_q(start, "start")
         branches = cast(Analytic, solver).branches(problem, origin)
@@ -117,7 +118,3 @@ def _inside(robot: Robot, qs: NDArray[np.float64]) -> list[bool]:
         return [not robot.outside(q) for q in qs]
     near = (qs >= robot.lower - _SLACK) & (qs <= robot.upper + _SLACK)
     return cast(list[bool], near.all(axis=1).tolist())
-
-
-def _pose_of(pose: Pose | NDArray[np.float64]) -> Pose:
-    return pose if isinstance(pose, Pose) else Pose.from_matrix(pose)

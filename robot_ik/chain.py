@@ -28,14 +28,7 @@ def robot_from_model(
 ) -> Robot:
     """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
 
-    Args:
-        model: A compiled model; treat it as read-only from now on.
-        name: What to call the robot.
-        joints: As in ``load_robot``.
-        tool: As in ``load_robot``.
-
-    Raises:
-        ModelError, UnknownJointError, UnknownFrameError: As ``load_robot``.
+    Treat the model as read-only from now on.  The rest, and errors, as of ``load_robot``.
     """
     # A folder that cannot exist, so that nothing is ever found beside the model.
     return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
@@ -57,10 +50,8 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
     """
     given: object = n
     if isinstance(n, bool) or not isinstance(given, int | np.integer) or not 1 <= n <= LONGEST:
-        raise InvalidModelError(
-            f"a chain has 1 to {LONGEST} links, not {n!r}",
-            hint="what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400",
-        )
+        hint = "what MuJoCo takes to compile it grows with the cube of the links: 10 s for 400"
+        raise InvalidModelError(f"a chain has 1 to {LONGEST} links, not {n!r}", hint=hint)
     try:
         metres = float(length)
     except (TypeError, ValueError):
@@ -74,12 +65,9 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
         body = body.add_body(name=f"link{i}", pos=[0.0, 0.0, length if i > 1 else 0.0])
         body.add_joint(name=f"joint{i}", type=mujoco.mjtJoint.mjJNT_BALL)
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-            fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
-            size=[_THICKNESS * length, 0.0, 0.0],
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, 0.0, 0.0, length],
+            size=[_THICKNESS * length, 0.0, 0.0], contype=0, conaffinity=0,
             rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
-            contype=0,
-            conaffinity=0,
-        )
+        )  # fmt: skip
     body.add_site(name="tip", pos=[0.0, 0.0, length])
     return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")

@@ -1,40 +1,22 @@
-"""What a problem is for the compiled code: its goals as flat arrays, its work space, and who owns them.
-
-The arrays of goals have the names of ``kernels/residuals.GOALS``, those of the work space the names of
-``kernels/workspace.WORK``.
-"""
+"""What a problem is for the compiled code: its goals as flat arrays, its work space, and who owns them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import InvalidGoalError, UnsupportedJointError
+from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import rotation_z_to
 from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
 from robot_ik.kernels import residuals, workspace
-from robot_ik.kernels.residuals import (
-    BLOCK,
-    NO_ORIENTATION,
-    NO_POSITION,
-    OF,
-    OF_FRAME,
-    OF_MASS,
-    OF_PRIOR,
-    ORIENTATION_PART,
-    POSITION_PART,
-    ROW_CODES,
-    WHOLE,
-)
+from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_MASS, OF_PRIOR, WHOLE
 from robot_ik.model import pose_row, row_pose
 from robot_ik.robot import Robot
 
 T = TypeVar("T")
-
 Ints = NDArray[np.int64]
 
 # A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
@@ -42,29 +24,12 @@ Ints = NDArray[np.int64]
 _LENGTH_PER_REACH = 0.15
 
 
-@dataclass(frozen=True, eq=False)
-class CompiledGoals:
-    """Arrays of the goals of one problem.
-
-    Attributes:
-        arrays: By their names in ``residuals.GOALS``; whoever packs them keeps this alive.
-        rows: Length of the residual.
-        nodes: Joints that move any goal and those that lead them, parents first.
-    """
-
-    arrays: dict[str, Any]
-    rows: int
-    nodes: Ints
-
-
 def length_of(robot: Robot, goal: Goal) -> float:
     """Metres that count as much as one radian: scales position rows, so that all rows are angles."""
     if goal.length is not None:
         return goal.length
-    ball = None if goal.rows.of != OF_FRAME else robot.reach(goal.frame)
-    if ball is None or ball[1] < 1e-6:
-        return 1.0
-    return _LENGTH_PER_REACH * ball[1]
+    ball = robot.reach(goal.frame) if goal.rows.of == OF_FRAME else None
+    return 1.0 if ball is None or ball[1] < 1e-6 else _LENGTH_PER_REACH * ball[1]
 
 
 def target_row(goal: Goal) -> Array:
@@ -86,29 +51,26 @@ def moved_goal(goal: Goal, row: Array) -> Goal:
 def kind_of(goal: Goal) -> int:
     """The kernel's code: a whole position, orientation or pose, a pose prior, or PARTIAL for all the rest."""
     rows = goal.rows
-    if rows.of == OF_PRIOR:
-        return residuals.PRIOR
     if not rows.whole:
-        return residuals.PARTIAL
-    if rows.position == WHOLE:
-        return residuals.POSITION if rows.orientation == NO_ORIENTATION else residuals.POSE
-    return residuals.ORIENTATION
+        return residuals.PRIOR if rows.of == OF_PRIOR else residuals.PARTIAL
+    if rows.orientation == NO_ORIENTATION:
+        return residuals.POSITION
+    return residuals.POSE if rows.position == WHOLE else residuals.ORIENTATION
 
 
-def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> CompiledGoals:
-    """The arrays of ``goals``.
-
-    Raises:
-        UnknownFrameError, UnknownJointError: A goal names what the robot does not have.
-        InvalidGoalError: A posture of the wrong length, or a body without mass.
-        UnsupportedJointError: A frozen joint follows one that the goals would move.
-    """
+def compile_goals(
+    robot: Robot, goals: Sequence[Goal], tolerance: Tolerance
+) -> tuple[dict[str, Any], int, Ints]:
+    """Arrays by their names in ``residuals.GOALS``, length of the residual, nodes; raises as ``Problem``."""
     tree, count = robot.tree, len(goals)
     moved = [_moved_nodes(robot, goal) for goal in goals]
     coupled_to = {int(node): int(leader) for node, leader in tree.coupled}
     used = set().union(*moved)
     leaders = {coupled_to.get(k, k) for k in used} - {-1}
-    _refuse_broken(robot, leaders)
+    if robot.couplings:
+        from robot_ik.couplings import refuse_broken  # which few arms have
+
+        refuse_broken(robot, leaders)
     dofs = np.array([v for v in range(tree.nv) if int(tree.dof_node[v]) in leaders], dtype=np.int64)
     coupled = [
         (c, int(np.flatnonzero(dofs == tree.vadr[leader])[0]), int(tree.vadr[node]))
@@ -116,15 +78,14 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         if leader in leaders and node in used
     ]
     movers = np.append(dofs, [v for _, _, v in coupled]).astype(np.int64)
+    moves = [[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved]
     stiffness = robot.stiffness[dofs]
-    arrays: dict[str, Any] = {
+    arrays: dict[str, Any] = residuals.GOALS.zeros({"g": count, "nq": robot.nq, "nv": robot.nv}) | {
         "kind": np.array([kind_of(goal) for goal in goals], dtype=np.int64),
-        "row_codes": np.zeros((count, ROW_CODES), dtype=np.int64),
-        "row": np.empty(count, dtype=np.int64),
+        "row_codes": np.array([(g.rows.position, g.rows.orientation, g.rows.of, 0) for g in goals]),
         "level": np.array(levels_of(goals), dtype=np.int64),
         "soft": np.array([goal.soft for goal in goals], dtype=np.int64),
         "node": np.full(count, -1, dtype=np.int64),
-        "local": np.zeros((count, 12)),
         "target": np.array([target_row(goal) for goal in goals]),
         "mask": np.array([goal.rows.mask for goal in goals], dtype=float),
         "weight": np.array([goal.weights for goal in goals], dtype=float),
@@ -132,47 +93,34 @@ def compile_goals(robot: Robot, goals: Sequence[Goal], tolerance: Tolerance) -> 
         "dofs": dofs,
         "column": np.append(np.arange(len(dofs)), [u for _, u, _ in coupled]).astype(np.int64),
         "moved": movers,
-        "moves": _table([[int(tree.dof_node[v]) in nodes for v in movers] for nodes in moved], len(movers)),
+        "moves": np.array(moves, dtype=np.int64).reshape(count, len(movers)),
         "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "coupled": np.array(coupled, dtype=np.int64).reshape(-1, 3),
-        "posture": np.zeros((count, robot.nq)),
-        "joint_weight": np.zeros((count, robot.nv)),
-        "feature": np.zeros((0, 3), dtype=np.int64),
-        "prior": np.zeros((0, 0)),
     }  # fmt: skip
     masses: list[Array] = []
     rows = 0
     for g, goal in enumerate(goals):
-        arrays["row"][g] = rows
-        asked = goal.rows
-        arrays["row_codes"][g, [POSITION_PART, ORIENTATION_PART, OF]] = (
-            asked.position,
-            asked.orientation,
-            asked.of,
-        )
+        arrays["row"][g], asked = rows, goal.rows
         arrays["weight"][g, 0] /= length_of(robot, goal)
+        rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
         if isinstance(goal, PostureGoal):
             set_posture(robot, arrays, g, goal)
             rows += len(dofs)
-            continue
-        if isinstance(goal, PosePriorGoal):
+        elif isinstance(goal, PosePriorGoal):
             rows += _set_prior(robot, arrays, goal)
-            continue
-        rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
-        if asked.of == OF_MASS:
-            arrays["row_codes"][g, BLOCK] = sum(len(block) for block in masses)
+        elif asked.of == OF_MASS:
+            arrays["row_codes"][g, residuals.BLOCK] = sum(len(block) for block in masses)
             masses.append(robot.masses(goal.frame))
-            continue
-        node, local = robot.attachment(goal.frame)
-        arrays["node"][g], arrays["local"][g] = node, local
-        if not asked.whole:
-            arrays["local"][g, 3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
+        else:
+            arrays["node"][g], local = robot.attachment(goal.frame)
+            if not asked.whole:
+                local[3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
+            arrays["local"][g] = local
     arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
     arrays["moments"] = np.zeros_like(arrays["masses"])
     arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
     arrays |= _pattern(arrays, rows)
-    nodes = np.array(sorted(used | leaders), dtype=np.int64)
-    return CompiledGoals(arrays, rows, nodes)
+    return arrays, rows, np.array(sorted(used | leaders), dtype=np.int64)
 
 
 def levels_of(goals: Sequence[Goal]) -> list[int]:
@@ -182,36 +130,21 @@ def levels_of(goals: Sequence[Goal]) -> list[int]:
 
 
 def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
-    """Puts a posture into the arrays.
-
-    Raises:
-        InvalidGoalError: It has not one number for each of the robot's.
-    """
+    """Puts a posture into the arrays; raises ``InvalidGoalError`` unless it has a number for each of q."""
     if np.shape(goal.q) != (robot.nq,):
-        raise InvalidGoalError(
-            f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}",
-            hint="start from robot.home and change what matters",
-        )
+        wrong = f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}"
+        raise InvalidGoalError(wrong, hint="start from robot.home and change what matters")
     arrays["posture"][g] = goal.q
     arrays["joint_weight"][g] = goal.joint_weights(robot)
 
 
 def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
-    """Puts a pose prior into the arrays; returns how many rows it makes.
-
-    Raises:
-        InvalidGoalError: There is one already.
-        UnknownJointError: The robot lacks a joint of the prior.
-    """
+    """Puts a pose prior, of which there is one at most, into the arrays; returns how many rows it makes."""
     if len(arrays["feature"]):
         raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
     assert goal.prior is not None
     arrays["feature"], arrays["prior"] = goal.prior.indices(robot), goal.prior.table()
     return len(arrays["feature"]) + 1
-
-
-def _table(rows: list[list[bool]], width: int) -> Ints:
-    return np.array(rows, dtype=np.int64).reshape(len(rows), width)
 
 
 def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
@@ -245,34 +178,26 @@ def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:
     return (mine.position if metres > 0.0 else np.inf, mine.angle if radians > 0.0 else np.inf)
 
 
+def _reach_row(robot: Robot, goal: Goal, tolerance: Tolerance) -> tuple[float, ...]:
+    """Centre and radius of a ball that the goal's frame cannot leave, where a position is needed."""
+    asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+    ball = robot.reach(goal.frame) if asks and not goal.soft else None
+    if ball is None:
+        return 0.0, 0.0, 0.0, np.inf
+    return *ball[0].tolist(), ball[1] + (goal.tolerance or tolerance).position
+
+
 def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
     """Joints whose motion the goal feels."""
     tree = robot.tree
     if isinstance(goal, PostureGoal):
-        joint_weights = goal.joint_weights(robot)
-        return {int(tree.dof_node[v]) for v in range(tree.nv) if joint_weights[v] > 0.0}
+        return set(tree.dof_node[goal.joint_weights(robot) > 0.0].tolist())
     if isinstance(goal, PosePriorGoal) and goal.prior is not None:
         return set(goal.prior.indices(robot)[:, 2].tolist())
     if goal.rows.of == OF_MASS:
         carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
         return {k for node in carried for k in tree.ancestors(int(node))}
     return set(tree.ancestors(robot.attachment(goal.frame)[0]))
-
-
-def _refuse_broken(robot: Robot, leaders: set[int]) -> None:
-    """Raises ``UnsupportedJointError`` if a joint that stands still should follow one that moves."""
-    active = {joint: k for k, joint in enumerate(robot.tree.joint_ids)}
-    for coupling in robot.couplings:
-        if coupling.joint in active or active.get(coupling.leader) not in leaders:
-            continue
-        follower, leader = (
-            robot.model.joint(j).name or f"joint_{j}" for j in (coupling.joint, coupling.leader)
-        )
-        raise UnsupportedJointError(
-            f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
-            path=robot.path,
-            hint="let both move or none: load_robot(…, joints=[…])",
-        )
 
 
 # Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
@@ -282,14 +207,11 @@ _SOLVERS_KEPT = 16
 class CompiledProblem:
     """The one owner of all that kernels see of a problem; nothing of it is ever replaced.
 
-    A table of addresses keeps its arrays alive (``kernels/bundle.py``), and whoever hands out the address of
-    a table holds the table too.  So an address is good for as long as its holder lives, whatever is compiled,
-    solved or copied in between.
+    So an address is good for as long as its holder, who holds the table too, lives (``kernels/bundle.py``).
 
     Attributes:
         tree, goals, work: Tables of addresses: of the robot's tree, of ``goal_arrays``, of ``arrays``.
-        goal_arrays: By their names in ``residuals.GOALS``.
-        arrays: The work space, by the names in ``workspace.WORK``.
+        goal_arrays, arrays: By their names in ``residuals.GOALS`` and ``workspace.WORK``.
         rows: Length of the residual.
         nodes: Joints that move any goal and those that lead them, parents first.
         made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
@@ -300,9 +222,10 @@ class CompiledProblem:
     __slots__ = ("arrays", "goal_arrays", "goals", "made", "nodes", "rows", "token", "tree", "work")
 
     def __init__(self, robot: Robot, goals: Sequence[Goal], tolerance: Tolerance, trace_rows: int) -> None:
-        found = compile_goals(robot, goals, tolerance)
-        self.goal_arrays, self.rows, self.nodes = found.arrays, found.rows, found.nodes
-        self.arrays = _work_arrays(robot, goals, found, trace_rows)
+        self.goal_arrays, self.rows, self.nodes = compile_goals(robot, goals, tolerance)
+        self.arrays = self._work_arrays(robot, goals, trace_rows)
+        for row, goal in zip(self.arrays["reach"], goals, strict=True):
+            row[:] = _reach_row(robot, goal, tolerance)
         self.tree = robot.tree.handle
         self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
         self.made: dict[int, Any] = {}
@@ -317,35 +240,20 @@ class CompiledProblem:
             found = self.made[id(solver)] = make()
         return found
 
+    def run_table(self, options: Array) -> Ints:
+        """One table of all that a kernel takes."""
+        tables = {"tree": self.tree, "goals": self.goals, "work": self.work, "options": options}
+        return workspace.RUN.pack(tables)
 
-def _work_arrays(
-    robot: Robot, goals: Sequence[Goal], found: CompiledGoals, trace_rows: int
-) -> dict[str, Array]:
-    """The work space of a solve, by the names in ``workspace.WORK``."""
-    count, m, nu, nq = len(goals), found.rows, len(found.arrays["dofs"]), robot.nq
-    levels = 1 + max(levels_of(goals))
-    several = levels > 1 or any(goal.soft for goal in goals)
-    levels, dense = (levels, m) if several else (0, 0)  # what only priorities and soft goals need
-    k, p = max(m, nu, 1), min(m, nu)
-    shapes: dict[str, Any] = {
-        "state": (workspace.STATE_SIZE,), "value": (workspace.VALUE_SIZE,), "start": (nq,), "q": (nq,),
-        "best": (nq,), "nearby": (nq,), "rival": (nq,), "accepted": (nq,), "candidate": (nq,),
-        "reach": (count, 4), "unreachable": (count,), "world": (robot.tree.size, 12), "scratch": (2, 12),
-        "frames": (count, 12),
-        "residual": (m,), "miss": (count, 2), "jacobian": (m, nu), "column": (m,), "factor": (k, k),
-        "normal": (nu, nu), "damped": (nu, nu), "gradient": (nu,), "step": (nu,), "low": (nu,),
-        "high": (nu,), "rhs": (k,), "free": (k,), "side": (k,), "dq": (robot.nv,),
-        "trace": (trace_rows, len(workspace.TRACE_COLUMNS)), "wanted": (m,), "left": (p, m), "sigma": (p,),
-        "right": (p, nu), "aim": (nu,), "rest": (nq,), "level_cost": (levels,), "level_bar": (levels,),
-        "level_best": (levels,), "basis": (min(dense, nu), nu), "own": (dense, nu),
-        "gram": (dense, dense), "metric": (nu, nu), "search_direction": (nu,), "before": (nu,),
-        "moved": (nu,), "outward": (nu,),
-    }  # fmt: skip
-    arrays: dict[str, Any] = {
-        name: np.zeros(shape, dtype=np.int64 if name in ("state", "unreachable", "free", "side") else float)
-        for name, shape in shapes.items()
-    }
-    arrays["nodes"] = found.nodes
-    arrays["rest"][:] = robot.home
-    arrays["reach"][:, 3] = np.inf
-    return arrays
+    def _work_arrays(self, robot: Robot, goals: Sequence[Goal], trace_rows: int) -> dict[str, Any]:
+        """The work space of a solve."""
+        levels = 1 + max(levels_of(goals))
+        several = levels > 1 or any(goal.soft for goal in goals)
+        m, nu = self.rows, len(self.goal_arrays["dofs"])
+        sizes = {
+            "g": len(goals), "m": m, "nu": nu, "nq": robot.nq, "nv": robot.nv, "n": robot.tree.size,
+            "k": max(m, nu, 1), "p": min(m, nu), "trace": trace_rows,
+            "levels": levels if several else 0, "dense": m if several else 0,  # priorities, soft goals
+            "free": min(m, nu) if several else 0,
+        }  # fmt: skip
+        return workspace.WORK.zeros(sizes) | {"nodes": self.nodes, "rest": robot.home.copy()}

@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -18,6 +19,9 @@ from numpy.typing import NDArray
 from robot_ik.errors import ModelError, UnknownJointError, UnsupportedJointError
 from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -67,9 +71,8 @@ def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
     by_joint: dict[int, Coupling] = {}
     for coupling in found:
         if coupling.joint in by_joint:
-            raise UnsupportedJointError(
-                f"joint {names[coupling.joint]!r} is coupled twice", hint="leave one of the couplings out"
-            )
+            twice = f"joint {names[coupling.joint]!r} is coupled twice"
+            raise UnsupportedJointError(twice, hint="leave one of the couplings out")
         by_joint[coupling.joint] = coupling
     done = []
     for coupling in found:
@@ -111,12 +114,8 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
         leader = node_of.get(coupling.leader, -1)
         polynomial = coupling.law
         if leader < 0:
-            value = (
-                polynomial(float(frozen[addresses[coupling.leader]]))
-                if coupling.leader >= 0
-                else polynomial(0.0)
-            )
-            polynomial = Polynomial([value])
+            at = float(frozen[addresses[coupling.leader]]) if coupling.leader >= 0 else 0.0
+            polynomial = Polynomial([polynomial(at)])
         coupled.append((node_of[coupling.joint], leader))
         law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
     if not coupled:
@@ -158,10 +157,8 @@ def _admissible_interval(
     edges = [low, high]
     for bound in wanted:
         if np.isfinite(bound):
-            roots = (law - bound).roots()
-            edges += [
-                float(r.real) for r in np.atleast_1d(roots) if abs(r.imag) < 1e-9 and low < r.real < high
-            ]
+            roots = np.atleast_1d((law - bound).roots())
+            edges += [float(r.real) for r in roots if abs(r.imag) < 1e-9 and low < r.real < high]
     edges.sort()
     best: tuple[float, float] | None = None
     for a, b in itertools.pairwise(edges):
@@ -173,3 +170,18 @@ def _admissible_interval(
     if best is None:
         return None
     return (given[0] if best[0] <= low else best[0]), (given[1] if best[1] >= high else best[1])
+
+
+def refuse_broken(robot: Robot, leaders: set[int]) -> None:
+    """Raises ``UnsupportedJointError`` if a joint that stands still should follow one that moves."""
+    active = {joint: k for k, joint in enumerate(robot.tree.joint_ids)}
+    for coupling in robot.couplings:
+        if coupling.joint in active or active.get(coupling.leader) not in leaders:
+            continue
+        ids = (coupling.joint, coupling.leader)
+        follower, leader = (robot.model.joint(j).name or f"joint_{j}" for j in ids)
+        raise UnsupportedJointError(
+            f"{robot.path.name} ties joint {follower!r}, which is frozen, to {leader!r}, which is to move",
+            path=robot.path,
+            hint="let both move or none: load_robot(…, joints=[…])",
+        )

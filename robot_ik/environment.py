@@ -1,12 +1,9 @@
 """What this machine can do: does MuJoCo import, which OpenGL draws, is there a display.
 
-Everything that can hang, abort or print to the terminal is tried in a child process with a time
-limit; nothing here changes the process or its environment variables.  No OpenGL is needed by the
-library itself: it matters only for ``mujoco.Renderer`` and for the viewer window.
-
-Facts (MuJoCo 4.0.0): with ``MUJOCO_GL`` naming a back end whose library is missing, ``import mujoco``
-itself fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString``; without a display
-``mujoco.viewer.launch_passive`` waits for ever instead of raising.
+Everything that can hang, abort or print to the terminal is tried in a child process with a time limit;
+nothing here changes the process.  (MuJoCo 4.0.0: with ``MUJOCO_GL`` naming a back end whose library is
+missing, ``import mujoco`` fails with an ``AttributeError`` about ``glGetError`` or ``eglQueryString``;
+without a display ``mujoco.viewer.launch_passive`` waits for ever.)
 """
 
 from __future__ import annotations
@@ -24,12 +21,8 @@ from types import ModuleType
 from robot_ik.errors import RobotIkError
 
 #: Debian and Ubuntu packages that bring each back end of ``MUJOCO_GL`` on a bare machine.
-GL_PACKAGES = {
-    "egl": "libegl1 libgl1",
-    "osmesa": "libosmesa6",
-    "glfw": "libgl1 libgl1-mesa-dri",
-    "glx": "libgl1 libgl1-mesa-dri",
-}
+_MESA = "libgl1 libgl1-mesa-dri"
+GL_PACKAGES = {"egl": "libegl1 libgl1", "osmesa": "libosmesa6", "glfw": _MESA, "glx": _MESA}
 #: Values of ``MUJOCO_GL`` that mean "no OpenGL at all".
 GL_OFF = ("disable", "disabled", "off", "false", "0")
 
@@ -63,17 +56,11 @@ print("display opened")
 
 @dataclass(frozen=True)
 class Probe:
-    """What a child process found out.
+    """What a child process found out."""
 
-    Attributes:
-        ok: It ran to its end.
-        text: Its output when it did; else the last line of its complaint.
-        late: It was stopped because its time was over, which proves nothing on a busy machine.
-    """
-
-    ok: bool
-    text: str
-    late: bool = False
+    ok: bool  # it ran to its end
+    text: str  # its output when it did; else the last line of its complaint
+    late: bool = False  # it was stopped because its time was over, which proves nothing on a busy machine
 
 
 def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | None = None) -> Probe:
@@ -82,14 +69,9 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
         done = subprocess.run(
             # -P: the current folder must not shadow a package.
             [sys.executable, "-P", "-c", code],
-            check=False,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            errors="replace",
-            timeout=timeout,
-            env=None if environment is None else dict(environment),
-        )
+            check=False, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+            timeout=timeout, env=environment,
+        )  # fmt: skip
     except subprocess.TimeoutExpired as stopped:
         # On POSIX the output of a killed child arrives as bytes even in text mode.
         raw: object = stopped.stdout
@@ -102,9 +84,8 @@ def run_probe(code: str, *, timeout: float, environment: Mapping[str, str] | Non
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
     if done.returncode < 0:
         lines.append(f"killed by signal {-done.returncode}")
-    return Probe(
-        False, lines[-1].removeprefix("AssertionError: ") if lines else f"exit code {done.returncode}"
-    )
+    last = lines[-1] if lines else f"exit code {done.returncode}"
+    return Probe(False, last.removeprefix("AssertionError: "))
 
 
 def probe_gl(backend: str, *, timeout: float = 6.0) -> Probe:
@@ -227,11 +208,8 @@ def named_users_of(path: str) -> list[str]:
 
 
 OPENCV_WHEELS = (
-    "opencv-contrib-python-headless",
-    "opencv-python-headless",
-    "opencv-contrib-python",
-    "opencv-python",
-)
+    "opencv-contrib-python-headless", "opencv-python-headless", "opencv-contrib-python", "opencv-python",
+)  # fmt: skip
 
 
 def version_of(package: str) -> str:

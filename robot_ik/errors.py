@@ -16,12 +16,8 @@ if TYPE_CHECKING:
     from robot_ik.solution import Solution
 
 
-# ------------------------------------------------------------------------------------------
-# What all errors share: the root, and how a wrong name is answered.
-
-
 def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
-    """Known names most like ``name``, best first (compared without regard to case)."""
+    """Known names most like ``name``, best first, without regard to case."""
     name = str(name)  # None or a number is an unknown name too
     by_lower = {item.lower(): item for item in known}
     found = difflib.get_close_matches(name.lower(), list(by_lower), n=count, cutoff=0.5)
@@ -29,7 +25,7 @@ def close_matches(name: str, known: Iterable[str], count: int = 3) -> list[str]:
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """A hint with the known names that are close; empty where there are none."""
+    """A hint with the known names that are close, if any."""
     close = close_matches(name, known)
     return f"did you mean {' or '.join(close)}?" if close else ""
 
@@ -38,26 +34,18 @@ def unknown_name_text(kind: str, name: str, known: Sequence[str]) -> str:
     """One sentence for an unknown name: the close ones first, then what exists."""
     shown = repr(name)
     text = f"unknown {kind} {shown if len(shown) <= 60 else shown[:59] + '…'}"
-    close = close_matches(name, known)
-    if close:
-        text += f"; did you mean {' or '.join(repr(c) for c in close)}?"
-    if known:
-        shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
-        text += f" Known: {shown}." if close else f"; known: {shown}."
-    else:
-        text += f"; there is no {kind} at all here."
-    return text
+    if not known:
+        return f"{text}; there is no {kind} at all here."
+    shown = ", ".join(list(known)[:30]) + (", …" if len(known) > 30 else "")
+    if close := close_matches(name, known):
+        return f"{text}; did you mean {' or '.join(map(repr, close))}? Known: {shown}."
+    return f"{text}; known: {shown}."
 
 
 def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
     """Numbers as text, with as many digits as it takes to distinguish those that differ.
 
-    "160.0 is outside; allowed: -160.0 to 160.0" explains nothing: 160.04 does.
-
-    Args:
-        values: A value and its limits, say.
-        digits: At least so many behind the point (``form`` "f") or in all ("g").
-        form: As of ``format``.
+    At least ``digits`` behind the point (``form`` "f") or in all ("g").
     """
     texts: list[str] = []
     for count in range(digits, 18):
@@ -68,11 +56,7 @@ def apart(*values: float, digits: int = 1, form: str = "f") -> list[str]:
 
 
 class RobotIkError(Exception):
-    """Root of all errors of this package.
-
-    Attributes:
-        hint: What to try next, one or two lines; empty when the message says it all.
-    """
+    """Root of all errors of this package; ``hint`` is what to try next, if anything."""
 
     def __init__(self, message: str, *, hint: str = "") -> None:
         super().__init__(message)
@@ -81,10 +65,6 @@ class RobotIkError(Exception):
     def __str__(self) -> str:
         text = super().__str__()
         return f"{text}\n{self.hint}" if self.hint else text
-
-
-# ------------------------------------------------------------------------------------------
-# Errors between the lens and the goal.
 
 
 class CameraError(RobotIkError):
@@ -111,38 +91,22 @@ class CalibrationError(CameraError):
     """A calibration is missing, malformed, implausible or made for another camera."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors of files, settings, optional packages and windows.
-
-
 class ConfigError(RobotIkError, ValueError):
-    """A configuration file is wrong.
-
-    Attributes:
-        file: The file.
-        key: Dotted key, or empty when the whole file is meant.
-        allowed: What would be right, as text.
-    """
+    """A configuration file is wrong: ``file``, dotted ``key`` (empty: the whole), what is ``allowed``."""
 
     def __init__(
         self, problem: str, *, file: Path | str, key: str = "", allowed: str = "", hint: str = ""
     ) -> None:
-        self.file = file
-        self.key = key
-        self.allowed = allowed
+        self.file, self.key, self.allowed = file, key, allowed
         where = f"{file}: {key}: " if key else f"{file}: "
-        super().__init__(
-            where + problem + (f"; allowed: {allowed}" if allowed else ""),
-            hint=hint,
-        )
+        super().__init__(where + problem + (f"; allowed: {allowed}" if allowed else ""), hint=hint)
 
 
 class MissingExtraError(RobotIkError, ImportError):
     """An optional package is not installed; the message is the command that installs it."""
 
     def __init__(self, package: str, extra: str, purpose: str) -> None:
-        self.package = package
-        self.extra = extra
+        self.package, self.extra = package, extra
         super().__init__(
             f"{purpose} needs the package {package!r}, which is not installed",
             hint=f'install it with: pip install "robot_ik[{extra}]"',
@@ -157,10 +121,6 @@ class OutputError(RobotIkError, OSError):
     """A result cannot be written where it was asked for."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors between the joint angles and the servos.
-
-
 class HardwareError(RobotIkError):
     """Root of everything that can go wrong between the joint angles and the servos."""
 
@@ -173,14 +133,12 @@ class BusDisconnectedError(HardwareError):
     """The port went away while it was in use (cable pulled, adapter reset)."""
 
 
-class BusTimeoutError(HardwareError):
-    """A servo did not answer.
+def _servo(id: int, joint: str) -> str:
+    return f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
 
-    Attributes:
-        joint, id, register, port: Who was asked what, and where.
-        last_good: Seconds since the last good reply, ``None`` if there never was one.
-        everyone: No other servo answers either.
-    """
+
+class BusTimeoutError(HardwareError):
+    """A servo, or ``everyone``, did not answer; ``last_good``: seconds since a reply, None: never."""
 
     def __init__(
         self,
@@ -193,16 +151,11 @@ class BusTimeoutError(HardwareError):
         everyone: bool = False,
         hint: str = "check power, cable, id and baud rate",
     ) -> None:
-        self.id = id
-        self.register = register
-        self.port = port
-        self.joint = joint
-        self.last_good = last_good
-        self.everyone = everyone
-        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
+        self.id, self.register, self.port, self.joint = id, register, port, joint
+        self.last_good, self.everyone = last_good, everyone
         when = "it never answered" if last_good is None else f"last answer {last_good:.2f} s ago"
-        asked = f"no servo answers on {port}" if everyone else f"no answer from {who} on {port} ({register})"
-        super().__init__(f"{asked}; {when}", hint=hint)
+        asked = f"no answer from {_servo(id, joint)} on {port} ({register})"
+        super().__init__(f"no servo answers on {port}; {when}" if everyone else f"{asked}; {when}", hint=hint)
 
 
 class BusCorruptError(HardwareError):
@@ -210,64 +163,35 @@ class BusCorruptError(HardwareError):
 
 
 class ServoRefusedError(HardwareError):
-    """A servo answered an instruction with an error number (Protocol 2.0, ERR bits 0-6).
-
-    Attributes:
-        id, register: Who and what.
-        code: The number; ``reason`` is its name in the manual.
-    """
+    """A servo answered with an error number (Protocol 2.0, ERR bits 0-6); ``reason`` is its name."""
 
     def __init__(self, *, id: int, register: str, code: int, reason: str, joint: str = "") -> None:
-        self.id = id
-        self.register = register
-        self.code = code
-        self.reason = reason
-        self.joint = joint
-        who = f"servo id {id}" + (f" (joint {joint!r})" if joint else "")
-        super().__init__(f"{who} refused {register}: {reason} (error {code})")
+        self.id, self.register, self.code, self.reason, self.joint = id, register, code, reason, joint
+        super().__init__(f"{_servo(id, joint)} refused {register}: {reason} (error {code})")
 
 
 class ServoMismatchError(HardwareError):
-    """The servos found on the bus are not the ones that the arm file, or another ``source``, names.
-
-    Attributes:
-        expected: Servo id -> "joint: model" as the source says.
-        found: Servo id -> model as the bus says.
-    """
+    """The servos found (id -> model) are not those that the arm file, or another ``source``, names."""
 
     def __init__(
-        self,
-        expected: Mapping[int, str],
-        found: Mapping[int, str],
-        *,
-        port: str,
-        hint: str = "",
+        self, expected: Mapping[int, str], found: Mapping[int, str], *, port: str, hint: str = "",
         source: str = "the arm file",
-    ) -> None:
-        self.expected = dict(expected)
-        self.found = dict(found)
-        self.port = port
+    ) -> None:  # fmt: skip
+        self.expected, self.found, self.port = dict(expected), dict(found), port
         ids = sorted({*expected, *found})
         width = max([len(expected.get(i, "")) for i in ids] + [8])
         rows = [f"  {'id':>3}  {'expected':<{width}}  found"]
         rows += [f"  {i:>3}  {expected.get(i, '-'):<{width}}  {found.get(i, 'missing')}" for i in ids]
-        super().__init__(
-            f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows),
-            hint=hint
-            or "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate",
-        )
+        text = f"the servos on {port} are not those of {source}; nothing was switched on\n" + "\n".join(rows)
+        usual = "check power, cable, ids, the arm file; robot-ik servo scan looks at every baud rate"
+        super().__init__(text, hint=hint or usual)
 
 
 class MotorFaultError(HardwareError):
-    """A servo has shut down or the arm has latched a fault.
-
-    Attributes:
-        joint: Joint name; ``status``: decoded hardware error names.
-    """
+    """A servo has shut down or the arm has latched a fault; ``status``: decoded hardware error names."""
 
     def __init__(self, joint: str, status: Sequence[str], *, hint: str = "") -> None:
-        self.joint = joint
-        self.status = tuple(status)
+        self.joint, self.status = joint, tuple(status)
         super().__init__(f"joint {joint!r} is in fault: {', '.join(status)}", hint=hint)
 
 
@@ -288,24 +212,14 @@ class ArmStateError(HardwareError):
     """The arm is not in a state in which this can be done."""
 
 
-# ------------------------------------------------------------------------------------------
-# Errors of models, goals and solving.
-
-
 class ModelError(RobotIkError):
-    """A robot model cannot be found, read or used.
-
-    Attributes:
-        path: The file, when there is one.
-        reason: What the reader (usually MuJoCo) said.
-    """
+    """A robot model cannot be found, read or used; ``reason`` is what the reader (usually MuJoCo) said."""
 
     def __init__(
         self, message: str, *, path: Path | str | None = None, reason: str = "", hint: str = ""
     ) -> None:
         super().__init__(message, hint=hint)
-        self.path = path
-        self.reason = reason
+        self.path, self.reason = path, reason
 
 
 class InvalidModelError(ModelError, ValueError):
@@ -316,29 +230,28 @@ class InvalidPoseError(RobotIkError, ValueError):
     """A pose of the wrong shape, of numbers that are not finite, or of no orientation."""
 
 
-class _UnknownName(ModelError, LookupError):
+class _UnknownName(RobotIkError, LookupError):
     kind = "name"
 
     def __init__(self, name: str, known: Iterable[str], *, hint: str = "") -> None:
-        self.name = name
-        self.known = tuple(known)
+        self.name, self.known = name, tuple(known)
         self.close = tuple(close_matches(name, self.known))
         super().__init__(unknown_name_text(self.kind, name, self.known), hint=hint)
 
 
-class UnknownRobotError(_UnknownName, ValueError):
+class UnknownRobotError(_UnknownName, ModelError, ValueError):
     """No robot of that name in the catalogue, or what was given is no name at all."""
 
     kind = "robot"
 
 
-class UnknownFrameError(_UnknownName):
+class UnknownFrameError(_UnknownName, ModelError):
     """The robot has no frame (tool, site or body) of that name."""
 
     kind = "frame"
 
 
-class UnknownJointError(_UnknownName):
+class UnknownJointError(_UnknownName, ModelError):
     """The robot has no joint of that name."""
 
     kind = "joint"
@@ -360,13 +273,9 @@ class UnsupportedGoalError(GoalError):
     """The solver cannot serve this kind of goal; the message names the ones that can."""
 
     def __init__(self, solver: str, goal: str, able: Iterable[str]) -> None:
-        self.solver = solver
-        self.goal = goal
-        self.able = tuple(able)
-        super().__init__(
-            f"solver {solver!r} cannot serve {goal}",
-            hint=f"these can: {', '.join(self.able)}" if self.able else "no solver can yet",
-        )
+        self.solver, self.goal, self.able = solver, goal, tuple(able)
+        hint = f"these can: {', '.join(self.able)}" if self.able else "no solver can yet"
+        super().__init__(f"solver {solver!r} cannot serve {goal}", hint=hint)
 
 
 class ProblemInUseError(RobotIkError):
@@ -379,14 +288,10 @@ class ProblemInUseError(RobotIkError):
         )
 
 
-class UnknownSolverError(RobotIkError, LookupError):
+class UnknownSolverError(_UnknownName):
     """No solver of that name in the ``SOLVERS`` table."""
 
-    def __init__(self, name: str, known: Iterable[str]) -> None:
-        self.name = name
-        self.known = tuple(known)
-        self.close = tuple(close_matches(name, self.known))
-        super().__init__(unknown_name_text("solver", name, self.known))
+    kind = "solver"
 
 
 class NotConvergedError(RobotIkError):

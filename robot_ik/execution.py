@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,10 +28,6 @@ if TYPE_CHECKING:
     from robot_ik.robot import Robot
     from robot_ik.solution import Solution
     from robot_ik.solvers.base import Solver
-
-
-# ------------------------------------------------------------------------------------------
-# What the run-time loops report: one tick while they run, one report when they end.
 
 
 @dataclass(frozen=True)
@@ -138,7 +134,7 @@ class FollowTick:
     measured: Array | None
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(eq=False, repr=False)
 class FollowReport:
     """What happened while a goal was followed.  Its size does not grow with time.
 
@@ -158,17 +154,17 @@ class FollowReport:
     """
 
     joints: tuple[str, ...]
-    ticks: int
-    held: int
-    capped: int
-    statuses: Mapping[str, int]
-    duration: float
-    overruns: int
-    slipped: float
     q: Array
-    last: Solution | None
     largest_step: Array
-    tracking_error: Array | None
+    ticks: int = 0
+    held: int = 0
+    capped: int = 0
+    statuses: Counter[str] = field(default_factory=Counter)
+    duration: float = 0.0
+    overruns: int = 0
+    slipped: float = 0.0
+    last: Solution | None = None
+    tracking_error: Array | None = None
 
     def __repr__(self) -> str:
         ends = ", ".join(f"{count} {name}" for name, count in self.statuses.items())
@@ -186,10 +182,6 @@ class FollowReport:
     def solved(self) -> int:
         """Ticks whose solution met the tolerance."""
         return self.statuses.get("CONVERGED", 0)
-
-
-# ------------------------------------------------------------------------------------------
-# When a tick is due, and on whose clock.
 
 
 class Schedule:
@@ -279,9 +271,9 @@ def execute(
         if on_tick is not None:
             on_tick(Tick(k, len(due), times[k], q, measured[k].copy() if source is not None else None))
     return Execution(
-        joints=trajectory.joints,
-        times=times,
-        commanded=commanded,
+        trajectory.joints,
+        times,
+        commanded,
         measured=None if source is None else measured,
         measured_times=None if source is None else measured_times,
         overruns=schedule.overruns,
@@ -375,27 +367,26 @@ def follow(
     count = None if duration is None else max(1, int(np.ceil(duration * rate - 1e-9)))
     following = _FollowState(robot, solver, tolerance, first, motion_limits(robot, speed)[0] / rate)
     following.load()
-    schedule = Schedule(clock)
+    report, schedule = following.report, Schedule(clock)
     begin = schedule.origin
     while True:
-        now = schedule.wait(following.ticks / rate, 1.0 / rate if following.ticks else 0.0)
-        begin = now if following.ticks == 0 else begin
+        now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
+        begin = now if report.ticks == 0 else begin
         goal = goal_source.poll(now)
-        capped = following.step(goal)
+        solution, capped = following.step(goal)
         for sink in sinks:
-            sink.send(following.q, now)
+            sink.send(report.q, now)
         measured = None if source is None else following.compare(source.read().q)
-        tick = FollowTick(
-            following.ticks - 1, now - begin, goal, following.solution, following.q, capped, measured
-        )
+        report.duration, report.overruns, report.slipped = now - begin, schedule.overruns, schedule.slipped
+        tick = FollowTick(report.ticks - 1, now - begin, goal, solution, report.q, capped, measured)
         if on_tick is not None:
             on_tick(tick)
-        if following.ticks == count or (until is not None and until(tick)):
-            return following.report(now - begin, schedule)
+        if report.ticks == count or (until is not None and until(tick)):
+            return report
 
 
 class _FollowState:
-    """State of `follow`: the command, the problem, and the counters of the report."""
+    """State of `follow`: how it solves, and the report, whose ``q`` is the command."""
 
     def __init__(
         self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
@@ -405,14 +396,8 @@ class _FollowState:
 
         self.robot, self.tolerance, self.solver = robot, tolerance, make_solver(solver)
         self._budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
-        self.q = _frozen(start)
-        self.solution: Solution | None = None
-        self.ticks = self.held = self.capped = 0
         self._largest_allowed = step
-        self._last: Solution | None = None
-        self._statuses: Counter[str] = Counter()
-        self._largest_step = np.zeros_like(start)
-        self._tracking: Array | None = None
+        self.report = FollowReport(robot.joints, _frozen(start), np.zeros_like(start))
 
     def load(self) -> None:
         """Loads what the method may need for goals of the tool, so that none of them stalls the loop.
@@ -425,54 +410,35 @@ class _FollowState:
             with contextlib.suppress(RobotIkError):  # a kind of goal that the method does not serve
                 warm_up(self.robot, goal, solver=self.solver, tolerance=self.tolerance)
 
-    def step(self, goal: Goals | None) -> bool:
-        """Moves the command towards ``goal``; True when the step was cut short."""
+    def step(self, goal: Goals | None) -> tuple[Solution | None, bool]:
+        """Moves the command towards ``goal``: what was found for it, and whether the step was cut short."""
         from robot_ik.inverse_kinematics import borrowed_problem
 
-        self.ticks += 1
-        self.solution = None
+        report = self.report
+        report.ticks += 1
         if goal is None:
-            self.held += 1
-            return False
+            report.held += 1
+            return None, False
         goals = goal if isinstance(goal, Goal) else list(goal)
-        with borrowed_problem(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0) as (
-            solver,
-            problem,
-        ):
-            solution = solver.solve(problem, self.q)
-        self.solution = self._last = solution
-        self._statuses[solution.status.name] += 1
-        difference = solution.q - self.q
+        borrowed = borrowed_problem(self.robot, goals, self.solver, {}, self.tolerance, self._budget, 0)
+        with borrowed as (solver, problem):
+            solution = report.last = solver.solve(problem, report.q)
+        report.statuses[solution.status.name] += 1
+        difference = solution.q - report.q
         if not np.isfinite(difference).all():  # NUMERICAL: nothing to go to
-            return False
+            return solution, False
         excess = float(np.max(np.abs(difference) / self._largest_allowed))
-        q = self.q + difference / excess if excess > 1.0 else np.array(solution.q, dtype=float)
-        self._largest_step = np.maximum(self._largest_step, np.abs(q - self.q))
-        self.q = _frozen(q)
-        self.capped += excess > 1.0
-        return excess > 1.0
+        q = report.q + difference / excess if excess > 1.0 else solution.q
+        report.largest_step = np.maximum(report.largest_step, np.abs(q - report.q))
+        report.q = _frozen(q)
+        report.capped += excess > 1.0
+        return solution, excess > 1.0
 
     def compare(self, measured: Array) -> Array:
         """Notes the distance of ``measured`` (nq,) from the command; a copy of it."""
-        away = np.abs(measured - self.q)
-        self._tracking = away if self._tracking is None else np.maximum(self._tracking, away)
+        away, before = np.abs(measured - self.report.q), self.report.tracking_error
+        self.report.tracking_error = away if before is None else np.maximum(before, away)
         return np.array(measured, dtype=float)
-
-    def report(self, duration: float, schedule: Schedule) -> FollowReport:
-        return FollowReport(
-            joints=self.robot.joints,
-            ticks=self.ticks,
-            held=self.held,
-            capped=self.capped,
-            statuses=dict(self._statuses),
-            duration=duration,
-            overruns=schedule.overruns,
-            slipped=schedule.slipped,
-            q=self.q,
-            last=self._last,
-            largest_step=self._largest_step,
-            tracking_error=self._tracking,
-        )
 
 
 def _frozen(q: ArrayLike) -> Array:

@@ -26,14 +26,10 @@ def quat_multiply(a: Array, b: Array) -> Array:
     """Hamilton product of quaternions (4,), wxyz: first ``b``, then ``a``."""
     aw, ax, ay, az = a
     bw, bx, by, bz = b
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
+    return np.array((
+        aw * bw - ax * bx - ay * by - az * bz, aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx, aw * bz + ax * by - ay * bx + az * bw,
+    ))  # fmt: skip
 
 
 def quat_to_matrix(wxyz: Array) -> Array:
@@ -56,15 +52,14 @@ def matrix_to_quat(rotation: ArrayLike) -> Array:
     r = np.asarray(rotation, dtype=float)
     trace = r[0, 0] + r[1, 1] + r[2, 2]
     pick = int(np.argmax([trace, r[0, 0], r[1, 1], r[2, 2]]))
-    if pick == 0:
-        q = [1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
-    elif pick == 1:
-        q = [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]]
+    w, x, y, z = 1 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    if pick == 1:
+        w, x, y, z = x, 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]
     elif pick == 2:
-        q = [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]]
-    else:
-        q = [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]]
-    quat = np.array(q)
+        w, x, y, z = y, r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]
+    elif pick == 3:
+        w, x, y, z = z, r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]
+    quat = np.array([w, x, y, z])
     quat /= np.linalg.norm(quat)
     return -quat if quat[0] < 0 else quat
 
@@ -119,9 +114,8 @@ class Pose:
         except (TypeError, ValueError) as error:
             raise InvalidPoseError(f"a pose is made of numbers, not {position!r}, {wxyz!r}") from error
         if p.shape != (3,) or q.shape != (4,):
-            raise InvalidPoseError(
-                f"a pose is a position (3,) and a quaternion wxyz (4,), not {p.shape}, {q.shape}"
-            )
+            shapes = f"{p.shape}, {q.shape}"
+            raise InvalidPoseError(f"a pose is a position (3,) and a quaternion wxyz (4,), not {shapes}")
         w, x, y, z = q.tolist()
         norm = math.sqrt(w * w + x * x + y * y + z * z)
         if not math.isfinite(sum(p.tolist(), norm)) and not (np.isfinite(p).all() and np.isfinite(q).all()):
@@ -129,10 +123,8 @@ class Pose:
         if norm < 1e-12:
             raise InvalidPoseError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
         q /= norm
-        p.flags.writeable = False
-        q.flags.writeable = False
-        object.__setattr__(self, "position", p)
-        object.__setattr__(self, "wxyz", q)
+        p.flags.writeable = q.flags.writeable = False
+        self.__dict__.update(position=p, wxyz=q)
 
     @classmethod
     def of_checked(cls, position: Array, wxyz: Array) -> Pose:
@@ -189,9 +181,7 @@ class Pose:
     def __matmul__(self, other: ArrayLike) -> Array: ...
 
     def __matmul__(self, other: Pose | ArrayLike) -> Pose | Array:
-        if isinstance(other, Pose):
-            return self.compose(other)
-        return self.apply(other)
+        return self.compose(other) if isinstance(other, Pose) else self.apply(other)
 
     def compose(self, other: Pose) -> Pose:
         """``pose_ac = pose_ab.compose(pose_bc)``; the same as ``@`` with the type known."""
@@ -204,10 +194,7 @@ class Pose:
     def distance(self, other: Pose) -> tuple[float, float]:
         """Distance to ``other``: metres between origins, radians of the rotation between axes."""
         rotation = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
-        return (
-            float(np.linalg.norm(other.position - self.position)),
-            float(np.linalg.norm(rotation)),
-        )
+        return float(np.linalg.norm(other.position - self.position)), float(np.linalg.norm(rotation))
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pose):

@@ -1,10 +1,15 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them."""
+"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them.
+
+A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
+Targets are in the world, metres and unit quaternions (w, x, y, z).
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Self, cast
 
 import numpy as np
@@ -12,32 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError, UnknownJointError
 from robot_ik.geometry import Pose, rotation_z_to
-from robot_ik.kernels.residuals import (
-    AIMED,
-    ALL_AXES,
-    NO_ORIENTATION,
-    NO_POSITION,
-    OF_FRAME,
-    OF_JOINTS,
-    OF_MASS,
-    OF_PRIOR,
-    ONE_AXIS,
-    ONE_SIDE,
-    SOME_AXES,
-    WHOLE,
-)
-from robot_ik.kernels.tree import FREE, HINGE, SLIDE, V_WIDTH
+from robot_ik.kernels import residuals as codes
+from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 
 if TYPE_CHECKING:
     from robot_ik.pose_prior import PosePrior
     from robot_ik.robot import Robot
-
-
-# ------------------------------------------------------------------------------------------
-# What every goal has, and the checks of what it is made from.
-#
-# A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
-# Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 
 Array = NDArray[np.float64]
@@ -99,15 +84,12 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
     w, x, y, z = array.tolist()
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < 1e-9:
-        raise InvalidGoalError(
-            f"{what} is a zero quaternion, which is no orientation",
-            hint="quaternions are w, x, y, z; 1 0 0 0 is no rotation",
-        )
-    if norm == 1.0:
-        return array
-    unit = array / norm
-    unit.flags.writeable = False
-    return unit
+        hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
+        raise InvalidGoalError(f"{what} is a zero quaternion, which is no orientation", hint=hint)
+    if norm != 1.0:
+        array = array / norm
+        array.setflags(write=False)
+    return array
 
 
 def positive_number(value: float, what: str) -> float:
@@ -122,11 +104,7 @@ def positive_number(value: float, what: str) -> float:
 
 
 def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
-    """A unit vector (3,) from "x", "-z" … or three numbers.
-
-    Raises:
-        InvalidGoalError: No such axis, or a zero vector.
-    """
+    """A unit vector (3,) from "x", "-z" … or three numbers; raises ``InvalidGoalError`` for anything else."""
     if isinstance(axis, str):
         letter, sign = axis.lstrip("+-"), -1.0 if axis.startswith("-") else 1.0
         if letter not in ("x", "y", "z"):
@@ -140,11 +118,7 @@ def axis_vector(axis: str | ArrayLike, what: str = "axis") -> Array:
 
 
 def axes_mask(axes: object) -> tuple[float, float, float]:
-    """1 for each coordinate named in ``axes`` ("xy"), 0 for the others.
-
-    Raises:
-        InvalidGoalError: No axis, an axis twice, or a letter that is none.
-    """
+    """1 for each coordinate named in ``axes`` ("xy"), 0 for the others; else raises ``InvalidGoalError``."""
     if not isinstance(axes, str) or not axes or len(set(axes)) < len(axes) or set(axes) - set("xyz"):
         raise InvalidGoalError(f"axes must be some of the letters x, y and z, not {axes!r}")
     return tuple(float(letter in axes) for letter in "xyz")  # type: ignore[return-value]
@@ -169,25 +143,25 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class Rows:
-    """Which rows a goal makes: all that the kernels know of its kind (``kernels/residuals.py``).
+    """Which rows a goal makes: all that the kernels know of its kind (codes of ``kernels/residuals.py``).
 
     Attributes:
-        position, orientation, of: Codes: what of the position and orientation is asked for, and of what.
+        position, orientation, of: What of the position and orientation is asked for, and of what.
         mask: (3,) which coordinates count, in the axes of the target.
         axis: (3,) the axis of the frame that is aligned with the target's, or aimed at it.
     """
 
-    position: int = NO_POSITION
-    orientation: int = NO_ORIENTATION
-    of: int = OF_FRAME
+    position: int = codes.NO_POSITION
+    orientation: int = codes.NO_ORIENTATION
+    of: int = codes.OF_FRAME
     mask: tuple[float, float, float] = (1.0, 1.0, 1.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
 
     @property
     def whole(self) -> bool:
         """A whole position, orientation or pose of a frame: what every method understands."""
-        whole = self.position in (NO_POSITION, WHOLE) and self.orientation in (NO_ORIENTATION, ALL_AXES)
-        return whole and self.of == OF_FRAME
+        position, orientation = (codes.NO_POSITION, codes.WHOLE), (codes.NO_ORIENTATION, codes.ALL_AXES)
+        return self.position in position and self.orientation in orientation and self.of == codes.OF_FRAME
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -202,6 +176,10 @@ class Goal:
             and is not searched for.  Soft goals have priorities among themselves.
         length: Metres that count as much as one radian; None = 0.15 of the robot's reach.
             A00's scale c: one metre counts as much as d degrees for c = 360 / (2π d).
+
+    Raises:
+        InvalidGoalError: A wrong shape, a number that is not finite, a zero quaternion or direction, no such
+            axis, a negative weight.
     """
 
     frame: str | None = None
@@ -254,22 +232,21 @@ class Goal:
         """Puts checked values into the frozen fields."""
         self.__dict__.update(values)
 
-    @property
+    @cached_property
     def rows(self) -> Rows:
-        """Which rows it makes."""
-        raise InvalidGoalError(
-            f"a {self.name} says nothing of what is wanted", hint="take one of rik.goals.GOALS"
-        )
+        """Which rows it makes; each kind sets it when it is made."""
+        nothing = f"a {self.name} says nothing of what is wanted"
+        raise InvalidGoalError(nothing, hint="take one of rik.goals.GOALS")
+
+    @cached_property
+    def weights(self) -> tuple[float, float]:
+        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
+        return 1.0, 1.0
 
     @property
     def target(self) -> Pose:
         """The wanted pose; the part that is not asked for is the identity's."""
         return Pose()
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        """Importance of the metres and of the radians; a part that weighs 0 is not asked for."""
-        return 1.0, 1.0
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -282,7 +259,7 @@ class Goal:
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         """Metres and radians off ``target`` at ``q``, by MuJoCo's own forward pass; no weight, no miss."""
-        if self.rows.of == OF_MASS:
+        if self.rows.of == codes.OF_MASS:
             return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
         return self.off(robot.measure(q, self.frame), target)
 
@@ -290,29 +267,25 @@ class Goal:
         """Metres and radians that a frame at ``here`` is off ``target``, in what is asked for."""
         rows, asked = self.rows, self.weights
         metres = radians = 0.0
-        if rows.position != NO_POSITION and asked[0] > 0.0:
+        if rows.position != codes.NO_POSITION and asked[0] > 0.0:
             off = (target.rotation.T @ (target.position - here.position)) * rows.mask
-            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.position == ONE_SIDE else off))
-        if rows.orientation == ALL_AXES and asked[1] > 0.0:
+            metres = float(np.linalg.norm(np.maximum(off, 0.0) if rows.position == codes.ONE_SIDE else off))
+        if rows.orientation == codes.ALL_AXES and asked[1] > 0.0:
             radians = here.distance(target)[1]
-        elif rows.orientation in (ONE_AXIS, AIMED) and asked[1] > 0.0:
-            axis, wanted = here.rotation @ rows.axis, target.rotation @ rows.axis
-            if rows.orientation == AIMED:
-                wanted = target.position - here.position
-                if np.linalg.norm(wanted) < 1e-9:
-                    return metres, 0.0
-            sine, cosine = float(np.linalg.norm(np.cross(axis, wanted))), float(axis @ wanted)
-            radians = float(np.arctan2(sine, cosine))
+        elif rows.orientation in (codes.ONE_AXIS, codes.AIMED) and asked[1] > 0.0:
+            aimed = rows.orientation == codes.AIMED
+            axis = here.rotation @ rows.axis
+            wanted = target.position - here.position if aimed else target.rotation @ rows.axis
+            if np.linalg.norm(wanted) >= 1e-9:
+                radians = math.atan2(np.linalg.norm(np.cross(axis, wanted)), axis @ wanted)
         return metres, radians
 
 
-# ------------------------------------------------------------------------------------------
-# Goals for the position and the orientation of a frame.
-
-
-# Made once: ``solve`` reads them in every call.
-_WHOLE_ORIENTATION = {part: Rows(position=part, orientation=ALL_AXES) for part in (NO_POSITION, WHOLE)}
-_WHOLE_POSITION = Rows(position=WHOLE)
+# Made once: goals are made in loops.
+_WHOLE_ORIENTATION = {
+    part: Rows(position=part, orientation=codes.ALL_AXES) for part in (codes.NO_POSITION, codes.WHOLE)
+}
+_WHOLE_POSITION = Rows(position=codes.WHOLE)
 
 
 def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
@@ -320,7 +293,7 @@ def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
     if free_axis is None:
         return _WHOLE_ORIENTATION[position]
     x, y, z = axis_vector(free_axis, "free_axis").tolist()
-    return Rows(position=position, orientation=ONE_AXIS, axis=(x, y, z))
+    return Rows(position=position, orientation=codes.ONE_AXIS, axis=(x, y, z))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -335,18 +308,16 @@ class _PointGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        axes_mask(self.axes)
-        self._set(
-            position=vector(self.position, 3, "position"), weight=positive_number(self.weight, "weight")
-        )
+        weight = positive_number(self.weight, "weight")
+        self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
+        self._set(rows=self._rows_of(axes_mask(self.axes)))
+
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return _WHOLE_POSITION if all(mask) else Rows(position=codes.SOME_AXES, mask=mask)
 
     @property
     def target(self) -> Pose:
         return Pose(self.position)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, 0.0
 
     def moved_to(self, target: Pose) -> Self:
         return replace(self, position=target.position)
@@ -357,17 +328,9 @@ class PositionGoal(_PointGoal):
 
     Attributes:
         axes: Which coordinates count; ``"z"`` asks for a height only.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
     """
 
     name: ClassVar[str] = "position goal"
-
-    @property
-    def rows(self) -> Rows:
-        mask = axes_mask(self.axes)
-        return _WHOLE_POSITION if all(mask) else Rows(position=SOME_AXES, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -377,9 +340,6 @@ class OrientationGoal(Goal):
     Attributes:
         free_axis: Axis of the frame about which it may rotate freely ("z", "-x" or three numbers):
             only where that axis points is then asked for.
-
-    Raises:
-        InvalidGoalError: Not four finite numbers, a zero quaternion, a negative weight, or no such axis.
     """
 
     wxyz: ArrayLike = ()
@@ -391,20 +351,13 @@ class OrientationGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=positive_number(self.weight, "weight"))
-        _orientation_rows(NO_POSITION, self.free_axis)
-
-    @property
-    def rows(self) -> Rows:
-        return _orientation_rows(NO_POSITION, self.free_axis)
+        weight = positive_number(self.weight, "weight")
+        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=weight, weights=(0.0, weight))
+        self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
 
     @property
     def target(self) -> Pose:
         return Pose((0.0, 0.0, 0.0), self.wxyz)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
 
     def moved_to(self, target: Pose) -> OrientationGoal:
         return replace(self, wxyz=target.wxyz)
@@ -416,9 +369,6 @@ class PoseGoal(Goal):
 
     Attributes:
         free_axis: As in ``OrientationGoal``: a drill or a cup may rotate about its own axis.
-
-    Raises:
-        InvalidGoalError: Wrong shapes, numbers that are not finite, a zero quaternion, a negative weight.
     """
 
     position: ArrayLike = ()
@@ -433,13 +383,16 @@ class PoseGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        metres = positive_number(self.position_weight, "position_weight")
+        radians = positive_number(self.angle_weight, "angle_weight")
         self._set(
             position=vector(self.position, 3, "position"),
             wxyz=unit_quaternion(self.wxyz, "wxyz"),
-            position_weight=positive_number(self.position_weight, "position_weight"),
-            angle_weight=positive_number(self.angle_weight, "angle_weight"),
+            position_weight=metres,
+            angle_weight=radians,
+            weights=(metres, radians),
+            rows=_orientation_rows(codes.WHOLE, self.free_axis),
         )
-        _orientation_rows(WHOLE, self.free_axis)
 
     @classmethod
     def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
@@ -447,16 +400,8 @@ class PoseGoal(Goal):
         return cls(frame, pose.position, pose.wxyz)
 
     @property
-    def rows(self) -> Rows:
-        return _orientation_rows(WHOLE, self.free_axis)
-
-    @property
     def target(self) -> Pose:
         return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.position_weight, self.angle_weight
 
     def moved_to(self, target: Pose) -> PoseGoal:
         return replace(self, position=target.position, wxyz=target.wxyz)
@@ -468,9 +413,6 @@ class AimGoal(Goal):
 
     Attributes:
         axis: The axis that looks, in the frame: "z", "-x" … or three numbers.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, no such axis, a negative weight.
     """
 
     point: ArrayLike = ()
@@ -482,28 +424,17 @@ class AimGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        axis_vector(self.axis)
-        self._set(point=vector(self.point, 3, "point"), weight=positive_number(self.weight, "weight"))
-
-    @property
-    def rows(self) -> Rows:
         x, y, z = axis_vector(self.axis).tolist()
-        return Rows(orientation=AIMED, axis=(x, y, z))
+        weight = positive_number(self.weight, "weight")
+        self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
+        self._set(rows=Rows(orientation=codes.AIMED, axis=(x, y, z)))
 
     @property
     def target(self) -> Pose:
         return Pose(self.point)
 
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
-
     def moved_to(self, target: Pose) -> AimGoal:
         return replace(self, point=target.position)
-
-
-# ------------------------------------------------------------------------------------------
-# Goals for the frame's origin that leave some of its coordinates free: line, plane, half-space.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -515,13 +446,17 @@ class _DirectionGoal(Goal):
     weight: float = field(default=1.0, kw_only=True)
 
     has_position: ClassVar[bool] = True
+    across: ClassVar[Rows]
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        weight = positive_number(self.weight, "weight")
         self._set(
             point=vector(self.point, 3, "point"),
             direction=axis_vector(self.direction, "direction"),
-            weight=positive_number(self.weight, "weight"),
+            weight=weight,
+            weights=(weight, 0.0),
+            rows=self.across,
         )
 
     @property
@@ -529,61 +464,33 @@ class _DirectionGoal(Goal):
         """Its z axis is the direction."""
         return Pose.from_rotation(rotation_z_to(axis_vector(self.direction)), self.point)
 
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, 0.0
-
     def moved_to(self, target: Pose) -> Goal:
         """Through the origin of ``target``, along its z axis."""
         return replace(self, point=target.position, direction=target.rotation[:, 2])
 
 
 class LineGoal(_DirectionGoal):
-    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
-    """
+    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world."""
 
     name: ClassVar[str] = "line goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, mask=(1.0, 1.0, 0.0))
+    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(1.0, 1.0, 0.0))
 
 
 class PlaneGoal(_DirectionGoal):
-    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
-    """
+    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,)."""
 
     name: ClassVar[str] = "plane goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, mask=(0.0, 0.0, 1.0))
+    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(0.0, 0.0, 1.0))
 
 
 class HalfSpaceGoal(_DirectionGoal):
     """The frame's origin on that side of the plane to which ``direction`` (3,) points: a one-sided wall.
 
     Nothing is asked while it is there; the plane goes through ``point`` (3,), world.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a zero direction, a negative weight.
     """
 
     name: ClassVar[str] = "half-space goal"
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=ONE_SIDE, mask=(0.0, 0.0, 1.0))
-
-
-# ------------------------------------------------------------------------------------------
-# Goals for the whole body: where its centre of mass is, and how the joints stand.
+    across: ClassVar[Rows] = Rows(position=codes.ONE_SIDE, mask=(0.0, 0.0, 1.0))
 
 
 class CenterOfMassGoal(_PointGoal):
@@ -592,16 +499,12 @@ class CenterOfMassGoal(_PointGoal):
     Attributes:
         frame: Name of a body: of it and all that hangs on it; None means everything in the model.
         axes: Which coordinates count; ``"xy"`` balances over a point and leaves the height free.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers, a negative weight, or no such axes.
     """
 
     name: ClassVar[str] = "centre-of-mass goal"
 
-    @property
-    def rows(self) -> Rows:
-        return Rows(position=SOME_AXES, of=OF_MASS, mask=axes_mask(self.axes))
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return Rows(position=codes.SOME_AXES, of=codes.OF_MASS, mask=mask)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -614,9 +517,6 @@ class PostureGoal(Goal):
         q: (nq,) where the joints are wanted.
         joints: How much single joints count, by name; those not named count 1, or 0 if ``only``.
         only: Leave out the joints that are not named.
-
-    Raises:
-        InvalidGoalError: No finite numbers, or a negative weight.
     """
 
     frame: str | None = field(default=None, init=False)
@@ -639,15 +539,9 @@ class PostureGoal(Goal):
                 f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
             )
         checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
-        self._set(q=vector(self.q, count, "q"), weight=positive_number(self.weight, "weight"), joints=checked)
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(of=OF_JOINTS)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return self.weight, self.weight
+        weight = positive_number(self.weight, "weight")
+        self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
+        self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -658,42 +552,27 @@ class PostureGoal(Goal):
         return replace(self, q=q)
 
     def joint_weights(self, robot: Robot) -> Array:
-        """(nv,) how much each degree of freedom counts.
-
-        Raises:
-            UnknownJointError: The goal names a joint that is not active.
-        """
+        """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""
         for joint in self.joints:
             if joint not in robot.joints:
                 raise UnknownJointError(joint, robot.joints)
-        joint_weights = np.empty(robot.nv)
-        for k, joint in enumerate(robot.joints):
-            v = int(robot.tree.vadr[k])
-            joint_weights[v : v + V_WIDTH[int(robot.tree.kind[k])]] = self.joints.get(
-                joint, 0.0 if self.only else 1.0
-            )
-        return joint_weights
+        each = [self.joints.get(joint, 0.0 if self.only else 1.0) for joint in robot.joints]
+        return np.array(each, dtype=float)[robot.tree.dof_node]
 
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         if not self.weight > 0.0:
             return 0.0, 0.0
-        tree, joint_weights, difference = (
-            robot.tree,
-            self.joint_weights(robot),
-            robot.difference(q, np.asarray(self.q)),
-        )
-        led = {int(node) for node in tree.coupled[:, 0]}
+        tree, joint_weights = robot.tree, self.joint_weights(robot)
+        difference = robot.difference(q, np.asarray(self.q))
         metres = radians = 0.0
-        for k in range(tree.size):
+        for k in set(range(tree.size)) - set(tree.coupled[:, 0].tolist()):
             v, kind = int(tree.vadr[k]), int(tree.kind[k])
-            if not joint_weights[v] > 0.0 or k in led:
+            if not joint_weights[v] > 0.0:
                 continue
-            if kind in (SLIDE, FREE):
-                metres = max(metres, float(np.abs(difference[v : v + (3 if kind == FREE else 1)]).max()))
-            if kind != SLIDE:
-                first = v + 3 if kind == FREE else v
-                last = first + (1 if kind == HINGE else 3)
-                radians = max(radians, float(np.linalg.norm(difference[first:last])))
+            part = difference[v : v + V_WIDTH[kind]]
+            shift = {SLIDE: 1, FREE: 3}.get(kind, 0)  # how many of them are metres
+            metres = max(metres, float(np.abs(part[:shift]).max(initial=0.0)))
+            radians = max(radians, float(np.linalg.norm(part[shift:])))
         return metres, radians
 
 
@@ -706,9 +585,6 @@ class PosePriorGoal(Goal):
     Attributes:
         prior: ``PosePrior.of(robot)``, or one that you learned.
         weight: On the rows, whose half square is the energy over its least: it counts squared.
-
-    Raises:
-        InvalidGoalError: No prior, a negative weight, or asked to be needed.
     """
 
     frame: str | None = field(default=None, init=False)
@@ -724,20 +600,12 @@ class PosePriorGoal(Goal):
 
         super().__post_init__()
         if not isinstance(self.prior, PosePrior):
-            raise InvalidGoalError(
-                f"a pose prior goal needs a PosePrior, not {self.prior!r}", hint="PosePrior.of(robot)"
-            )
+            wrong = f"a pose prior goal needs a PosePrior, not {self.prior!r}"
+            raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
-        self._set(weight=positive_number(self.weight, "weight"))
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(of=OF_PRIOR)
-
-    @property
-    def weights(self) -> tuple[float, float]:
-        return 0.0, self.weight
+        weight = positive_number(self.weight, "weight")
+        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
 
     @property
     def signature(self) -> tuple[object, ...]:
@@ -748,14 +616,6 @@ class PosePriorGoal(Goal):
 
 
 GOALS: tuple[type[Goal], ...] = (
-    PositionGoal,
-    OrientationGoal,
-    PoseGoal,
-    AimGoal,
-    LineGoal,
-    PlaneGoal,
-    HalfSpaceGoal,
-    CenterOfMassGoal,
-    PostureGoal,
-    PosePriorGoal,
-)
+    PositionGoal, OrientationGoal, PoseGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal,
+    PostureGoal, PosePriorGoal,
+)  # fmt: skip

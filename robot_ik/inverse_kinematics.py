@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,35 +25,25 @@ _BUDGET = Budget()
 ORIGIN = (0.0, 0.0, 0.0)
 
 
-class _ProblemPool:
-    """Idle compiled problems of one kind, each with its method."""
-
-    __slots__ = ("idle", "used")
-
-    def __init__(self) -> None:
-        self.idle: list[tuple[Solver, Problem]] = []
-        self.used = 0
+_Pool = list[tuple[Solver, Problem]]
 
 
 class _ProblemPools:
-    """The problems that were compiled for one robot, by their kind; of too many the oldest goes.
+    """The idle problems that were compiled for one robot, each with its method, by their kind.
 
     A problem is idle in its pool or in use by one call: calls of several threads never share one.
     """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._pools: dict[Hashable, _ProblemPool] = {}
-        self._uses = itertools.count(1)
+        self._pools: dict[Hashable, _Pool] = {}
 
-    def __getitem__(self, kind: Hashable) -> _ProblemPool:
-        pool = self._pools.get(kind)
-        if pool is None:
-            with self._lock:
-                while len(self._pools) >= _KINDS_KEPT:
-                    del self._pools[min(self._pools, key=lambda k: self._pools[k].used)]
-                pool = self._pools.setdefault(kind, _ProblemPool())
-        pool.used = next(self._uses)
+    def __getitem__(self, kind: Hashable) -> _Pool:
+        with self._lock:
+            pool = self._pools.pop(kind, None)
+            self._pools[kind] = pool = [] if pool is None else pool  # the last used is the last
+            if len(self._pools) > _KINDS_KEPT:
+                del self._pools[next(iter(self._pools))]
         return pool
 
 
@@ -70,8 +59,7 @@ def borrowed_problem(
 ) -> Iterator[tuple[Solver, Problem]]:
     """A method, and a problem for the goals: one that is at hand, or a new one.
 
-    Targets, weights, budget and seed are set each time, and results are not remembered.  A problem in whose
-    use something is raised is not used again.
+    Targets, weights, budget and seed are set each time.  Where something is raised, it is not used again.
     """
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)
@@ -82,9 +70,9 @@ def borrowed_problem(
     try:
         pool = pools[method, tolerance, tuple(map(goal_kind, goals))]
     except TypeError:  # a method or goal of somebody's own that cannot be a key
-        pool = _ProblemPool()
+        pool = []
     try:
-        pair = pool.idle.pop()
+        pair = pool.pop()
     except IndexError:
         pair = make_solver(method), Problem(robot, goals, tolerance=tolerance, budget=budget, seed=seed)
     else:
@@ -92,8 +80,8 @@ def borrowed_problem(
         problem.exchange(goals)
         problem.budget, problem.seed = budget or _BUDGET, int(seed)
     yield pair
-    if len(pool.idle) < _EACH_KEPT:
-        pool.idle.append(pair)
+    if len(pool) < _EACH_KEPT:
+        pool.append(pair)
 
 
 def warm_up(
@@ -107,18 +95,8 @@ def warm_up(
     """Loads, or on a new machine compiles, all that solving such goals may need.
 
     For loops that must not stall: after it, not even the first goal out of reach does.  The first solve of a
-    kind does the same.
-
-    Args:
-        robot: From ``load_robot``.
-        goal: One goal or several at once, as the loop will ask for them; only their kinds and frames matter.
-            Default: a pose of the tool.
-        solver: As in ``solve``.
-        tolerance: As in ``solve``.
-        **options: As in ``solve``.
-
-    Raises:
-        As ``solve``.
+    kind does the same.  Arguments and errors as of ``solve``; of ``goal`` (default: a pose of the tool) only
+    kinds and frames matter.
     """
     goals = PoseGoal(None, ORIGIN) if goal is None else goal
     with borrowed_problem(robot, goals, solver, options, tolerance, None, 0) as (method, problem):

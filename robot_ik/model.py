@@ -34,9 +34,6 @@ _NOTING = threading.Lock()
 
 # Links without <inertial> weigh this much (kg, kg m²): MuJoCo compiles no moving body of nothing.
 _WEIGHTLESS, _WEIGHTLESS_INERTIA = 1e-9, 1e-12
-LEAST_MASS = 1e-6
-"""kg; a robot of less was described without masses."""
-
 # Site and body names that people give to the end of an arm, tried in this order.
 _TOOL_NAMES = (
     "gripper", "tool", "tcp", "tool0", "ee", "end_effector", "attachment_site", "pinch", "grasp", "flange",
@@ -58,22 +55,18 @@ class ModelFrame:
     local: Pose
 
 
+# Arrays of MuJoCo's model, one row a body, joint, …
 _NUMBERS = (
     "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
     "jnt_range", "site_pos", "site_quat", "geom_pos", "geom_quat", "geom_size", "qpos0", "key_qpos",
 )  # fmt: skip
-"""Arrays of MuJoCo's model, one row a body, joint, …"""
 
 
 def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, float]]:
     """MuJoCo's model of an MJCF or URDF file, of such a text or of a spec, and a URDF's speed limits.
 
     Unnamed joints are called ``joint_<id>``.  A URDF keeps its fixed-joint frames, unless it asks for
-    ``fusestatic``.
-
-    Args:
-        source: A file, its text, or a spec, which stays as it is.
-        path: What to call it in messages.
+    ``fusestatic``.  ``path`` is for messages.
 
     Returns:
         The model; and joint -> rad/s or m/s, empty for anything but a URDF.
@@ -87,17 +80,19 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
         urdf = _urdf_of(_text_of(source), source.parent)
     elif isinstance(source, str):
         urdf = _urdf_of(source)
-    try:
-        with _warnings_noted(path):
-            if isinstance(source, mujoco.MjSpec):
-                spec = source.copy()
-            elif urdf is not None or isinstance(source, str):
-                spec = mujoco.MjSpec.from_string(source if urdf is None else urdf.text())
-            else:
-                spec = mujoco.MjSpec.from_file(str(source))
-    except (ValueError, RuntimeError) as error:
-        raise _unreadable(path, error) from error
-    return compile_model(spec, path), {} if urdf is None else urdf.velocity
+    with _as_model_error(path):
+        if isinstance(source, mujoco.MjSpec):
+            spec = source.copy()
+        elif isinstance(source, Path) and urdf is None:
+            spec = mujoco.MjSpec.from_file(str(source))
+        else:
+            spec = mujoco.MjSpec.from_string(str(source) if urdf is None else urdf.text())
+        _name_joints(spec)
+        model = _compiled(spec)
+    _refuse_numbers(model, path)
+    _refuse_ranges(model, path)
+    _hint_at_radians(model, spec, path)
+    return model, {} if urdf is None else urdf.velocity
 
 
 def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
@@ -116,24 +111,6 @@ def _text_of(path: Path) -> str:
         raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
 
 
-def compile_model(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """The compiled model of ``spec``, which gets names for its unnamed joints.
-
-    Raises:
-        ModelError: As ``read_model``.
-    """
-    _name_joints(spec)
-    try:
-        with _warnings_noted(path):
-            model = _compiled(spec)
-    except (ValueError, RuntimeError) as error:
-        raise _unreadable(path, error) from error
-    _refuse_numbers(model, path)
-    _refuse_ranges(model, path)
-    _hint_at_radians(model, spec, path)
-    return model
-
-
 def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
@@ -147,23 +124,22 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 @contextmanager
-def _warnings_noted(path: Path) -> Iterator[None]:
-    """Logs what MuJoCo warns of, such as masses that do not suffice for dynamics: no goal asks for them."""
-    with _NOTING, warnings.catch_warnings(record=True) as noted:
-        warnings.simplefilter("always")
-        yield
+def _as_model_error(path: Path) -> Iterator[None]:
+    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of: no goal asks for dynamics."""
+    try:
+        with _NOTING, warnings.catch_warnings(record=True) as noted:
+            warnings.simplefilter("always")
+            yield
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(
+            f"{path} is not a model that MuJoCo can read: {reason}",
+            path=path,
+            reason=reason,
+            hint="MJCF and URDF files are read; meshes must lie where the file says",
+        ) from error
     for warning in noted:
         _log.info("%s: %s", path, warning.message)
-
-
-def _unreadable(path: Path, error: Exception) -> ModelError:
-    reason = " ".join(str(error).split())
-    return ModelError(
-        f"{path} is not a model that MuJoCo can read: {reason}",
-        path=path,
-        reason=reason,
-        hint="MJCF and URDF files are read; meshes must lie where the file says",
-    )
 
 
 def joint_names(model: mujoco.MjModel) -> list[str]:
@@ -227,54 +203,44 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
 
 def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
-    if isinstance(file.home, tuple):
-        if len(file.home) != model.nq:
-            raise ModelError(f"{path}: home has {len(file.home)} numbers, the model {model.nq}", path=path)
-        return np.array(file.home, dtype=float)
+    home = file.home
+    if isinstance(home, tuple):
+        if len(home) != model.nq:
+            raise ModelError(f"{path}: home has {len(home)} numbers, the model {model.nq}", path=path)
+        return np.array(home, dtype=float)
     keys = {model.key(k).name: k for k in range(model.nkey)}
-    if file.home is not None and file.home not in keys:
-        raise ModelError(
-            f"{path} has no keyframe {file.home!r}; it has: {', '.join(keys) or 'none'}", path=path
-        )
-    chosen = file.home if file.home is not None else ("home" if "home" in keys else next(iter(keys), None))
-    return np.array(model.qpos0 if chosen is None else model.key_qpos[keys[chosen]], dtype=float)
+    if home is None:
+        home = "home" if "home" in keys else next(iter(keys), None)
+    elif home not in keys:
+        known = ", ".join(keys) or "none"
+        raise ModelError(f"{path} has no keyframe {home!r}; it has: {known}", path=path)
+    return np.array(model.qpos0 if home is None else model.key_qpos[keys[home]], dtype=float)
 
 
 def model_frames(model: mujoco.MjModel, file: RobotFile) -> dict[str, ModelFrame]:
-    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts.
-
-    Raises:
-        UnknownFrameError: A tool names a site or body that the model does not have.
-    """
-    sites: dict[str, ModelFrame] = {}
+    """Every frame by name: the tools of robot.toml, then sites, then bodies; the first of a name counts."""
+    sites, bodies, found = {}, {}, {}
     for s in range(model.nsite):
-        name = model.site(s).name
-        if name:
+        if name := model.site(s).name:
             local = Pose(model.site_pos[s], model.site_quat[s])
             sites[name] = ModelFrame(name, int(model.site_bodyid[s]), local)
-    bodies = {
-        model.body(b).name: ModelFrame(model.body(b).name, b, Pose())
-        for b in range(1, model.nbody)
-        if model.body(b).name
-    }
-    found: dict[str, ModelFrame] = {}
+    for b in range(1, model.nbody):
+        if name := model.body(b).name:
+            bodies[name] = ModelFrame(name, b, Pose())
     for tool, target in file.tools.items():
         where = sites if target.site else bodies
         wanted = target.site or target.body or ""
         if wanted not in where:
             raise UnknownFrameError(wanted, where, hint=f"named by the tool {tool!r} of {file.path}")
         found[tool] = dataclasses.replace(where[wanted], name=tool)
-    for name, frame in {**sites, **bodies}.items():
-        found.setdefault(name, frame)
-    return found
+    return found | {name: frame for name, frame in (sites | bodies).items() if name not in found}
 
 
 def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
     """Default frame of a model without robot.toml: a telling name, else the last site or body."""
-    for wanted in _TOOL_NAMES:
-        for name in frames:
-            if name.lower() == wanted:
-                return name
+    telling = [name for wanted in _TOOL_NAMES for name in frames if name.lower() == wanted]
+    if telling:
+        return telling[0]
     if model.nsite and model.site(model.nsite - 1).name:
         return str(model.site(model.nsite - 1).name)
     if not frames:
@@ -283,19 +249,12 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 
 
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
-    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all.
-
-    Raises:
-        UnknownJointError: With the close names.
-    """
-    if isinstance(joints, str):
-        if joints not in file.groups:
-            raise UnknownJointError(joints, file.groups, hint="a single string names a joint group")
-        wanted: Sequence[str] = file.groups[joints]
-    elif joints is not None:
-        wanted = joints
-    else:
-        wanted = file.groups.get("arm", names)
+    """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
+    wanted = file.groups.get("arm", names) if joints is None else joints
+    if isinstance(wanted, str):
+        if wanted not in file.groups:
+            raise UnknownJointError(wanted, file.groups, hint="a single string names a joint group")
+        wanted = file.groups[wanted]
     for joint in wanted:
         if joint not in names:
             raise UnknownJointError(joint, names)
@@ -304,41 +263,26 @@ def active_joints(names: list[str], joints: Sequence[str] | str | None, file: Ro
 
 def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[Array, Array]:
     """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind."""
-    speed, acceleration = np.empty(tree.nv), np.empty(tree.nv)
-    for k, joint in enumerate(joints):
-        kind, v = int(tree.kind[k]), int(tree.vadr[k])
-        width = V_WIDTH[kind]
-        fastest = file.velocity.get(joint, _DEFAULT_SPEED[kind])
-        speed[v : v + width] = fastest
-        acceleration[v : v + width] = file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
-    return speed, acceleration
+    kinds = zip(joints, tree.kind.tolist(), strict=True)
+    speed = [file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds]
+    acceleration = [
+        file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
+        for joint, fastest in zip(joints, speed, strict=True)
+    ]
+    return np.array(speed)[tree.dof_node], np.array(acceleration)[tree.dof_node]
 
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
-    """Stiffness (nv,) of the active joints: from robot.toml where it names the joint, else 1.
-
-    ``names`` are those of all joints of the model.
-
-    Raises:
-        UnknownJointError: robot.toml names a joint that the model does not have.
-    """
+    """Stiffness (nv,): from robot.toml where it names the joint, else 1; ``names`` of all joints."""
     for name in file.stiffness:
         if name not in names:
             raise UnknownJointError(name, names)
-    stiffness = np.ones(tree.nv)
-    for k, joint in enumerate(tree.joint_ids):
-        v = int(tree.vadr[k])
-        stiffness[v : v + V_WIDTH[int(tree.kind[k])]] = file.stiffness.get(names[joint], 1.0)
-    return stiffness
+    each = [file.stiffness.get(names[joint], 1.0) for joint in tree.joint_ids]
+    return np.array(each)[tree.dof_node]
 
 
-# ------------------------------------------------------------------------------------------
-# The one place where an ``MjModel`` becomes a ``Tree``.
-#
-# Every active joint becomes a node; bodies without active joints, frozen joints, anchors, axes and
-# reference angles vanish into the constants between the nodes.
-
-
+# The one place where an ``MjModel`` becomes a ``Tree``: every active joint becomes a node; bodies without
+# active joints, frozen joints, anchors, axes and reference angles vanish into the constants between them.
 _KIND_OF = {
     int(mujoco.mjtJoint.mjJNT_HINGE): HINGE,
     int(mujoco.mjtJoint.mjJNT_SLIDE): SLIDE,
@@ -381,10 +325,7 @@ class _Builder:
     def __init__(self, model: mujoco.MjModel, active: set[int], qpos: Array) -> None:
         self.model, self.active, self.qpos = model, active, qpos
         self.joint_ids: list[int] = []
-        self.kind: list[int] = []
-        self.parent: list[int] = []
-        self.qadr: list[int] = []
-        self.vadr: list[int] = []
+        self.nodes: list[tuple[int, int, int, int]] = []  # kind, parent, where it begins in q and in dq
         self.constant: list[Array] = []
         self.bodies: list[Attachment] = [Attachment(-1, Pose())]
         self.nq = self.nv = 0
@@ -408,26 +349,19 @@ class _Builder:
             q = self.qpos[start : start + Q_WIDTH[kind]]
             motion = _joint_motion(kind, axis, anchor, q, reference)
             return Attachment(-1, motion) if kind == FREE else Attachment(at.node, at.local.compose(motion))
-        after = Pose()
-        constant = at.local
-        if kind == HINGE:
+        constant, after, align = at.local, Pose(), Pose()
+        if kind in (HINGE, SLIDE):
             align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
-            back = Pose((0, 0, 0), rotation_exp([0.0, 0.0, -reference]))
-            constant = constant.compose(Pose(anchor)).compose(align).compose(back)
-            after = align.inverse().compose(Pose(-anchor))
-        elif kind == SLIDE:
-            align = Pose.from_rotation(rotation_z_to(axis / np.linalg.norm(axis)))
-            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
             after = align.inverse()
-        elif kind == BALL:
-            constant = constant.compose(Pose(anchor))
-            after = Pose(-anchor)
-        node = len(self.kind)
+        if kind in (HINGE, BALL):
+            constant, after = constant.compose(Pose(anchor)), after.compose(Pose(-anchor))
+        if kind == HINGE:
+            constant = constant.compose(align).compose(Pose(wxyz=rotation_exp([0.0, 0.0, -reference])))
+        elif kind == SLIDE:
+            constant = constant.compose(align).compose(Pose((0.0, 0.0, -reference)))
+        node = len(self.nodes)
         self.joint_ids.append(joint)
-        self.kind.append(kind)
-        self.parent.append(-1 if kind == FREE else at.node)
-        self.qadr.append(self.nq)
-        self.vadr.append(self.nv)
+        self.nodes.append((kind, -1 if kind == FREE else at.node, self.nq, self.nv))
         self.constant.append(pose_row(Pose() if kind == FREE else constant))
         self.nq += Q_WIDTH[kind]
         self.nv += V_WIDTH[kind]
@@ -438,93 +372,40 @@ def _limits(model: mujoco.MjModel, builder: _Builder) -> tuple[Array, Array, Arr
     """Limits (nv,) as MuJoCo has them, and finite ranges (nv,) to draw random starts from."""
     lower, upper = np.full(builder.nv, -np.inf), np.full(builder.nv, np.inf)
     low, high = np.full(builder.nv, -np.pi), np.full(builder.nv, np.pi)
-    for joint, kind, v in zip(builder.joint_ids, builder.kind, builder.vadr, strict=True):
-        limited = bool(model.jnt_limited[joint])
-        if kind in (HINGE, SLIDE):
-            if kind == SLIDE:
-                low[v], high[v] = -1.0, 1.0  # an unlimited slide: one metre either way
-            if limited:
-                lower[v], upper[v] = model.jnt_range[joint]
-                low[v], high[v] = model.jnt_range[joint]
-        elif kind == BALL and limited:
+    for joint, (kind, _, _, v) in zip(builder.joint_ids, builder.nodes, strict=True):
+        if kind in (SLIDE, FREE):  # without limits: one metre either way
+            shift = slice(v, v + (3 if kind == FREE else 1))
+            low[shift], high[shift] = -1.0, 1.0
+        if kind == FREE or not model.jnt_limited[joint]:
+            continue
+        if kind == BALL:
             lower[v : v + 3], upper[v : v + 3] = 0.0, model.jnt_range[joint, 1]
             high[v : v + 3] = model.jnt_range[joint, 1]
-        elif kind == FREE:
-            low[v : v + 3], high[v : v + 3] = -1.0, 1.0
+        else:
+            lower[v], upper[v] = low[v], high[v] = model.jnt_range[joint]
     return lower, upper, low, high
 
 
 def qpos_addresses(model: mujoco.MjModel, tree: Tree) -> NDArray[np.int64]:
     """(nq,): where the numbers of q stand in the model's whole qpos."""
-    found: list[int] = []
-    for joint, kind in zip(tree.joint_ids, tree.kind, strict=True):
-        start = int(model.jnt_qposadr[joint])
-        found += range(start, start + Q_WIDTH[int(kind)])
-    return np.array(found, dtype=np.int64)
+    starts = zip(model.jnt_qposadr[list(tree.joint_ids)].tolist(), tree.kind.tolist(), strict=True)
+    return np.array([start + i for start, kind in starts for i in range(Q_WIDTH[kind])], dtype=np.int64)
 
 
-def build_tree(
-    model: mujoco.MjModel, joints: list[int] | None = None, qpos: Array | None = None
-) -> tuple[Tree, tuple[Attachment, ...]]:
-    """Tree of a model in which only ``joints`` (MuJoCo ids; default all) move.
+def build_tree(model: mujoco.MjModel, joints: list[int], qpos: Array) -> tuple[Tree, tuple[Attachment, ...]]:
+    """Tree of a model in which only ``joints`` (MuJoCo ids) move; attachments of all bodies.
 
-    Args:
-        model: Any compiled model with hinge, slide, ball and free joints.
-        joints: Active joints; the others are frozen.
-        qpos: (model.nq,) where the frozen joints stand; default ``model.qpos0``.
-
-    Returns:
-        The tree, and the attachment of every body of the model, by MuJoCo id.
+    The others are frozen where ``qpos`` (model.nq,) has them.
     """
-    active = set(range(model.njnt)) if joints is None else set(joints)
-    where = np.array(model.qpos0 if qpos is None else qpos, dtype=float)
-    builder = _Builder(model, active, where)
+    builder = _Builder(model, set(joints), qpos)
     for body in range(1, model.nbody):
         builder.body(body)
-    kind, parent, qadr, vadr = (
-        np.array(a, dtype=np.int64) for a in (builder.kind, builder.parent, builder.qadr, builder.vadr)
-    )
+    kind, parent, qadr, vadr = np.array(builder.nodes, dtype=np.int64).reshape(-1, 4).T
     tree = Tree(
         tuple(builder.joint_ids), kind, parent, qadr, vadr,
         np.array(builder.constant).reshape(-1, 12), *_limits(model, builder), builder.nq, builder.nv,
     )  # fmt: skip
     return tree, tuple(builder.bodies)
-
-
-def mass_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...], root: int) -> Array:
-    """(n + 1, 4) mass and its centre, seen from the node, of what each node carries; last: what never moves.
-
-    Only the body ``root`` and all that hangs on it count.
-    """
-    table = np.zeros((tree.size + 1, 4))
-    inside = {root}
-    for body in range(root, model.nbody):
-        if body != root and int(model.body_parentid[body]) not in inside:
-            continue
-        inside.add(body)
-        mass, at = float(model.body_mass[body]), bodies[body]
-        row = table[at.node]  # node -1, the world, is the last row
-        row[0] += mass
-        row[1:] += mass * at.local.compose(Pose(model.body_ipos[body])).position
-    carried = table[:, 0] > 0.0
-    table[carried, 1:] /= table[carried, :1]
-    return table
-
-
-def inertia_table(model: mujoco.MjModel, tree: Tree, bodies: tuple[Attachment, ...]) -> Array:
-    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in its axes, of each node."""
-    mass = mass_table(model, tree, bodies, 0)[: tree.size]
-    whole = np.zeros((tree.size, 3, 3))
-    for body in range(1, model.nbody):
-        at = bodies[body]
-        if at.node < 0:
-            continue
-        inertial = at.local.compose(Pose(model.body_ipos[body], model.body_iquat[body]))
-        away = inertial.position - mass[at.node, 1:]
-        inertia = inertial.rotation @ np.diag(model.body_inertia[body]) @ inertial.rotation.T
-        whole[at.node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
-    xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
-    return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
 
 
 def random_q(tree: Tree, home: Array, rng: np.random.Generator) -> Array:

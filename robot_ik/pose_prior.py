@@ -140,11 +140,8 @@ class PosePrior:
         n = len(self.names)
         head, blank = np.zeros((5, max(n, 2))), np.zeros((n, max(n, 2)))
         head[0, :n], head[1, :n], head[4, 0] = self.middle, self.spread, self.least
-        parts = []
-        for log, mean, precision in zip(self.logs, self.means, self.precisions, strict=True):
-            part = np.zeros((2 + n, max(n, 2)))
-            part[0, :n], part[1, 0], part[2:, :n] = mean, log, precision
-            parts.append(part)
+        parts = np.zeros((len(self.logs), 2 + n, max(n, 2)))
+        parts[:, 0, :n], parts[:, 1, 0], parts[:, 2:, :n] = self.means, self.logs, self.precisions
         return np.concatenate([head, blank, *parts])
 
     def save(self, path: Path | str) -> None:

@@ -6,13 +6,10 @@ Building one takes some hundred microseconds; the hot loop builds it once and th
     for pose in path:
         problem.retarget(pose)
         q = solver.solve(problem, q).q
-
-``CompiledProblem`` (``compiled_problem.py``) owns the arrays behind it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,7 +24,8 @@ from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUs
 from robot_ik.geometry import Pose
 from robot_ik.goals import Array, Goal, PostureGoal, Tolerance, numbers, rotation_matrix, vector
 from robot_ik.kernels import workspace
-from robot_ik.kernels.residuals import NO_POSITION, OF_FRAME, OF_MASS
+from robot_ik.kernels.residuals import OF_FRAME, OF_MASS
+from robot_ik.model import pose_row
 from robot_ik.robot import Robot
 
 if TYPE_CHECKING:
@@ -35,6 +33,7 @@ if TYPE_CHECKING:
 
 # What the compiled loops can count to.
 _MOST = 1 << 62
+_WHOLE = int | np.integer
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,9 @@ class Budget:
     restarts: int | None = None
 
     def __post_init__(self) -> None:
-        for count in (self.iterations, 0 if self.restarts is None else self.restarts):
-            whole = isinstance(count, int | np.integer)
-            if not (whole and 0 <= count <= _MOST):
+        counts: list[Any] = [self.iterations, 0 if self.restarts is None else self.restarts]
+        for count in counts:
+            if not (isinstance(count, _WHOLE) and 0 <= count <= _MOST):
                 raise InvalidGoalError(
                     f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"
                 )
@@ -64,11 +63,7 @@ class Budget:
 
 
 def checked_goals(goals: object) -> list[Goal]:
-    """One goal or several as a list.
-
-    Raises:
-        GoalError: None at all, or something that is not a goal.
-    """
+    """One goal or several as a list; raises ``GoalError`` for none, or what is not a goal."""
     # Asked at run time too: a bare Pose or array is a likely mistake, and deserves a sentence.
     several = [goals] if isinstance(goals, Goal) else list(goals) if hasattr(goals, "__iter__") else []
     if not several or not all(isinstance(g, Goal) for g in several):
@@ -87,8 +82,7 @@ class Problem:
     Attributes:
         robot, tolerance, budget, seed: As given.
         trace: Whether to keep a row for every step.
-        given: The goals as they were last given; those that a pose or a matrix has moved since are in
-            ``target``, and ``goals`` puts the two together.
+        given: The goals as they were last given; ``target`` has what moved since, ``goals`` both together.
         compiled: The owner of all arrays that kernels see.
     """
 
@@ -105,8 +99,7 @@ class Problem:
         """Compiles the goals.
 
         Raises:
-            GoalError: No goal at all, or something that is not a goal.
-            UnknownFrameError: A goal names a frame that the robot does not have.
+            GoalError, UnknownFrameError: No goal, something that is none, or a frame that does not exist.
             UnsupportedJointError: A frozen joint should follow one that the goals would move.
         """
         require_options(robot, tolerance, budget, seed)
@@ -116,24 +109,13 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
-        self.compiled = CompiledProblem(
-            robot, self.given, self.tolerance, workspace.TRACE_ROOM if trace else 0
-        )
-        compiled = self.compiled
+        rows = workspace.TRACE_ROOM if trace else 0
+        compiled = self.compiled = CompiledProblem(robot, self.given, self.tolerance, rows)
         self.made, self.token = compiled.made, compiled.token
         self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
         self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
         self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
         self._whole = [goal.rows.whole for goal in self.given]
-        self._reach: list[tuple[int, float, float, float, float]] = []
-        for g, goal in enumerate(self.given):
-            asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
-            asks = asks and not goal.soft
-            ball = robot.reach(goal.frame) if asks else None
-            if ball is not None:
-                slack = (goal.tolerance or self.tolerance).position
-                self._reach.append((g, *ball[0].tolist(), ball[1] + slack))
-                self.arrays["reach"][g] = self._reach[-1][1:]
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -141,12 +123,10 @@ class Problem:
         return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.target, strict=True))
 
     def __repr__(self) -> str:
-        goals = ", ".join(repr(goal) for goal in self.goals[:4])
+        goals = ", ".join(map(repr, self.goals[:4]))
         more = f", … {len(self.given) - 4} more" if len(self.given) > 4 else ""
-        return (
-            f"Problem({self.robot.name!r}, [{goals}{more}], {self.tolerance!r}, {self.budget!r}, "
-            f"seed={self.seed}, trace={self.trace})"
-        )
+        rest = f"{self.tolerance!r}, {self.budget!r}, seed={self.seed}, trace={self.trace}"
+        return f"Problem({self.robot.name!r}, [{goals}{more}], {rest})"
 
     def length(self, goal: Goal) -> float:
         """Metres that count as much as one radian for a goal."""
@@ -155,16 +135,14 @@ class Problem:
     @property
     def features(self) -> frozenset[str]:
         """What the problem asks for beyond goals: ``couplings``, ``stiffness``, ``priorities``, ``soft``."""
-        arrays, found = self.compiled.goal_arrays, set()
-        if (self.robot.tree.coupled[:, 1] >= 0).any() and len(arrays["coupled"]):
-            found.add("couplings")
-        if any(goal.soft for goal in self.given):
-            found.add("soft")
-        elif len({goal.priority for goal in self.given}) > 1:
-            found.add("priorities")
-        if (arrays["joint_scale"] != 1.0).any():
-            found.add("stiffness")
-        return frozenset(found)
+        arrays, soft = self.compiled.goal_arrays, any(goal.soft for goal in self.given)
+        found = {
+            "couplings": (self.robot.tree.coupled[:, 1] >= 0).any() and len(arrays["coupled"]),
+            "soft": soft,
+            "priorities": not soft and len({goal.priority for goal in self.given}) > 1,
+            "stiffness": (arrays["joint_scale"] != 1.0).any(),
+        }
+        return frozenset(name for name, asked in found.items() if asked)
 
     @cached_property
     def mover(self) -> Mover:
@@ -222,11 +200,7 @@ class Problem:
 
     @contextmanager
     def in_use(self) -> Iterator[None]:
-        """Refuses other calls meanwhile; the hot loop has these lines itself.
-
-        Raises:
-            ProblemInUseError: Another thread's call is under way.
-        """
+        """Refuses other calls meanwhile (``ProblemInUseError``); the hot loop has these lines itself."""
         try:
             self.token.pop()
         except IndexError:
@@ -241,14 +215,14 @@ class Problem:
         moves = [(self._index_of(key), target) for key, target in targets.items()]
         if len({index for index, _ in moves}) < len(moves):
             raise InvalidGoalError(f"two of the keys {list(targets)!r} mean the same goal")
-        arrays = self.compiled.goal_arrays
-        before = self.given, {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
+        given, arrays = self.given, self.compiled.goal_arrays
+        before = {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
         try:
             for index, target in moves:
                 (self._retarget_whole if self._whole[index] else self._retarget_partial)(target, index)
         except InvalidGoalError:
-            self.given = before[0]
-            for name, array in before[1].items():
+            self.given = given
+            for name, array in before.items():
                 arrays[name][...] = array
             raise
 
@@ -257,14 +231,8 @@ class Problem:
         if not isinstance(key, str):
             return self._require_index(key)
         tool = self.robot.tool
-        frames = [
-            goal.frame
-            if goal.rows.of == OF_MASS
-            else goal.frame or tool
-            if goal.rows.of == OF_FRAME
-            else None
-            for goal in self.given
-        ]
+        own: dict[int, str | None] = {OF_FRAME: tool, OF_MASS: None}
+        frames = [goal.frame or own.get(goal.rows.of) for goal in self.given]
         found = [g for g, frame in enumerate(frames) if frame == key]
         if len(found) != 1:
             raise InvalidGoalError(
@@ -274,7 +242,7 @@ class Problem:
         return found[0]
 
     def _require_index(self, index: object) -> int:
-        if isinstance(index, bool) or not isinstance(index, int | np.integer):
+        if isinstance(index, bool) or not isinstance(index, _WHOLE):
             raise InvalidGoalError(f"a goal is named by its frame or its index, not by {index!r}")
         if not 0 <= index < len(self.given):
             raise InvalidGoalError(f"there is no goal {index}: this problem has 0 … {len(self.given) - 1}")
@@ -283,13 +251,11 @@ class Problem:
     def _retarget_whole(self, target: Any, index: int) -> None:
         """As ``retarget`` for a whole position, orientation or pose."""
         if isinstance(target, Goal):
-            self._require_same(target, index)
-            self._put(target, index)
+            self._put(self._require_same(target, index), index)
             return
         row = self.target[index]
         if isinstance(target, Pose):
-            row[:3] = target.position
-            row[3:] = target.rotation.ravel()
+            row[:] = pose_row(target)
             return
         try:
             given = np.asarray(target, dtype=float)
@@ -301,42 +267,34 @@ class Problem:
             )
         if given.shape == (4, 4):
             row[:3], row[3:] = given[:3, 3], given[:3, :3].ravel()
-            return
-        if not self.given[index].has_position:
+        elif self.given[index].has_position:
+            row[:3] = given
+        else:
             raise InvalidGoalError(f"a {self.given[index].name} has no position to move")
-        row[:3] = given
 
     def _retarget_partial(self, target: Any, index: int) -> None:
         """As ``retarget`` for a goal that is no whole position, orientation or pose: it is replaced."""
         mine = self.given[index]
         if isinstance(target, Goal):
-            self._require_same(target, index)
-            moved = target
+            moved = self._require_same(target, index)
         elif isinstance(mine, PostureGoal):
             moved = mine.moved_to_q(target)
         elif isinstance(target, Pose):
             moved = mine.moved_to(target)
         else:
             given = numbers(target, "a target")
-            position, rotation = (
-                vector(given.ravel(), 16 if given.shape == (4, 4) else 3, "a target"),
-                mine.target.rotation,
-            )
-            if len(position) == 16:
-                position, rotation = given[:3, 3], rotation_matrix(given[:3, :3], "a target")
-            moved = mine.moved_to(Pose.from_rotation(rotation, position))
+            matrix = given.shape == (4, 4)
+            position = vector(given.ravel(), 16 if matrix else 3, "a target")
+            rotation = rotation_matrix(given[:3, :3], "a target") if matrix else mine.target.rotation
+            moved = mine.moved_to(Pose.from_rotation(rotation, given[:3, 3] if matrix else position))
         self._put(moved, index)
 
     def _put(self, goal: Goal, index: int) -> None:
         """Takes a goal of the same kind in place of one."""
-        self._aim(goal, index)
-        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
-
-    def _aim(self, goal: Goal, index: int) -> None:
-        """Takes the target of a goal of the same kind."""
         if isinstance(goal, PostureGoal):
             set_posture(self.robot, self.compiled.goal_arrays, index, goal)
         self.target[index] = target_row(goal)
+        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
 
     def exchange(self, goals: Sequence[Goal]) -> None:
         """Takes goals with the same ``goal_kind`` in place of all: other targets, other sizes of weights."""
@@ -345,11 +303,10 @@ class Problem:
                 metres, radians = goal.weights
                 weight = metres / self.length(goal), radians
                 self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
-            self._aim(goal, index)
-        self.given = tuple(goals)
+            self._put(goal, index)
 
-    def _require_same(self, target: Goal, index: int) -> None:
-        """Raises ``InvalidGoalError`` unless ``target`` differs from the goal in its target only."""
+    def _require_same(self, target: Goal, index: int) -> Goal:
+        """``target``; raises ``InvalidGoalError`` unless it differs from the goal in its target only."""
         mine, tool = self.given[index], self.robot.tool
         if target.signature != mine.signature or (target.frame or tool) != (mine.frame or tool):
             raise InvalidGoalError(
@@ -357,31 +314,15 @@ class Problem:
                 f"not for a {target.name} of {target.frame or tool!r} or for other weights",
                 hint="another kind of goal, frame or weight needs a new Problem",
             )
+        return target
 
-    def target_pose(self, index: int = 0) -> Pose:
-        """The wanted pose of one goal, world."""
-        row = self.target[index]
-        return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
-
-    def rows_out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
-        """(n,) the same as ``out_of_reach`` for other targets (n, 12) of the first goal."""
-        beyond = np.zeros(len(targets), dtype=bool)
-        for g, *centre, radius in self._reach:
-            if g == 0:
-                beyond |= np.linalg.norm(targets[:, :3] - centre, axis=1) > radius
-        return beyond
-
-    def out_of_reach(self) -> bool:
-        """Whether a whole position is proven unreachable: farther than all links laid end to end.
+    def out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
+        """(n,) whether targets (n, 12) of the first goal are farther than all links laid end to end.
 
         The compiled loops find that out by themselves, and of parts of a position as well.
         """
-        for g, x, y, z, radius in self._reach:
-            # As Python's own numbers, which are quicker one by one than NumPy's.
-            a, b, c = self.target[g, :3].tolist()
-            if math.hypot(a - x, b - y, c - z) > radius:
-                return True
-        return False
+        reach = self.arrays["reach"][0]
+        return np.asarray(np.linalg.norm(targets[:, :3] - reach[:3], axis=1) > reach[3])
 
 
 def goal_kind(goal: Goal) -> Hashable:
@@ -392,7 +333,7 @@ def goal_kind(goal: Goal) -> Hashable:
 
 
 # Made once: ``solve`` asks in every call.
-_TOLERANCE, _BUDGET, _WHOLE = Tolerance | None, Budget | None, int | np.integer
+_TOLERANCE, _BUDGET = Tolerance | None, Budget | None
 
 
 def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:

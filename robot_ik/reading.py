@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from robot_ik.errors import ConfigError
@@ -34,13 +32,9 @@ _KEY = re.compile(r"""([\w.-]{1,60})["']?\s*[=:]""")
 
 
 def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") -> str:
-    """The text of a file that somebody named.
+    """The text of a file that somebody named; ``what`` it should be is for the message: "the arm file".
 
-    Args:
-        path: The file.
-        what: What it should be, for the message: "the arm file".
-        hint: What to try if there is none.
-        errors: What to do about bytes that are no UTF-8, as for ``bytes.decode``.
+    ``hint`` says what to try if there is none, ``errors`` what to do about bytes that are no UTF-8.
 
     Raises:
         ConfigError: It is not there, may not be read, has no end, or is no text.
@@ -71,11 +65,7 @@ def read_json(path: Path, what: str, hint: str = "") -> Any:
 
 
 def read_csv(path: Path, what: str) -> list[list[str]]:
-    """The rows of a CSV file.
-
-    Raises:
-        ConfigError: As ``read_text``; or a cell is longer than the reader takes.
-    """
+    """The rows of a CSV file; raises as ``read_text``, or where a cell is longer than the reader takes."""
     rows = csv.reader(read_text(path, what).splitlines())
     try:
         return list(rows)
@@ -84,32 +74,20 @@ def read_csv(path: Path, what: str) -> list[list[str]]:
 
 
 def parse_toml(text: str, file: Path | str) -> dict[str, Any]:
-    """The tables of a TOML text; ``file`` appears in errors.
-
-    Raises:
-        ConfigError: As ``parse``.
-    """
+    """The tables of a TOML text; errors as of ``parse``."""
     content: dict[str, Any] = parse(text, file, "TOML", tomllib.loads)
     return content
 
 
 def parse_json(text: str, file: Path | str) -> Any:
-    """The content of a JSON text; ``file`` appears in errors.
-
-    Raises:
-        ConfigError: As ``parse``.
-    """
+    """The content of a JSON text; errors as of ``parse``."""
     return parse(text, file, "JSON", json.loads)
 
 
 def parse(text: str, file: Path | str, language: str, parser: Callable[[str], Any]) -> Any:
     """What a parser makes of a text, where every number and every string of it can be used.
 
-    Args:
-        text: What the file says.
-        file: For messages.
-        language: Likewise: "YAML".
-        parser: From the text to dicts, lists, numbers and strings.
+    ``file`` and ``language`` ("YAML") are for messages.
 
     Raises:
         ConfigError: The text is not of that language; it is nested deeper than ``DEEPEST``; a number is not
@@ -152,13 +130,9 @@ def _require_usable(content: Any, most: int, file: Path | str) -> None:
 
 def _problem(value: Any) -> tuple[str, str] | None:
     """What is wrong with a number or a string, and what would be right."""
-    if isinstance(value, float):
-        if math.isfinite(value) and abs(value) <= LARGEST_NUMBER:
-            return None
+    if isinstance(value, float) and not abs(value) <= LARGEST_NUMBER:
         return f"{value!r} is not right", f"finite numbers up to {LARGEST_NUMBER:g}"
-    if isinstance(value, int):
-        if value.bit_length() < 64:
-            return None
+    if isinstance(value, int) and value.bit_length() >= 64:
         return "an integer too long to be right", "integers of 64 bits"
     if isinstance(value, str) and not value.isascii():
         try:
@@ -186,14 +160,12 @@ def shown(value: object, text: Callable[[object], str] = repr) -> str:
     return found if len(found) <= 60 else found[:59] + "…"
 
 
-FORMER: Mapping[str, str] = MappingProxyType(
-    {
-        "things": "objects",
-        "thing": "object",
-        "--phantoms": "--occluders",
-        "--phantom-geoms": "--occluder-geoms",
-        "--camera-place": "--camera-extrinsics",
-        "--place": "--extrinsics",
-    }
-)
+FORMER: Mapping[str, str] = {
+    "things": "objects",
+    "thing": "object",
+    "--phantoms": "--occluders",
+    "--phantom-geoms": "--occluder-geoms",
+    "--camera-place": "--camera-extrinsics",
+    "--place": "--extrinsics",
+}
 """Keys and options of before the first release, and what they are called now; nothing reads the old ones."""

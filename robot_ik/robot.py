@@ -1,4 +1,9 @@
-"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out."""
+"""``load_robot``: MJCF, URDF or a catalogue name in, a ``Robot`` out: an immutable description of what moves.
+
+``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
+shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
+frame's origin.
+"""
 
 from __future__ import annotations
 
@@ -16,47 +21,18 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik import model as mjcf
 from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
 from robot_ik.geometry import Pose
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import Q_WIDTH, V_WIDTH, Tree
-from robot_ik.model import (
-    LEAST_MASS,
-    Attachment,
-    ModelFrame,
-    active_joints,
-    build_tree,
-    guess_tool,
-    home_qpos,
-    inertia_table,
-    joint_names,
-    joint_stiffness,
-    mass_table,
-    model_frames,
-    motion_limits,
-    pose_row,
-    qpos_addresses,
-    random_q,
-    read_model,
-    row_pose,
-)
+from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile, find_robot
 
 if TYPE_CHECKING:
     from robot_ik.couplings import Coupling
 
-# ------------------------------------------------------------------------------------------
-# ``Robot``: an immutable description of what moves, read from MJCF, URDF or the catalogue.
-#
-# ``q`` is MuJoCo's ``qpos`` of the active joints in declared order, shape (nq,); ``dq`` its tangent,
-# shape (nv,).  Poses are in the world; ``jacobian`` is linear over angular velocity, world axes, at the
-# frame's origin.
-
-
 Array = NDArray[np.float64]
-
-
-_ARRAYS = ("lower", "upper", "velocity", "acceleration", "stiffness", "home", "frozen_qpos")
+_ARRAYS = ("velocity", "acceleration", "stiffness", "home", "frozen_qpos")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,7 +44,6 @@ class Robot:
         path: The model file.
         model: MuJoCo's model; treat as read-only.
         joints: Names of the active joints, in declared order.
-        lower, upper: (nv,) limits, rad or m; ±inf where unlimited; a ball joint has its cone angle.
         velocity, acceleration: (nv,) limits of motion, rad/s and rad/s² (m for slides).
         stiffness: (nv,) what moving a joint costs beside the others.
         home: (nq,) where the robot rests.
@@ -83,8 +58,6 @@ class Robot:
     model: mujoco.MjModel
     tree: Tree
     joints: tuple[str, ...]
-    lower: Array
-    upper: Array
     velocity: Array
     acceleration: Array
     stiffness: Array
@@ -93,8 +66,8 @@ class Robot:
     frozen_qpos: Array
     file: RobotFile
     couplings: tuple[Coupling, ...]
-    _frames: dict[str, ModelFrame] = field(repr=False)
-    _bodies: tuple[Attachment, ...] = field(repr=False)
+    _frames: dict[str, mjcf.ModelFrame] = field(repr=False)
+    _bodies: tuple[mjcf.Attachment, ...] = field(repr=False)
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -122,6 +95,16 @@ class Robot:
         return {}
 
     @property
+    def lower(self) -> Array:
+        """(nv,) lower limits, rad or m; -inf where unlimited."""
+        return self.tree.lower
+
+    @property
+    def upper(self) -> Array:
+        """(nv,) upper limits, rad or m; inf where unlimited; a ball joint has its cone angle."""
+        return self.tree.upper
+
+    @property
     def nq(self) -> int:
         """Numbers in ``q``."""
         return self.tree.nq
@@ -147,70 +130,45 @@ class Robot:
         file = self.folder / "arm.toml"
         return file if file.is_file() else None
 
-    def frame(self, name: str | None = None) -> ModelFrame:
-        """The frame of that name (default: the tool).
-
-        Raises:
-            UnknownFrameError: With the close names.
-        """
+    def frame(self, name: str | None = None) -> mjcf.ModelFrame:
+        """The frame of that name (default: the tool); raises ``UnknownFrameError`` with the close names."""
         try:
             return self._frames[self.tool if name is None else name]
         except KeyError:
             raise UnknownFrameError(str(name), self._frames) from None
 
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
-        """``q`` as a float array (nq,).
-
-        Raises:
-            ModelError: Wrong length, or a number that is not finite.
-        """
+        """``q`` as a float array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
         try:
             array = np.asarray(q, dtype=float)
         except (TypeError, ValueError) as error:
             raise ModelError(f"{what} must be {self.nq} numbers, not {q!r}") from error
         if array.shape != (self.nq,):
-            raise ModelError(
-                f"{what} must have shape ({self.nq},), not {array.shape}",
-                hint=f"{self.name} has these active joints: {', '.join(self.joints)}",
-            )
+            hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
+            raise ModelError(f"{what} must have shape ({self.nq},), not {array.shape}", hint=hint)
         # A sum of floats is finite whenever all are (and of a sane size), and costs a third of isfinite.
         if not math.isfinite(sum(array.tolist())) and not np.isfinite(array).all():
             raise ModelError(f"{what} must be finite, not {array.tolist()}")
         return array
 
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
-        """Node that carries a frame (-1: the world) and the frame seen from it as a pose row (12,).
-
-        A number is the id of a body in the model.
-        """
+        """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
         if isinstance(frame, int):
-            return self._bodies[frame].node, pose_row(self._bodies[frame].local)
+            return self._bodies[frame].node, mjcf.pose_row(self._bodies[frame].local)
         at = self.frame(frame)
         body = self._bodies[at.body]
-        return body.node, pose_row(body.local.compose(at.local))
+        return body.node, mjcf.pose_row(body.local.compose(at.local))
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
-        """Pose of a frame (default: the tool) in the world at ``q`` (nq,).
-
-        Raises:
-            UnknownFrameError, ModelError: Unknown frame; q of the wrong shape or not finite.
-        """
-        node, local = self.attachment(frame)
-        nodes, world, scratch = self._work(node)
+        """World pose of a frame (default: the tool) at ``q`` (nq,); raises as ``frame``, ``check_q``."""
         out = np.empty((1, 12))
-        kinematics.tree_frame(
-            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out
-        )
-        return row_pose(out[0])
+        kinematics.tree_frame(*self._work(q, frame, out))
+        return mjcf.row_pose(out[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
-        node, local = self.attachment(frame)
-        nodes, world, scratch = self._work(node)
-        out, jacobian = np.empty((1, 12)), np.empty((6, self.nv))
-        kinematics.tree_jacobian(
-            self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, out, jacobian
-        )
+        jacobian = np.empty((6, self.nv))
+        kinematics.tree_jacobian(*self._work(q, frame, np.empty((1, 12)), jacobian))
         return jacobian
 
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
@@ -226,30 +184,25 @@ class Robot:
         return np.array(data.subtree_com[self._body_id(body)])
 
     def masses(self, body: str | None = None) -> Array:
-        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``.
+        """(n + 1, 4) mass and centre of what each node carries, see ``masses.mass_table``; raises if none."""
+        from robot_ik.masses import LEAST_MASS, mass_table  # which few goals need
 
-        Raises:
-            UnknownFrameError: No such body.
-            ModelError: It has no mass.
-        """
         table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
         if not table[:, 0].sum() > LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
 
     def inertias(self) -> Array:
-        """(n, 10) mass, centre and inertia of what each node carries, see ``model.inertia_table``."""
+        """(n, 10) mass, centre and inertia of what each node carries, see ``masses.inertia_table``."""
+        from robot_ik.masses import inertia_table
+
         return inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
         whole = np.zeros(self.model.nv)
         mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
-        dofs: list[int] = []
-        for joint, kind in zip(self.tree.joint_ids, self.tree.kind, strict=True):
-            first = int(self.model.jnt_dofadr[joint])
-            dofs += range(first, first + V_WIDTH[int(kind)])
-        return np.asarray(whole[dofs])
+        return np.asarray(whole[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
 
     def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
         """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
@@ -262,12 +215,10 @@ class Robot:
         return data
 
     def _body_id(self, name: str | None) -> int:
-        if name is None:
-            return 0
-        names = [self.model.body(b).name for b in range(self.model.nbody)]
-        if name not in names:
-            raise UnknownFrameError(name, [n for n in names if n])
-        return names.index(name)
+        names = {self.model.body(b).name: b for b in range(self.model.nbody)}
+        if name is not None and name not in names:
+            raise UnknownFrameError(name, filter(None, names))
+        return 0 if name is None else names[name]
 
     def qpos(self, q: ArrayLike) -> Array:
         """(model.nq,): ``q`` at its addresses, the frozen joints where they stand."""
@@ -303,16 +254,12 @@ class Robot:
         gone = np.abs(self.clip(q) - q)
         if not gone.max(initial=0.0) > slack:
             return []
-        tree, names = self.tree, []
-        for k, joint in enumerate(self.joints):
-            width = Q_WIDTH[int(tree.kind[k])]
-            if gone[tree.qadr[k] : tree.qadr[k] + width].max() > slack:
-                names.append(joint)
-        return names
+        widest = np.maximum.reduceat(gone, self.tree.qadr)
+        return [joint for joint, off in zip(self.joints, widest, strict=True) if off > slack]
 
     def sample(self, rng: np.random.Generator) -> Array:
         """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
-        return self.follow(random_q(self.tree, self.home, rng))
+        return self.follow(mjcf.random_q(self.tree, self.home, rng))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
         """The same robot inside the intersection of its limits and these (nv,); home moves inside.
@@ -324,43 +271,46 @@ class Robot:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
         except (TypeError, ValueError) as error:
             raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
-        if np.isnan(low).any() or np.isnan(high).any():
+        if np.isnan([low, high]).any():
             raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
         low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
-        for v in range(self.nv):
-            if low[v] > high[v]:
-                joint = self.joints[int(np.searchsorted(self.tree.vadr, v, side="right")) - 1]
-                other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
-                one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
-                raise ModelError(
-                    f"no range is left for joint {joint!r}: the model allows {one} … {two}, "
-                    f"the other side {three} … {four}",
-                    hint="check sign, zero and range of the joint in the arm file",
-                )
+        for v in np.flatnonzero(low > high):
+            other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
+            one, two, three, four = apart(self.lower[v], self.upper[v], *other, digits=4)
+            raise ModelError(
+                f"no range is left for joint {self.joints[self.tree.dof_node[v]]!r}: "
+                f"the model allows {one} … {two}, the other side {three} … {four}",
+                hint="check sign, zero and range of the joint in the arm file",
+            )
         tree = self.tree.with_limits(low, high)
         if len(tree.coupled):
             from robot_ik.couplings import narrowed  # which few arms have
 
             tree = narrowed(tree)
-        robot = dataclasses.replace(self, tree=tree, lower=tree.lower.copy(), upper=tree.upper.copy())
-        return dataclasses.replace(robot, home=robot.follow(robot.clip(self.home)))
+        return dataclasses.replace(self, tree=tree)._with_home_inside()
 
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
         """A ball that the frame's origin can never leave: centre (3,) and radius in metres, or None.
 
-        The centre is where the first joint stands; the radius adds up all offsets after it, slides at
-        their longest.  None where the base floats or a slide is unlimited.
+        The centre is where the first joint stands; the radius adds up all offsets after it, slides at their
+        longest.  None where the base floats or a slide is unlimited.
         """
         node, local = self.attachment(frame)
         return self.tree.reach(node, local)
 
-    def _work(self, node: int) -> tuple[NDArray[np.int64], Array, Array]:
+    def _with_home_inside(self) -> Robot:
+        return dataclasses.replace(self, home=self.follow(self.clip(self.home)))
+
+    def _work(self, q: ArrayLike, frame: str | None, *results: Array) -> tuple[Any, ...]:
+        """What the kernels take for a frame at ``q``: work space, then results."""
+        node, local = self.attachment(frame)
         nodes = np.array(self.tree.ancestors(node), dtype=np.int64)
-        return nodes, np.empty((self.tree.size, 12)), np.empty((2, 12))
+        world, scratch = np.empty((self.tree.size, 12)), np.empty((2, 12))
+        return self.tree.handle, nodes, node, local[None, :], self.check_q(q), world, scratch, *results
 
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
-        return qpos_addresses(self.model, self.tree)
+        return mjcf.qpos_addresses(self.model, self.tree)
 
 
 def load_robot(
@@ -384,35 +334,25 @@ def load_robot(
         ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
         UnknownJointError, UnknownFrameError: With the close names.
     """
-    source: Path | str | mujoco.MjSpec
     if isinstance(name, mujoco.MjSpec) or (isinstance(name, str) and name.lstrip().startswith("<")):
-        source, file = name, RobotFile(name="model")
-        path = Path("<memory>/model")
-    else:
-        source, file = find_robot(name)
-        path = source
-    model, velocity = read_model(source, path)
-    if path is not source:  # its own name
-        named = model.names[: model.names.index(b"\0")].decode() or "model"
-        file = file.model_copy(update={"name": named})
+        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
+        file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
         path = Path(f"<memory>/{file.name}")
+    else:
+        path, file = find_robot(name)
+        model, velocity = mjcf.read_model(path, path)
     if velocity:
-        file = file.model_copy(update={"velocity": {**velocity, **file.velocity}})
+        file = file.model_copy(update={"velocity": velocity | file.velocity})
     return make_robot(model, path, file, joints, tool)
 
 
 def make_robot(
-    model: mujoco.MjModel,
-    path: Path,
-    file: RobotFile,
-    joints: Sequence[str] | str | None,
-    tool: str | None,
+    model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
-    names = joint_names(model)
-    active = active_joints(names, joints, file)
-    rest = home_qpos(model, path, file)
-    tree, bodies = build_tree(model, active, rest)
+    names = mjcf.joint_names(model)
+    rest = mjcf.home_qpos(model, path, file)
+    tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)
     couplings: list[Coupling] = []
     if model.neq or file.couplings:
         from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
@@ -421,22 +361,22 @@ def make_robot(
         tree = with_couplings(tree, couplings, rest, model.jnt_qposadr)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
-    frames = model_frames(model, file)
-    default_tool = tool or file.tool or guess_tool(model, frames)
+    frames = mjcf.model_frames(model, file)
+    default_tool = tool or file.tool or mjcf.guess_tool(model, frames)
     if default_tool not in frames:
         raise UnknownFrameError(default_tool, frames)
+    active = tuple(names[j] for j in tree.joint_ids)
+    speed, acceleration = mjcf.motion_limits(tree, active, file)
     robot = Robot(
         name=file.name,
         path=path,
         model=model,
         tree=tree,
-        joints=tuple(names[j] for j in tree.joint_ids),
-        lower=tree.lower.copy(),
-        upper=tree.upper.copy(),
-        velocity=np.empty(0),
-        acceleration=np.empty(0),
-        stiffness=joint_stiffness(tree, names, file),
-        home=np.empty(0),
+        joints=active,
+        velocity=speed,
+        acceleration=acceleration,
+        stiffness=mjcf.joint_stiffness(tree, names, file),
+        home=rest[mjcf.qpos_addresses(model, tree)],
         tool=default_tool,
         frozen_qpos=rest,
         file=file,
@@ -444,6 +384,4 @@ def make_robot(
         _frames=frames,
         _bodies=bodies,
     )
-    speed, acceleration = motion_limits(robot.tree, robot.joints, file)
-    home = robot.follow(robot.clip(rest[robot._addresses]))
-    return dataclasses.replace(robot, velocity=speed, acceleration=acceleration, home=home)
+    return robot._with_home_inside()

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robot_ik.errors import ConfigError, MissingExtraError, ModelError, UnknownRobotError, close_matches
+from robot_ik.errors import ConfigError, ModelError, UnknownRobotError, close_matches
 from robot_ik.tables import Pair, Position, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
@@ -86,8 +86,8 @@ class ReachScene(Table):
 class GalleryScene(Table):
     """What `robot-ik robots --gallery` draws beside the home pose.
 
-    A goal is a position in the world, or a position and a quaternion wxyz; frames of ``keep`` stay as they
-    are at home.  ``view_deg``: the viewing direction, azimuth (from x towards y) and elevation.
+    A goal is a position, or a position and a quaternion wxyz, in the world; frames of ``keep`` stay as at
+    home.  ``view_deg``: azimuth (from x towards y) and elevation of the viewing direction.
     """
 
     about: str = "reaching"
@@ -97,10 +97,7 @@ class GalleryScene(Table):
 
 
 class FigureParts(Table):
-    """Frames that make a model a figure that sees, reaches and walks, by side where there are two.
-
-    ``bend``: the keyframe of a deep bend.
-    """
+    """Frames that make a model a figure, by side where there are two; ``bend``: a keyframe."""
 
     hands: dict[str, str] = Field(default={})
     feet: dict[str, str] = Field(default={})
@@ -111,17 +108,17 @@ class FigureParts(Table):
     bend: str | None = None
 
 
-class _MotionTable(Table):
-    velocity_deg: Several[float] | None = None
-    acceleration_deg: Several[float] | None = None
-
-
 class Coupled(Table):
     """A joint that follows another: joint = ratio · leader + offset, rad or m."""
 
     follows: str
     ratio: float
     offset: float = 0.0
+
+
+class _MotionTable(Table):
+    velocity_deg: Several[float] | None = None
+    acceleration_deg: Several[float] | None = None
 
 
 class _Provenance(Table):
@@ -156,18 +153,14 @@ class _RobotTable(_Keys):
 class RobotFile(_Keys):
     """What ``robot.toml`` says; for a bare model file everything but the name is empty.
 
-    Attributes:
-        velocity, acceleration: Per joint, rad/s and rad/s² (m for slides).
-        stiffness: Of joints by name: one of 4 moves half as far as one of 1 where both could serve.
-        couplings: Joints that follow another, by name.
-        speeds: Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
-        figure: Hands, feet, eyes of a figure.
+    ``stiffness`` of joints by name: one of 4 moves half as far as one of 1 where both could serve.
     """
 
     name: str
     path: Path | None = None
-    velocity: dict[str, float] = Field(default={})
-    acceleration: dict[str, float] = Field(default={})
+    velocity: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
+    acceleration: dict[str, float] = Field(default={})  # … and rad/s²
+    # Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
     speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
 
@@ -186,11 +179,7 @@ def catalogue() -> dict[str, Path]:
 
 
 def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
-    """Model file and contents of a ``robot.toml``.
-
-    Raises:
-        ConfigError: With file, key and what is allowed.
-    """
+    """Model file and contents of a ``robot.toml``; raises ``ConfigError`` as ``read_table``."""
     parsed = read_table(_RobotTable, path, "robot.toml")
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
@@ -213,36 +202,31 @@ def _per_joint(
     if values is None:
         return {}
     if len(values) != len(joints) or not all(v > 0 for v in values):
+        allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm"
         raise ConfigError(
-            f"{len(values)} numbers for {len(joints)} joints",
-            file=path, key=key, allowed="one positive number, deg/s or deg/s², for each joint of groups.arm",
-        )  # fmt: skip
+            f"{len(values)} numbers for {len(joints)} joints", file=path, key=key, allowed=allowed
+        )
     return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
 
 
 def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     """Model file and ``robot.toml`` contents for a catalogue name, a path or a robot_descriptions name.
 
-    A ``robot.toml`` beside a model file counts when it names that file.
-
-    Raises:
-        UnknownRobotError: No name of the catalogue.
-        ModelError: A path, but of no file.
-        ConfigError: Its ``robot.toml`` is wrong.
-        MissingExtraError: The package robot_descriptions is asked for and not there.
+    A ``robot.toml`` beside a model file counts when it names that file.  Raises as ``load_robot``;
+    ``ConfigError`` where it is wrong, ``MissingExtraError`` without the package robot_descriptions.
     """
     known = catalogue()
     given: object = name
     if not isinstance(given, str | os.PathLike):
         raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
-    if str(name) in known:
-        return read_robot_file(known[str(name)] / "robot.toml")
     if str(name).startswith(DESCRIPTIONS):
-        found = described_model(str(name).removeprefix(DESCRIPTIONS))
-        return found, RobotFile(name=str(name).removeprefix(DESCRIPTIONS))
-    path = Path(name).expanduser()
+        from robot_ik.urdf import described_model  # which few robots need
+
+        described = str(name).removeprefix(DESCRIPTIONS)
+        return described_model(described), RobotFile(name=described)
+    path = known.get(str(name)) or Path(name).expanduser()
     if path.is_dir() and (path / "robot.toml").is_file():
-        return read_robot_file(path / "robot.toml")
+        path /= "robot.toml"
     if not path.is_file():
         _refuse_missing(path)
         raise UnknownRobotError(str(name), known, hint=_WHAT_A_ROBOT_IS)
@@ -259,40 +243,10 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
 def _refuse_missing(path: Path) -> None:
     """Raises ``ModelError`` where ``path`` is meant as a path and not as a name."""
     if path.is_dir():
-        raise ModelError(
-            f"the folder {path} has no robot.toml", path=path, hint="name the MJCF or URDF file in it"
-        )
+        hint = "name the MJCF or URDF file in it"
+        raise ModelError(f"the folder {path} has no robot.toml", path=path, hint=hint)
     if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES:
         beside = [p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODEL_SUFFIXES]
         close = close_matches(path.name, beside)
         hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
         raise ModelError(f"there is no file {path}", path=path, hint=hint)
-
-
-def described_model(name: str) -> Path:
-    """The model file of a description of the package robot_descriptions: its MJCF, else its URDF.
-
-    The package gets it with git, once, unless it lies in its cache.
-
-    Raises:
-        MissingExtraError: The package is not installed.
-        UnknownRobotError: It has no such description; close ones are named.
-        ModelError: git could not get it.
-    """
-    try:
-        from robot_descriptions import DESCRIPTIONS as known
-    except ImportError as error:
-        raise MissingExtraError("robot_descriptions", "descriptions", f"the robot {name!r}") from error
-    if name not in known:
-        raise UnknownRobotError(name, known, hint="all names: python -m robot_descriptions list")
-    try:
-        module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # git's own errors are of many classes, and long
-        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
-        reason = next((line.strip() for line in reversed(str(error).splitlines()) if line.strip()), "")
-        raise ModelError(
-            f"the description {name!r} is not in {folder}, and git could not get it: {reason[:200]}",
-            reason=str(error),
-            hint=f"where there is a network: python -m robot_descriptions pull {name}",
-        ) from error
-    return Path(getattr(module, "MJCF_PATH", None) or module.URDF_PATH)

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from robot_ik.compiled_problem import moved_goal
 from robot_ik.errors import NotConvergedError
-from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import workspace
+from robot_ik.model import row_pose
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -36,7 +36,9 @@ class Status(enum.IntEnum):
     @property
     def meaning(self) -> str:
         """One sentence for people."""
-        return _MEANING[self]
+        if self is Status.CONVERGED:
+            return "every goal that is needed is within tolerance"
+        return f"{_CAUSE[self]}; the nearest point found is kept"
 
 
 def short_numbers(q: Array) -> str:
@@ -47,26 +49,19 @@ def short_numbers(q: Array) -> str:
 
 # By number, which is quicker than asking the enumeration.
 STATUS_OF = {int(status): status for status in Status}
-
-_MEANING = {
-    Status.CONVERGED: "every goal that is needed is within tolerance",
-    Status.STALLED: "no step improves it any more; the nearest point found is kept",
-    Status.ITERATION_LIMIT: "the iteration budget ran out; the nearest point found is kept",
-    Status.TIME_LIMIT: "the time budget ran out; the nearest point found is kept",
-    Status.UNREACHABLE: "proven out of reach; the nearest point found is kept",
-    Status.BLOCKED_BY_LIMITS: "joint limits hold it back; the nearest point found is kept",
-    Status.NUMERICAL: "numbers left the finite range; the nearest point found is kept",
+_CAUSE = {
+    Status.STALLED: "no step improves it any more",
+    Status.ITERATION_LIMIT: "the iteration budget ran out",
+    Status.TIME_LIMIT: "the time budget ran out",
+    Status.UNREACHABLE: "proven out of reach",
+    Status.BLOCKED_BY_LIMITS: "joint limits hold it back",
+    Status.NUMERICAL: "numbers left the finite range",
 }
 
 
 @dataclass(frozen=True)
 class Miss:
-    """Honest distance to the goals, unweighted: the largest of all that are not soft.
-
-    Attributes:
-        position: Metres; 0 when no goal asks for a position.
-        angle: Radians; 0 when no goal asks for an orientation.
-    """
+    """Honest distance to the goals, unweighted, m and rad: the largest of those that are not soft."""
 
     position: float
     angle: float
@@ -123,39 +118,33 @@ class Solution:
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
-        return tuple(self._measure(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
+        return tuple(
+            # The targets of goals for parts of a pose are in the goals themselves.
+            Miss(*goal.miss(self.robot, self.q, row_pose(row) if goal.rows.whole else goal.target))
+            for goal, row in zip(self.given, self.targets, strict=True)
+        )
 
     @property
     def miss(self) -> Miss:
         """The largest miss over all goals that are needed, by MuJoCo's own forward pass on first access."""
-        needed = [miss for goal, miss in zip(self.goals, self.misses, strict=True) if not goal.soft]
+        needed = [miss for goal, miss in zip(self.given, self.misses, strict=True) if not goal.soft]
         return Miss(max([0.0, *(m.position for m in needed)]), max([0.0, *(m.angle for m in needed)]))
 
     @cached_property
     def trace(self) -> tuple[Step, ...]:
         """One row for each step, when a trace was asked for."""
-        rows = self.trace_rows if self.trace_rows is not None else np.empty((0, 7))
-        return tuple(Step(int(r[0]), int(r[1]), *(float(v) for v in r[2:])) for r in rows)
+        rows = [] if self.trace_rows is None else self.trace_rows.tolist()
+        return tuple(Step(int(iteration), int(restart), *rest) for iteration, restart, *rest in rows)
 
     def require(self) -> Solution:
-        """This solution if it converged.
-
-        Raises:
-            NotConvergedError: Carries the solution; says how far off it is and why.
-        """
+        """This solution if it converged; else raises ``NotConvergedError``: how far off it is and why."""
         if self.converged:
             return self
-        miss = self.miss
+        off = f"{1000 * self.miss.position:.2f} mm, {np.degrees(self.miss.angle):.3f}° off"
         raise NotConvergedError(
             f"{self.solver} did not reach the goal ({self.status.name}: {self.status.meaning}); nearest: "
-            f"{1000 * miss.position:.2f} mm, {np.degrees(miss.angle):.3f}° off after {self.iterations} steps",
-            self,
-        )
-
-    def _measure(self, goal: Goal, row: Array) -> Miss:
-        whole = goal.rows.whole  # the targets of others are in the goals themselves
-        target = Pose.from_rotation(row[3:].reshape(3, 3), row[:3]) if whole else goal.target
-        return Miss(*goal.miss(self.robot, self.q, target))
+            f"{off} after {self.iterations} steps", self,
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         return (

@@ -1,7 +1,6 @@
 """Tables that people write in files: what pydantic finds wrong in them, as one sentence for people.
 
-The sentence names file and key, says what is allowed and which name is close.  Not in ``files``, because
-pydantic takes longer to import than most commands need.
+The sentence names file and key, says what is allowed and which name is close.
 """
 
 from __future__ import annotations
@@ -32,13 +31,9 @@ if TYPE_CHECKING:
 
 
 class WrongKey(ValueError):
-    """What is wrong with a key, raised where the file is not known; ``check_table`` adds it.
+    """What is wrong with a key (seen from the table that raises it), raised where the file is not known.
 
-    Attributes:
-        problem: What was found.
-        key: Where, seen from the table that raises it; empty: the table.
-        allowed: What would be right.
-        hint: What to try.
+    ``check_table`` adds the file.
     """
 
     def __init__(self, problem: str, key: str = "", allowed: str = "", hint: str = "") -> None:
@@ -114,11 +109,7 @@ def keys_of(made: type[Any]) -> PlainValidator:
 
 
 def chosen(choose: Callable[[dict[str, Any]], type[Table]]) -> PlainValidator:
-    """Annotation of a table whose class depends on what stands in it.
-
-    Args:
-        choose: From the content to the class; raises ``WrongKey`` where there is none.
-    """
+    """Annotation of a table whose class ``choose`` finds from what stands in it, or raises ``WrongKey``."""
 
     def validate(data: Any) -> Table:
         if isinstance(data, Table):
@@ -152,16 +143,7 @@ Made = TypeVar("Made", bound=Table)
 
 
 def check_table(model: type[Made], data: Any, file: Path | str) -> Made:
-    """The content of a file with every key checked.
-
-    Args:
-        model: What it should be.
-        data: What a parser made of it.
-        file: For messages.
-
-    Raises:
-        ConfigError: A key is unknown, missing, of another type or out of range.
-    """
+    """The content of a file, as a parser made it; raises ``ConfigError`` where a key is not right."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -240,18 +222,15 @@ def _range(field: FieldInfo) -> str:
     for row in rows:  # of a key that may be left out, the others are those of what it takes
         if getattr(row, "description", None):
             return str(row.description)
+    items = [item for row in rows for item in getattr(row, "metadata", ())]
     bounds = {
-        name: getattr(item, name)
-        for row in rows
-        for item in getattr(row, "metadata", ())
-        for name in ("gt", "ge", "le", "multiple_of")
+        name: f"{sign}{getattr(item, name):.10g}"
+        for name, sign in (("gt", "> "), ("ge", ">= "), ("le", "<= "))
+        for item in items
         if getattr(item, name, None) is not None
     }
-    text = f"> {bounds['gt']:.10g}" if "gt" in bounds else ""
+    text = " and ".join(bounds.values())
     if "ge" in bounds and "le" in bounds:
-        text = f"{bounds['ge']:.10g}..{bounds['le']:.10g}"
-    elif "le" in bounds:
-        text = f"{text} and <= {bounds['le']:.10g}".removeprefix(" and ")
-    elif "ge" in bounds:
-        text = f">= {bounds['ge']:.10g}"
-    return text + (f", a multiple of {bounds['multiple_of']}" if "multiple_of" in bounds else "")
+        text = f"{bounds['ge'].removeprefix('>= ')}..{bounds['le'].removeprefix('<= ')}"
+    multiples = [item.multiple_of for item in items if getattr(item, "multiple_of", None) is not None]
+    return text + (f", a multiple of {multiples[-1]}" if multiples else "")

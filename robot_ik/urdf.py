@@ -1,11 +1,15 @@
-"""URDF files as people have them, made readable for MuJoCo: fixed frames, meshes of packages, velocities."""
+"""URDF files as people have them, made readable for MuJoCo, and those of the package robot_descriptions."""
 
 from __future__ import annotations
 
+import importlib
 import logging
 import math
+import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+
+from robot_ik.errors import MissingExtraError, ModelError, UnknownRobotError
 
 _log = logging.getLogger(__name__)
 
@@ -13,13 +17,13 @@ _log = logging.getLogger(__name__)
 _MESHES = (".stl", ".obj", ".msh")
 
 
-class Urdf:
-    """A URDF, and the folder that its file names count from.
+def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
+    found = parent.find(tag)
+    return ElementTree.SubElement(parent, tag) if found is None else found
 
-    Args:
-        root: Its element ``robot``.
-        folder: See above.
-    """
+
+class Urdf:
+    """A URDF, by its element ``robot``, and the folder that its file names count from."""
 
     def __init__(self, root: ElementTree.Element, folder: Path) -> None:
         self._root, self._folder = root, folder
@@ -53,14 +57,8 @@ class Urdf:
         Fixed joints keep their frames, and meshes are found, unless the file's own ``<mujoco>`` says more.
         A mesh that is not there, or that MuJoCo does not read (.dae), is left out: kinematics needs none.
         """
-        extension = self._root.find("mujoco")
-        if extension is None:
-            extension = ElementTree.SubElement(self._root, "mujoco")
-        compiler = extension.find("compiler")
-        if compiler is None:
-            compiler = ElementTree.SubElement(extension, "compiler")
-        if "fusestatic" not in compiler.attrib:
-            compiler.set("fusestatic", "false")
+        compiler = _child(_child(self._root, "mujoco"), "compiler")
+        compiler.attrib.setdefault("fusestatic", "false")
         if "meshdir" not in compiler.attrib and "strippath" not in compiler.attrib:
             compiler.set("strippath", "false")
             self._find_meshes()
@@ -98,3 +96,32 @@ class Urdf:
             plain = Path(name.removeprefix("file://"))
             tries = [folder / plain, folder / plain.name]
         return next((path for path in tries if path.is_file()), None)
+
+
+def described_model(name: str) -> Path:
+    """The model file of a description of the package robot_descriptions: its MJCF, else its URDF.
+
+    The package gets it with git, once, unless it lies in its cache.
+
+    Raises:
+        MissingExtraError: The package is not installed.
+        UnknownRobotError: It has no such description; close ones are named.
+        ModelError: git could not get it.
+    """
+    try:
+        from robot_descriptions import DESCRIPTIONS as known
+    except ImportError as error:
+        raise MissingExtraError("robot_descriptions", "descriptions", f"the robot {name!r}") from error
+    if name not in known:
+        raise UnknownRobotError(name, known, hint="all names: python -m robot_descriptions list")
+    try:
+        module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # git's own errors are of many classes, and long
+        folder = os.environ.get("ROBOT_DESCRIPTIONS_CACHE", "~/.cache/robot_descriptions")
+        reason = next((line.strip() for line in reversed(str(error).splitlines()) if line.strip()), "")
+        raise ModelError(
+            f"the description {name!r} is not in {folder}, and git could not get it: {reason[:200]}",
+            reason=str(error),
+            hint=f"where there is a network: python -m robot_descriptions pull {name}",
+        ) from error
+    return Path(getattr(module, "MJCF_PATH", None) or module.URDF_PATH)

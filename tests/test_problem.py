@@ -50,9 +50,9 @@ def test_retargeting_is_the_same_as_a_new_problem(puma):
             problem.retarget(target)
             again = solver.solve(problem)
             assert np.array_equal(again.q, fresh.q) and again.miss == fresh.miss
-        assert problem.target_pose().distance(pose) == pytest.approx((0, 0), abs=1e-12)
+        assert problem.goals[0].target.distance(pose) == pytest.approx((0, 0), abs=1e-12)
     problem.retarget(poses[0].position)  # a position alone keeps the orientation
-    assert problem.target_pose().distance(Pose(poses[0].position, poses[2].wxyz)) == pytest.approx(
+    assert problem.goals[0].target.distance(Pose(poses[0].position, poses[2].wxyz)) == pytest.approx(
         (0, 0), abs=1e-12
     )
 

@@ -1,25 +1,42 @@
 """Joints as points and bones, for the geometric methods.
 
-A *point* is the anchor of a joint or the origin of a goal's frame; a *bone* joins a point to the next
-one along the chain.  The anchor of a hinge may be put anywhere on its axis without changing what moves:
-here it is put nearest to the next point, so that offsets along the axis, and rolls about the tip, are no
-bones.  Under a goal that asks for an orientation it is put nearest to the axis before it, where a wrist's
-axes meet.
+A *point* is the anchor of a joint or the origin of a goal's frame; a *bone* joins a point to the next one
+along the chain.  The anchor of a hinge is put nearest to the next point on its axis, so that offsets along
+the axis are no bones; under a goal that asks for an orientation nearest to the axis before it, where a
+wrist's axes meet.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
+from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, forward, frame_pose, rotate_quat
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 
-# Columns of ``links`` (points, LINK_COLUMNS), int64.  Points are the nodes, then the goals.
-UP, FIRST, NEXT, THROUGH, STACK, PATH, LINK_COLUMNS = range(7)
-# Columns of ``points`` (points, POINT_COLUMNS): where it is, its target, its weight, how far
-# along its hinge's axis it stands from the node's origin, and the length of the bone that ends in it.
-NOW, TARGET, SHARE, SHIFT, LENGTH, POINT_COLUMNS = 0, 3, 6, 7, 8, 9
+# Points c are the nodes, then the goals g; -1 means none.
+BONES = Layout(
+    "Bones",
+    up="ints c",  # the point before it on its chain
+    first="ints c",  # its first child, …
+    next="ints c",  # … and the next child of its parent
+    through="ints c",  # 1: it looked through a point that it cannot move (``gather``)
+    stack="ints c",
+    path="ints c",  # points of one chain, root to tip
+    hangs="int_table c g",  # 1 where the goal hangs on the node
+    now="table c 3",  # where it is
+    target="table c 3",  # where it should be
+    share="floats c",  # its weight
+    shift="floats c",  # how far along its hinge's axis it stands from the node's origin
+    length="floats c",  # of the bone that ends in it
+    sums="floats 10",  # what a joint aims at: M row by row, and how many vectors there are (``add_aim``)
+    pull="floats 2",  # how much a hinge, and a ball, weighs the goals themselves beside the next points
+    kept="floats 12",  # the pose of a joint before it rotates
+    one="ints 1",
+)
+open_bones = BONES.open
+_AIMS = 9
 
 
 @pure
@@ -29,12 +46,12 @@ def has_orientation(goal, g):
 
 
 @pure
-def attach(links, points, c, k):
+def attach(bones, c, k):
     """Makes point ``c`` the first child of node ``k``."""
-    links[c, UP] = k
-    links[c, NEXT] = links[k, FIRST]
-    links[k, FIRST] = c
-    points[k, SHARE] += points[c, SHARE]
+    bones.up[c] = k
+    bones.next[c] = bones.first[k]
+    bones.first[k] = c
+    bones.share[k] += bones.share[c]
 
 
 @pure
@@ -52,84 +69,76 @@ def nearest_to_parent(tree, k):
 
 
 @outlined
-def link_points(tree, goal, nodes, links, points):
-    """Fills ``links``, and the shares and shifts of ``points``: once for a goal set."""
+def link_points(tree, goal, nodes, bones):
+    """Links, shares and shifts of all points: once for a goal set."""
     n, constant, local = tree.parent.shape[0], tree.constant, goal.local
-    for c in range(links.shape[0]):
-        points[c, LENGTH] = 0.0
-        links[c, UP] = links[c, FIRST] = links[c, NEXT] = -1
-        links[c, THROUGH] = 0
-        points[c, SHARE] = points[c, SHIFT] = 0.0
+    for c in range(bones.up.shape[0]):
+        bones.length[c] = 0.0
+        bones.up[c] = bones.first[c] = bones.next[c] = -1
+        bones.through[c] = 0
+        bones.share[c] = bones.shift[c] = 0.0
     for g in range(goal.kind.shape[0] - 1, -1, -1):
         if goal.node[g] >= 0:
-            points[n + g, SHARE] = goal.weight[g, 0] * goal.weight[g, 0]
-            attach(links, points, n + g, goal.node[g])
+            bones.share[n + g] = goal.weight[g, 0] * goal.weight[g, 0]
+            attach(bones, n + g, goal.node[g])
     for index in range(nodes.shape[0] - 1, -1, -1):
         k = nodes[index]
         if tree.kind[k] == HINGE:
             along, count, posed = 0.0, 0, False
-            c = links[k, FIRST]
+            c = bones.first[k]
             while c >= 0:
                 if c >= n:
                     along += local[c - n, 2]
                     posed = posed or has_orientation(goal, c - n)
                 else:
-                    along += constant[c, 2] + points[c, SHIFT] * constant[c, 11]
+                    along += constant[c, 2] + bones.shift[c] * constant[c, 11]
                 count += 1
-                c = links[c, NEXT]
+                c = bones.next[c]
             if posed:
-                points[k, SHIFT] = nearest_to_parent(tree, k)
+                bones.shift[k] = nearest_to_parent(tree, k)
             elif count > 0:
-                points[k, SHIFT] = along / count
+                bones.shift[k] = along / count
         if tree.parent[k] >= 0:
-            attach(links, points, k, tree.parent[k])
+            attach(bones, k, tree.parent[k])
+    for g in range(goal.kind.shape[0]):
+        for c in range(bones.up.shape[0]):
+            bones.hangs[c, g] = 0
+        k = goal.node[g]
+        while k >= 0:
+            bones.hangs[k, g] = 1
+            k = bones.up[k]
 
 
 @pure
-def distance(points, b, at_b, a, at_a):
-    """Distance of two points, each as it is (NOW) or its target (TARGET)."""
-    x = points[b, at_b] - points[a, at_a]
-    y = points[b, at_b + 1] - points[a, at_a + 1]
-    z = points[b, at_b + 2] - points[a, at_a + 2]
+def distance(p, b, q, a):
+    """Distance of the points p[b] and q[a]."""
+    x, y, z = p[b, 0] - q[a, 0], p[b, 1] - q[a, 1], p[b, 2] - q[a, 2]
     return math.sqrt(x * x + y * y + z * z)
 
 
-@pure
-def across(x, y, z):
-    """A unit vector across the unit vector (x, y, z)."""
-    if abs(x) <= abs(y) and abs(x) <= abs(z):
-        n = 1.0 / math.sqrt(y * y + z * z)
-        return 0.0, n * z, -n * y
-    if abs(y) <= abs(z):
-        n = 1.0 / math.sqrt(x * x + z * z)
-        return n * z, 0.0, -n * x
-    n = 1.0 / math.sqrt(x * x + y * y)
-    return n * y, -n * x, 0.0
-
-
 @outlined
-def store_pose(world, k, old, first):
-    """old[first:first + 12] = the pose of node ``k``, before it moves."""
+def store_pose(world, k, old):
+    """old = the pose of node ``k``, before it moves."""
     for i in range(12):
-        old[first + i] = world[k, i]
+        old[i] = world[k, i]
 
 
 @outlined
-def move_with_node(world, k, old, first, frames, g):
+def move_with_node(world, k, old, frames, g):
     """Moves frames[g], which hangs on node ``k``, as the node has moved from the pose kept in ``old``.
 
     What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
     """
-    x = frames[g, 0] - old[first]
-    y = frames[g, 1] - old[first + 1]
-    z = frames[g, 2] - old[first + 2]
+    x = frames[g, 0] - old[0]
+    y = frames[g, 1] - old[1]
+    z = frames[g, 2] - old[2]
     for c in range(4):  # the origin, then the three axes
         if c > 0:
             x, y, z = frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]
         # In the node's old axes, then along its new ones.
-        a = old[first + 3] * x + old[first + 6] * y + old[first + 9] * z
-        b = old[first + 4] * x + old[first + 7] * y + old[first + 10] * z
-        d = old[first + 5] * x + old[first + 8] * y + old[first + 11] * z
+        a = old[3] * x + old[6] * y + old[9] * z
+        b = old[4] * x + old[7] * y + old[10] * z
+        d = old[5] * x + old[8] * y + old[11] * z
         for i in range(3):
             moved = world[k, 3 + 3 * i] * a + world[k, 4 + 3 * i] * b + world[k, 5 + 3 * i] * d
             if c == 0:
@@ -139,53 +148,53 @@ def move_with_node(world, k, old, first, frames, g):
 
 
 @outlined
-def locate(tree, goal, work, points, one, c):
+def locate(tree, goal, work, bones, c):
     """Pose of point ``c``'s node or frame, and where the point is now; its parent's pose must stand."""
     n, world = tree.parent.shape[0], work.world
     if c < n:
-        one[0] = c
-        forward(tree, one, work.q, world, work.scratch)
+        bones.one[0] = c
+        forward(tree, bones.one, work.q, world, work.scratch)
         for i in range(3):
-            points[c, NOW + i] = world[c, i] + points[c, SHIFT] * world[c, 5 + 3 * i]
+            bones.now[c, i] = world[c, i] + bones.shift[c] * world[c, 5 + 3 * i]
     else:
         frame_pose(world, goal.node[c - n], goal.local, c - n, work.frames)
         for i in range(3):
-            points[c, NOW + i] = work.frames[c - n, i]
+            bones.now[c, i] = work.frames[c - n, i]
 
 
 @outlined
-def locate_all(tree, goal, work, links, points, one):
+def locate_all(tree, goal, work, bones):
     """Where all points are now, and how long the bones are."""
     n, nodes = tree.parent.shape[0], work.nodes
     for index in range(nodes.shape[0] + goal.kind.shape[0]):
         c = nodes[index] if index < nodes.shape[0] else n + index - nodes.shape[0]
-        locate(tree, goal, work, points, one, c)
-        points[c, LENGTH] = distance(points, c, NOW, links[c, UP], NOW) if links[c, UP] >= 0 else 0.0
+        locate(tree, goal, work, bones, c)
+        bones.length[c] = distance(bones.now, c, bones.now, bones.up[c]) if bones.up[c] >= 0 else 0.0
 
 
 @outlined
-def chain_path(tree, links):
-    """Points of the one chain that a single goal makes, root to tip, into links[:, PATH]; how many.
+def chain_path(tree, bones):
+    """Points of the one chain that a single goal makes, root to tip, into bones.path[:]; how many.
 
     ``settle`` uses the column as well.
     """
     count, c = 0, tree.parent.shape[0]
     while c >= 0:
         count += 1
-        c = links[c, UP]
+        c = bones.up[c]
     c = tree.parent.shape[0]
     for i in range(count - 1, -1, -1):
-        links[i, PATH] = c
-        c = links[c, UP]
+        bones.path[i] = c
+        c = bones.up[c]
     return count
 
 
 @pure
-def inner_radius(points, links, first, end):
+def inner_radius(bones, first, end):
     """Nearest that bones ``first`` … ``end`` - 1 of the path bring their two ends together."""
     longest, total = 0.0, 0.0
     for i in range(first, end):
-        length = points[links[i, PATH], LENGTH]
+        length = bones.length[bones.path[i]]
         longest = max(longest, length)
         total += length
     return max(0.0, 2.0 * longest - total)
@@ -202,17 +211,9 @@ def third_side_angle(a, c, b):
     return 2.0 * math.atan2(math.sqrt(max(0.0, over)), math.sqrt(max(0.0, under)))
 
 
-# ------------------------------------------------------------------------------------------
 # The rotation that brings vectors nearest to their targets, from their 3 x 3 correlation.
-#
 # With M = Σ w d pᵀ over vectors p with targets along d, a rotation by φ about a unit axis u gains
 # A cos φ + B sin φ, where A = tr M − uᵀ M u and B = u · Σ w p × d (Wang & Chen, IEEE T-RA 7(4), 1991).
-
-
-# ``sums``: M row by row, and how many vectors there are; then how much a hinge weighs the goals themselves
-# beside the next points (0 = not at all), and how much a ball does.
-# In KEPT, the pose of a joint before it rotates.
-AIMS, PULL, BALL_PULL, KEPT, SUM_SIZE = 9, 10, 11, 12, 24
 
 
 @pure
@@ -227,7 +228,7 @@ def add_aim(sums, weight, dx, dy, dz, px, py, pz):
     sums[6] += weight * dz * px
     sums[7] += weight * dz * py
     sums[8] += weight * dz * pz
-    sums[AIMS] += 1.0
+    sums[_AIMS] += 1.0
 
 
 @pure
@@ -274,15 +275,10 @@ def rotation_axis(sums):
     return x + (1.0 if i == 0 else 0.0), y + (1.0 if i == 1 else 0.0), z + (1.0 if i == 2 else 0.0)
 
 
-# ------------------------------------------------------------------------------------------
 # One joint's best rotation: how joints follow the targets that a geometric method gives to points.
-#
 # ``settle`` rotates the joints, root to tip, each about its real axis and inside its limits, to the exact
 # optimum of its own: q is feasible at all times.
 
-
-# Columns of ``links`` after those of ``bones``, one for each goal: 1 where it hangs on the node.
-DESCENDANTS = LINK_COLUMNS
 # A point nearer to the axis than this, metres, is not moved by a rotation about it.
 _NO_LEVER = 1e-6
 # Rotations of a ball with several points to serve, and where they end, rad.
@@ -290,87 +286,74 @@ _BALL_TURNS, _STILL = 12, 1e-10
 
 
 @outlined
-def mark_descendants(goal, links):
-    """Fills links[:, DESCENDANTS:]."""
-    for g in range(goal.kind.shape[0]):
-        for c in range(links.shape[0]):
-            links[c, DESCENDANTS + g] = 0
-        k = goal.node[g]
-        while k >= 0:
-            links[k, DESCENDANTS + g] = 1
-            k = links[k, UP]
-
-
-@outlined
-def add_point(points, sums, k, c):
+def add_point(bones, k, c):
     """Point ``c`` and its target, seen from point ``k``."""
     add_aim(
-        sums, points[c, SHARE],
-        points[c, TARGET] - points[k, NOW], points[c, TARGET + 1] - points[k, NOW + 1],
-        points[c, TARGET + 2] - points[k, NOW + 2],
-        points[c, NOW] - points[k, NOW], points[c, NOW + 1] - points[k, NOW + 1],
-        points[c, NOW + 2] - points[k, NOW + 2],
+        bones.sums, bones.share[c],
+        bones.target[c, 0] - bones.now[k, 0], bones.target[c, 1] - bones.now[k, 1],
+        bones.target[c, 2] - bones.now[k, 2],
+        bones.now[c, 0] - bones.now[k, 0], bones.now[c, 1] - bones.now[k, 1],
+        bones.now[c, 2] - bones.now[k, 2],
     )  # fmt: skip
 
 
 @outlined
-def add_columns(goal, work, sums, share, g):
+def add_columns(goal, work, bones, share, g):
     """The axes of goal ``g``'s frame have those of its target for targets."""
     w = share * goal.weight[g, 1] * goal.weight[g, 1]
     for i in range(3, 6):
         add_aim(
-            sums, w, goal.target[g, i], goal.target[g, i + 3], goal.target[g, i + 6],
+            bones.sums, w, goal.target[g, i], goal.target[g, i + 3], goal.target[g, i + 6],
             work.frames[g, i], work.frames[g, i + 3], work.frames[g, i + 6],
         )  # fmt: skip
 
 
 @pure
-def lever(world, points, kind, k, c):
+def lever(world, bones, kind, k, c):
     """Distance of point ``c`` from the axis of hinge ``k``, or from the centre of ball ``k``."""
-    x = points[c, NOW] - points[k, NOW]
-    y = points[c, NOW + 1] - points[k, NOW + 1]
-    z = points[c, NOW + 2] - points[k, NOW + 2]
+    x = bones.now[c, 0] - bones.now[k, 0]
+    y = bones.now[c, 1] - bones.now[k, 1]
+    z = bones.now[c, 2] - bones.now[k, 2]
     along = x * world[k, 5] + y * world[k, 8] + z * world[k, 11] if kind == HINGE else 0.0
     return math.sqrt(max(0.0, x * x + y * y + z * z - along * along))
 
 
 @outlined
-def gather(tree, goal, work, links, points, one, sums, k):
+def gather(tree, goal, work, bones, k):
     """Into ``sums``, what joint ``k`` should aim at: the next points that it moves.
 
     A point that it cannot move, because their anchors coincide or it lies on the axis, is looked
-    through to the ones behind it (links[k, THROUGH]).
+    through to the ones behind it (bones.through[k]).
     """
     n = tree.parent.shape[0]
-    for i in range(AIMS + 1):
-        sums[i] = 0.0
-    links[k, THROUGH] = 0
-    depth, c = 0, links[k, FIRST]
+    bones.sums[:] = 0.0
+    bones.through[k] = 0
+    depth, c = 0, bones.first[k]
     while c >= 0 or depth > 0:
         if c < 0:
             depth -= 1
-            c = links[links[depth, STACK], NEXT]
+            c = bones.next[bones.stack[depth]]
             continue
         down = False
-        if points[c, SHARE] > 0.0:
-            locate(tree, goal, work, points, one, c)
+        if bones.share[c] > 0.0:
+            locate(tree, goal, work, bones, c)
             if c >= n and has_orientation(goal, c - n):
-                add_columns(goal, work, sums, 1.0, c - n)
-            elif lever(work.world, points, tree.kind[k], k, c) > _NO_LEVER:
-                add_point(points, sums, k, c)
+                add_columns(goal, work, bones, 1.0, c - n)
+            elif lever(work.world, bones, tree.kind[k], k, c) > _NO_LEVER:
+                add_point(bones, k, c)
             else:
                 down = c < n
         if down:
-            links[k, THROUGH] = 1
-            links[depth, STACK] = c
+            bones.through[k] = 1
+            bones.stack[depth] = c
             depth += 1
-            c = links[c, FIRST]
+            c = bones.first[c]
         else:
-            c = links[c, NEXT]
+            c = bones.next[c]
 
 
 @outlined
-def add_goals(tree, goal, work, links, points, sums, k, pull):
+def add_goals(tree, goal, work, bones, k, pull):
     """Adds to ``sums`` the goals that hang on joint ``k``, as they would be if later joints stayed.
 
     A bone's target contains no error across the bone, which a ball can take out and a hinge cannot:
@@ -378,29 +361,29 @@ def add_goals(tree, goal, work, links, points, sums, k, pull):
     """
     n = tree.parent.shape[0]
     for g in range(goal.kind.shape[0]):
-        if points[n + g, SHARE] <= 0.0 or links[k, DESCENDANTS + g] == 0:
+        if bones.share[n + g] <= 0.0 or bones.hangs[k, g] == 0:
             continue
-        count = sums[AIMS]
+        count = bones.sums[_AIMS]
         add_aim(
-            sums, pull * points[n + g, SHARE],
-            goal.target[g, 0] - points[k, NOW], goal.target[g, 1] - points[k, NOW + 1],
-            goal.target[g, 2] - points[k, NOW + 2],
-            work.frames[g, 0] - points[k, NOW], work.frames[g, 1] - points[k, NOW + 1],
-            work.frames[g, 2] - points[k, NOW + 2],
+            bones.sums, pull * bones.share[n + g],
+            goal.target[g, 0] - bones.now[k, 0], goal.target[g, 1] - bones.now[k, 1],
+            goal.target[g, 2] - bones.now[k, 2],
+            work.frames[g, 0] - bones.now[k, 0], work.frames[g, 1] - bones.now[k, 1],
+            work.frames[g, 2] - bones.now[k, 2],
         )  # fmt: skip
         if has_orientation(goal, g):
-            add_columns(goal, work, sums, pull, g)
-        sums[AIMS] = count
+            add_columns(goal, work, bones, pull, g)
+        bones.sums[_AIMS] = count
 
 
 @outlined
-def relocate(tree, goal, work, links, points, one, sums, k):
+def relocate(tree, goal, work, bones, k):
     """Where joint ``k`` is after a rotation; the frames of all goals that hang on it come along."""
-    store_pose(work.world, k, sums, KEPT)
-    locate(tree, goal, work, points, one, k)
+    store_pose(work.world, k, bones.kept)
+    locate(tree, goal, work, bones, k)
     for g in range(goal.kind.shape[0]):
-        if links[k, DESCENDANTS + g] == 1:
-            move_with_node(work.world, k, sums, KEPT, work.frames, g)
+        if bones.hangs[k, g] == 1:
+            move_with_node(work.world, k, bones.kept, work.frames, g)
 
 
 @outlined
@@ -416,48 +399,51 @@ def rotate_ball(tree, work, k, a, x, y, z, angle):
 
 
 @outlined
-def aim_ball(tree, goal, work, links, points, one, sums, k, a):
+def aim_ball(tree, goal, work, bones, k, a):
     """Rotates ball ``k`` freely to its optimum; returns the total angle."""
     total = 0.0
     for _ in range(_BALL_TURNS):
-        gather(tree, goal, work, links, points, one, sums, k)
-        if sums[BALL_PULL] > 0.0:
-            add_goals(tree, goal, work, links, points, sums, k, sums[BALL_PULL])
-        x, y, z = rotation_axis(sums)
+        gather(tree, goal, work, bones, k)
+        if bones.pull[1] > 0.0:
+            add_goals(tree, goal, work, bones, k, bones.pull[1])
+        x, y, z = rotation_axis(bones.sums)
         norm = math.sqrt(x * x + y * y + z * z)
         if norm == 0.0:
             break
         x, y, z = x / norm, y / norm, z / norm
-        ta, tb = rotation_terms(sums, x, y, z)
+        ta, tb = rotation_terms(bones.sums, x, y, z)
         angle = best_angle(ta, tb, -math.pi, math.pi)
         rotate_ball(tree, work, k, a, x, y, z, angle)
-        relocate(tree, goal, work, links, points, one, sums, k)
+        relocate(tree, goal, work, bones, k)
         total += abs(angle)
-        if abs(angle) < _STILL or (sums[AIMS] < 2.0 and sums[BALL_PULL] == 0.0):
+        if abs(angle) < _STILL or (bones.sums[_AIMS] < 2.0 and bones.pull[1] == 0.0):
             break
     return total
 
 
 @outlined
-def twist_ball(tree, goal, work, links, points, one, sums, k, a, cone):
+def twist_ball(tree, goal, work, bones, k, a, cone):
     """Twists ball ``k`` about its bone, inside its cone, so that a hinge at the other end can do its work."""
-    c, q, world = links[k, FIRST], work.q, work.world
-    if c < 0 or c >= tree.parent.shape[0] or links[c, NEXT] >= 0 or tree.kind[c] != HINGE:
+    c, q, world = bones.first[k], work.q, work.world
+    if c < 0 or c >= tree.parent.shape[0] or bones.next[c] >= 0 or tree.kind[c] != HINGE:
         return
-    locate(tree, goal, work, points, one, c)
-    x, y, z = points[c, 0] - points[k, 0], points[c, 1] - points[k, 1], points[c, 2] - points[k, 2]
+    locate(tree, goal, work, bones, c)
+    x, y, z = (
+        bones.now[c, 0] - bones.now[k, 0],
+        bones.now[c, 1] - bones.now[k, 1],
+        bones.now[c, 2] - bones.now[k, 2],
+    )
     norm = math.sqrt(x * x + y * y + z * z)
     if norm < _NO_LEVER:
         return
     x, y, z = x / norm, y / norm, z / norm
-    for i in range(AIMS + 1):
-        sums[i] = 0.0
-    child = links[c, FIRST]
+    bones.sums[:] = 0.0
+    child = bones.first[c]
     while child >= 0:
-        if points[child, SHARE] > 0.0:
-            locate(tree, goal, work, points, one, child)
-            add_point(points, sums, k, child)
-        child = links[child, NEXT]
+        if bones.share[child] > 0.0:
+            locate(tree, goal, work, bones, child)
+            add_point(bones, k, child)
+        child = bones.next[child]
     low, high = -math.pi, math.pi
     if cone < math.pi:
         # After a twist φ the scalar part is r cos(φ/2 + δ): inside the cone while that is large enough.
@@ -470,63 +456,63 @@ def twist_ball(tree, goal, work, links, points, one, sums, k, a, cone):
         half = 2.0 * math.acos(min(1.0, math.cos(0.5 * cone) / max(r, 1e-12)))
         middle = -2.0 * math.atan2(sign * s, sign * q[a])
         low, high = min(middle - half, 0.0), max(middle + half, 0.0)
-    ta, tb = rotation_terms(sums, x, y, z)
+    ta, tb = rotation_terms(bones.sums, x, y, z)
     rotate_ball(tree, work, k, a, x, y, z, best_angle(ta, tb, low, high))
 
 
 @outlined
-def fit_ball(tree, goal, work, links, points, one, sums, k):
+def fit_ball(tree, goal, work, bones, k):
     """The best rotation of ball (or floating) joint ``k`` inside its cone; returns its angle."""
     q, free = work.q, tree.kind[k] == FREE
     a = tree.qadr[k] + (3 if free else 0)
     cone = math.pi if free else min(tree.upper[tree.vadr[k]], math.pi)
     limit = math.cos(0.5 * cone)
-    total = aim_ball(tree, goal, work, links, points, one, sums, k, a)
+    total = aim_ball(tree, goal, work, bones, k, a)
     if cone < math.pi and abs(q[a]) < limit:
         # The shortest way from where it was leaves the cone; the shortest from the middle leaves it last.
         q[a], q[a + 1], q[a + 2], q[a + 3] = 1.0, 0.0, 0.0, 0.0
-        relocate(tree, goal, work, links, points, one, sums, k)
-        aim_ball(tree, goal, work, links, points, one, sums, k, a)
-        one[0] = k
-        clip(tree, one, q)
-        relocate(tree, goal, work, links, points, one, sums, k)
-    twist_ball(tree, goal, work, links, points, one, sums, k, a, cone)
+        relocate(tree, goal, work, bones, k)
+        aim_ball(tree, goal, work, bones, k, a)
+        bones.one[0] = k
+        clip(tree, bones.one, q)
+        relocate(tree, goal, work, bones, k)
+    twist_ball(tree, goal, work, bones, k, a, cone)
     if cone < math.pi:
-        one[0] = k
-        clip(tree, one, q)
+        bones.one[0] = k
+        clip(tree, bones.one, q)
     return total
 
 
 @outlined
-def fit_joint(tree, goal, work, links, points, one, sums, k):
+def fit_joint(tree, goal, work, bones, k):
     """Rotates or shifts joint ``k`` to its optimum inside its limits; returns how far it went, rad or m."""
     q, world, a, v, kind = work.q, work.world, tree.qadr[k], tree.vadr[k], tree.kind[k]
-    locate(tree, goal, work, points, one, k)
+    locate(tree, goal, work, bones, k)
     gone = 0.0
     if kind == HINGE:
-        gather(tree, goal, work, links, points, one, sums, k)
-        if sums[PULL] > 0.0:
-            add_goals(tree, goal, work, links, points, sums, k, sums[PULL])
-        ta, tb = rotation_terms(sums, world[k, 5], world[k, 8], world[k, 11])
+        gather(tree, goal, work, bones, k)
+        if bones.pull[0] > 0.0:
+            add_goals(tree, goal, work, bones, k, bones.pull[0])
+        ta, tb = rotation_terms(bones.sums, world[k, 5], world[k, 8], world[k, 11])
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     elif kind == SLIDE:
-        links[k, THROUGH] = 0
+        bones.through[k] = 0
         for i in range(3):
-            gone += world[k, 5 + 3 * i] * (points[k, TARGET + i] - points[k, NOW + i])
+            gone += world[k, 5 + 3 * i] * (bones.target[k, i] - bones.now[k, i])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     else:
         if kind == FREE:
             for i in range(3):
-                q[a + i] += points[k, TARGET + i] - points[k, NOW + i]
-            relocate(tree, goal, work, links, points, one, sums, k)
-        gone = fit_ball(tree, goal, work, links, points, one, sums, k)
-    relocate(tree, goal, work, links, points, one, sums, k)
+                q[a + i] += bones.target[k, i] - bones.now[k, i]
+            relocate(tree, goal, work, bones, k)
+        gone = fit_ball(tree, goal, work, bones, k)
+    relocate(tree, goal, work, bones, k)
     return abs(gone)
 
 
 @outlined
-def settle(tree, goal, work, links, points, one, sums, sweeps):
+def settle(tree, goal, work, bones, sweeps):
     """Brings the points towards their targets: every joint once, root to tip, to its own optimum.
 
     Joints that aim at the same point (anchors that coincide, or axes that meet) are gone over
@@ -534,25 +520,25 @@ def settle(tree, goal, work, links, points, one, sums, sweeps):
     """
     for index in range(work.nodes.shape[0]):
         k = work.nodes[index]
-        if points[k, SHARE] <= 0.0:
+        if bones.share[k] <= 0.0:
             continue
-        fit_joint(tree, goal, work, links, points, one, sums, k)
-        if links[k, THROUGH] != 0:
+        fit_joint(tree, goal, work, bones, k)
+        if bones.through[k] != 0:
             continue
         size, head = 1, k
-        links[0, PATH] = k
-        while links[head, UP] >= 0:
-            above = links[head, UP]
-            if links[above, THROUGH] == 0 or links[links[above, FIRST], NEXT] >= 0:
+        bones.path[0] = k
+        while bones.up[head] >= 0:
+            above = bones.up[head]
+            if bones.through[above] == 0 or bones.next[bones.first[above]] >= 0:
                 break
             head = above
-            links[size, PATH] = head
+            bones.path[size] = head
             size += 1
         if size == 1:
             continue
         for _ in range(sweeps - 1):
             total = 0.0
             for back in range(size - 1, -1, -1):
-                total += fit_joint(tree, goal, work, links, points, one, sums, links[back, PATH])
+                total += fit_joint(tree, goal, work, bones, bones.path[back])
             if total < _STILL:
                 break

@@ -5,10 +5,8 @@
     open_layout = LAYOUT.open              # a global of its own: compiled code sees no Layout
     tree = open_layout(table)              # compiled: tree.kind, tree.constant are the arrays
 
-Why not a tuple or a structref: a tuple of 25 arrays is 175 machine words that LLVM copies at each use,
-which makes a solver compile four times longer; a structref counts references at each use, and the
-first of its type costs 0.2 s in every process.  A bundle is one pointer.  A table keeps the arrays alive
-that it points to; a bare address does not keep its table, so its holder holds the table beside it.
+A table keeps the arrays alive that it points to; a bare address does not keep its table, so its holder holds
+the table beside it.  Why not a tuple or a structref: ``docs/architecture.md``.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -133,35 +131,39 @@ def _lower_number(context: Any, builder: Any, kind: RowType, pointer: Any, name:
 
 
 def named_row(title: str, fields: tuple[tuple[str, type], ...]) -> Callable[[Any], Any]:
-    """What opens, in compiled code, an array (n,) of floats as numbers with names.
-
-    Args:
-        title: Of the row, for messages of the compiler.
-        fields: Name and ``float``, ``int`` or ``bool`` of each number.
-    """
+    """What opens, in compiled code, an array (n,) of floats as numbers (float, int, bool) with names."""
     return _opener(RowType(title, fields))
 
 
 def address_of(table: NDArray[Any]) -> Any:
-    """The address of a packed table, whose user must hold the table too; other arrays as they are.
-
-    An integer passes into compiled code a tenth of a microsecond faster than an array.
-    """
+    """The address of a packed table, which its user must hold too: quicker to pass; or another array."""
     return table.ctypes.data if owned(table) else table
 
 
 class Layout:
-    """Names and kinds of the arrays of one bundle; ``open`` is called in compiled code only."""
+    """Names and kinds of the arrays of one bundle; ``open`` is called in compiled code only.
+
+    What follows a kind is the shape that ``zeros`` makes: "table g 12" has 12 numbers for each of g.
+    """
 
     def __init__(self, title: str, **fields: str) -> None:
         self.title = title
-        self.fields = fields
-        self.open = _opener(BundleType(title, tuple(fields.items())))
+        self.fields = {name: text.split()[0] for name, text in fields.items()}
+        self._shapes = {name: text.split()[1:] for name, text in fields.items() if " " in text}
+        self.open = _opener(BundleType(title, tuple(self.fields.items())))
+
+    def zeros(self, sizes: Mapping[str, int]) -> dict[str, NDArray[Any]]:
+        """New arrays for the fields that have a shape, from what its letters stand for."""
+        return {
+            name: np.zeros(
+                [int(part) if part.isdigit() else sizes[part] for part in shape],
+                dtype=_ARRAY_OF[self.fields[name]][1],
+            )
+            for name, shape in self._shapes.items()
+        }
 
     def pack(self, arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
-        """The table of addresses (fields, 3) of ``arrays``; it keeps these very arrays alive.
-
-        A copy of the table does not: pass it on, or pack another.
+        """The table of addresses (fields, 3) of ``arrays``; it, but no copy of it, keeps them alive.
 
         Raises:
             TypeError: An array has the wrong type or number of dimensions, or is not C-contiguous.

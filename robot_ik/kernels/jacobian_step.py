@@ -18,10 +18,10 @@ its work and it holds no other joint back.  Joints inside their range are never 
 
 import math
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
-from robot_ik.kernels.workspace import COST, DAMPING, POLISHING, PRESSED, SHARE
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 AT_BOUND = 1e-12
@@ -40,7 +40,7 @@ def prepare(tree, goal, work, clamp, alternative):
     with the frame's body: t in place of s in v × (s − p) (Buss 2004, section 2; Šimunić 2012, eq. 3.9).
     The last descent does without it and clamps all goals alike: it is to end where the cost itself is least.
     """
-    last = work.state[POLISHING] > 0
+    last = work.state[ws.POLISHING] > 0
     if alternative and not last:
         goal_jacobian(tree, goal, work, goal.target)
     else:
@@ -80,7 +80,7 @@ def fix_pushed_by_gradient(work):
             fix_joint(work, u)
             work.gradient[u] = 0.0
             pressed += 1
-    work.state[PRESSED] = pressed
+    work.state[ws.PRESSED] = pressed
 
 
 @outlined
@@ -102,7 +102,7 @@ def fix_pushed_by_step(work):
         return False
     fix_joint(work, worst)
     work.aim[worst] = 0.0
-    work.state[PRESSED] += 1
+    work.state[ws.PRESSED] += 1
     return True
 
 
@@ -141,9 +141,9 @@ def keep_inside(work):
 @pure
 def shorten(work):
     """In the last descent, takes a share of work.step: less after each failure, more after each success."""
-    if work.state[POLISHING] > 0:
+    if work.state[ws.POLISHING] > 0:
         for u in range(work.step.shape[0]):
-            work.step[u] *= work.value[SHARE]
+            work.step[u] *= work.value[ws.SHARE]
 
 
 @pure
@@ -153,9 +153,9 @@ def extra_damping(work):
     Near a stretched-out arm the undamped step all but leads along a level line of the cost: any share of it
     creeps.
     """
-    if work.state[POLISHING] == 0:
+    if work.state[ws.POLISHING] == 0:
         return 0.0
-    return _EXTRA_DAMPING * math.sqrt(2.0 * work.value[COST]) * (1.0 / work.value[SHARE] - 1.0)
+    return _EXTRA_DAMPING * math.sqrt(2.0 * work.value[ws.COST]) * (1.0 / work.value[ws.SHARE] - 1.0)
 
 
 @outlined
@@ -207,11 +207,7 @@ def filtered_step(work, cutoff, damping):
         part *= s / (s * s + damping * damping)
         for u in range(step.shape[0]):
             step[u] += part * right[i, u]
-    work.value[DAMPING] = damping
-
-
-# ------------------------------------------------------------------------------------------
-# Singular values, where a method reads them.
+    work.value[ws.DAMPING] = damping
 
 
 # Singular vectors: sweeps at most (six or seven are enough), and what counts as rounding.

@@ -1,8 +1,7 @@
 """``@kernel``: the one decorator for compiled code, with a cache that cannot go stale.
 
-numba's own cache serves a compiled caller again although a callee or a constant in *another* file
-has changed.  Here a module's cache folder is named after a hash of its source and of every source that it
-imports, so an edit starts a fresh one for what it concerns, and for nothing else.
+A module's cache folder is named after a hash of its source and of every source that it imports: numba's own
+cache serves a compiled caller again although a callee in *another* file has changed.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import os
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -44,22 +43,15 @@ if numba_config.DISABLE_JIT:
 logger = logging.getLogger("robot_ik.kernels")
 
 
-def _load_arrays_without_blas() -> None:
-    """Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start.
-
-    numba imports it only to see that it is there, and once more when code that calls it is compiled.
-    """
-    if "numba.np.arraymath" in sys.modules or importlib.util.find_spec("scipy") is None:
-        return
-    linalg: Any = importlib.import_module("numba.np.linalg")
-    ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+# Loads numba's arrays without importing SciPy's BLAS, which is a third of a program's start: numba imports it
+# only to see that it is there, and once more when code that calls it is compiled.
+if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy") is not None:
+    _linalg: Any = importlib.import_module("numba.np.linalg")
+    _ensure_blas, _linalg.ensure_blas = _linalg.ensure_blas, lambda: None
     try:
         importlib.import_module("numba.np.arraymath")
     finally:
-        linalg.ensure_blas = ensure_blas
-
-
-_load_arrays_without_blas()
+        _linalg.ensure_blas = _ensure_blas
 
 
 class _TunedCompiler(event.Listener):
@@ -90,7 +82,6 @@ _OPTIONS: dict[str, Any] = {
     "cache": True, "nogil": True, "error_model": "numpy", "fastmath": _FASTMATH, "no_cfunc_wrapper": True,
 }  # fmt: skip
 
-
 _PACKAGE = Path(__file__).resolve().parent.parent
 # Packages with compiled code: what compiled code of one file takes from another lies in them.
 _COMPILED_PACKAGES = ("kernels", "solvers", "camera")
@@ -119,8 +110,7 @@ def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
 def sources(module: str) -> list[Path]:
     """Every source that can change the compiled code of a module, its own among them, in a fixed order.
 
-    Args:
-        module: Its full name; for one outside ``robot_ik`` (a user's, a test's) every source of the kernels.
+    Of a module outside ``robot_ik`` (a user's, a test's) every source of the kernels.
     """
     own = _file_of(module.removeprefix("robot_ik.")) if module.startswith("robot_ik.") else None
     todo = [own] if own else list((_PACKAGE / "kernels").glob("*.py"))
@@ -134,13 +124,9 @@ def sources(module: str) -> list[Path]:
 
 
 def _user_cache() -> Path:
-    if "XDG_CACHE_HOME" in os.environ:
-        return Path(os.environ["XDG_CACHE_HOME"])
-    if sys.platform == "darwin":
-        return Path.home() / "Library" / "Caches"
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA", str(Path.home() / "AppData" / "Local")))
-    return Path.home() / ".cache"
+    usual = {"darwin": "Library/Caches", "win32": "AppData/Local"}.get(sys.platform, ".cache")
+    windows = os.environ.get("LOCALAPPDATA") if sys.platform == "win32" else None
+    return Path(os.environ.get("XDG_CACHE_HOME") or windows or Path.home() / usual)
 
 
 @functools.cache
@@ -165,7 +151,6 @@ def cache_folder(module: str = __name__) -> Path:
     return Path(tempfile.mkdtemp(prefix="robot-ik-"))
 
 
-# ------------------------------------------------------------------------------------------
 # Inner functions are kept as unoptimised LLVM code; an entry point links in all that it calls, optimises
 # it and makes machine code of it, once.  numba by itself does so for every function together with all that
 # lies below it: a function six calls deep would be optimised six times, which doubled a first compile.
@@ -214,19 +199,6 @@ class _InnerCompiler(Compiler):
         return super().compile_extra(function)
 
 
-class _InnerCacheImpl(CompileResultCacheImpl):
-    def reduce(self, result: Any) -> Any:
-        # Without the listing of its types, which takes longer to write than all else.
-        return super().reduce(result._replace(type_annotation=""))
-
-    def rebuild(self, target_context: Any, payload: Any) -> Any:
-        return CompileResult._rebuild(_InnerContext(target_context), *payload)
-
-
-class _InnerCache(FunctionCache):
-    _impl_class = _InnerCacheImpl
-
-
 class _InnerContext:
     """A target context that makes inner libraries of what the cache holds."""
 
@@ -243,34 +215,46 @@ class _InnerContext:
         return _InnerLibrary.load(self._context.codegen(), *state)
 
 
-def _compile(function: F, **options: Any) -> F:
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
+class _InnerCacheImpl(CompileResultCacheImpl):
+    def reduce(self, result: Any) -> Any:
+        # Without the listing of its types, which takes longer to write than all else.
+        return super().reduce(result._replace(type_annotation=""))
+
+    def rebuild(self, target_context: Any, payload: Any) -> Any:
+        return CompileResult._rebuild(_InnerContext(target_context), *payload)
+
+
+class _InnerCache(FunctionCache):
+    _impl_class = _InnerCacheImpl
+
+
+@contextlib.contextmanager
+def _cache_of(function: Any) -> Iterator[None]:
+    """What is compiled inside is cached in the folder of the function's module."""
+    previous, numba_config.CACHE_DIR = numba_config.CACHE_DIR, str(cache_folder(function.__module__))
     try:
-        compiled = numba.njit(**(_OPTIONS | options))(function)
+        yield
     finally:
         numba_config.CACHE_DIR = previous
-    return compiled
 
 
 def _compile_inner(function: F, **options: Any) -> F:
-    previous = numba_config.CACHE_DIR
-    numba_config.CACHE_DIR = str(cache_folder(function.__module__))
-    try:
-        options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True}
-        compiled: Any = numba.njit(**(_OPTIONS | {"_nrt": False} | options))(function)
+    options |= {"cache": False, "pipeline_class": _InnerCompiler, "no_cpython_wrapper": True, "_nrt": False}
+    with _cache_of(function):
+        compiled: Any = numba.njit(**(_OPTIONS | options))(function)
         compiled._cache = _InnerCache(function)
-    finally:
-        numba_config.CACHE_DIR = previous
-    return compiled
+    inner: F = compiled
+    return inner
 
 
 def kernel(function: F) -> F:
     """An entry point: compiled on its first call, cached between processes, the GIL released while it runs.
 
-    Entry points may take structrefs and allocate; what loops calls ``pure`` functions.
+    Entry points may allocate; what loops calls ``pure`` functions.
     """
-    return _compile(function)
+    with _cache_of(function):
+        compiled: F = numba.njit(**_OPTIONS)(function)
+    return compiled
 
 
 def pure(function: F) -> F:
@@ -290,17 +274,13 @@ def literal(function: F) -> F:
 def outlined(function: F) -> F:
     """Like ``pure`` but never forced into its callers: what is large or called from several places.
 
-    Stated explicitly, as a function first compiled for a forced one would inherit the force: goals of two
-    priorities then were one function of 209,000 lines, which LLVM took two minutes for.
+    Stated explicitly, as a function first compiled for a forced one would inherit the force.
     """
     return _compile_inner(function, forceinline=False)
 
 
 def entry(function: Any, *arguments: Any) -> Callable[..., Any]:
-    """The compiled code of an entry point, which takes arguments of the types of these and asks no more.
-
-    numba's own call inspects the type of each argument first, which costs a tenth of a microsecond.
-    """
+    """The compiled code of an entry point for such types: without numba's inspection of them, 0.1 µs each."""
     types = tuple(numba.typeof(argument) for argument in arguments)
     try:
         function.compile(types)
@@ -323,24 +303,16 @@ _announced: set[str] = set()
 
 def announce(function: Any, what: str) -> None:
     """Logs one line if calling ``function`` now means compiling it (some seconds, once per machine)."""
-    name = function.__name__
-    if name in _announced:
+    if function.__name__ in _announced:
         return
-    _announced.add(name)
+    _announced.add(function.__name__)
     if not compiled(function):
         logger.info("compiling %s: up to a minute, once on this machine", what)
 
 
-# ------------------------------------------------------------------------------------------
-# ``noinline()``: keeps LLVM from copying a large function into all its callers.
-#
-# A limb's closed form calls one function from many places, several levels deep: copied, it compiles for a
-# minute in place of seconds, and runs no faster.
-
-
 @intrinsic
 def noinline(_typing: Any) -> Any:
-    """Marks the compiled function that calls it; does nothing when it runs."""
+    """Keeps LLVM from copying the function that calls it: a limb's would compile for a minute."""
 
     def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
         builder.function.attributes.add("noinline")

@@ -12,13 +12,9 @@ from numba import types
 from robot_ik.kernels.jit import kernel, literal, outlined, pure
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
 
-# ------------------------------------------------------------------------------------------
-# Sine and cosine of an angle at once, in a third of the time of a library's two calls.
-#
-# Cody & Waite's reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and
-# ``__kernel_cos`` (Sun Microsystems, 1993); within 2.3e-16 of the exact values.
-
-
+# Sine and cosine of an angle at once, in a third of the time of a library's two calls: Cody & Waite's
+# reduction to [−π/4, π/4] and the polynomials of fdlibm's ``__kernel_sin`` and ``__kernel_cos`` (Sun
+# Microsystems, 1993); within 2.3e-16 of the exact values.
 # Beyond this angle, rad, a multiple of the first part of π/2 is no longer exact: the library is called.
 _FAR = 1e6
 _QUARTERS_PER_RADIAN = 2.0 / math.pi
@@ -48,9 +44,7 @@ def sine_cosine(angle):
     return even * s + odd * c, even * c - odd * s
 
 
-# ------------------------------------------------------------------------------------------
 # Joints that follow another: q = q₀ + Σ aᵢ (leader − leader₀)ⁱ, MuJoCo's joint equality.
-#
 # Only hinges and slides can be coupled; a leader never follows another joint, which ``model`` ensures.
 
 
@@ -100,10 +94,7 @@ def quat_rotation(q, a, out, o):
 
 @pure
 def compose(a, i, b, j, out, o):
-    """out[o] = a[i] · b[j] for tables of pose rows (n, 12); out[o] must be neither of them.
-
-    Tables and row numbers instead of rows: a row would be an array object, counted at each use.
-    """
+    """out[o] = a[i] · b[j] for tables of pose rows (n, 12); out[o] must be neither of them."""
     b0, b1, b2 = b[j, 0], b[j, 1], b[j, 2]
     b3, b4, b5 = b[j, 3], b[j, 4], b[j, 5]
     b6, b7, b8 = b[j, 6], b[j, 7], b[j, 8]
@@ -194,16 +185,18 @@ def width_of(joint):
 
 
 @pure
+def unit(i):
+    """Unit vector along coordinate ``i``; zero beyond the third."""
+    return 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
+
+
+@pure
 def dof_axis(kind, world, node, index):
     """World axis x, y, z of the ``index``-th degree of freedom of ``node``, and whether it is rotational."""
     joint = kind[node]
     if joint == FREE and index < 3:
-        return (
-            1.0 if index == 0 else 0.0,
-            1.0 if index == 1 else 0.0,
-            1.0 if index == 2 else 0.0,
-            False,
-        )
+        x, y, z = unit(index)
+        return x, y, z, False
     column = 2 if joint in (HINGE, SLIDE) else index % 3
     return world[node, 3 + column], world[node, 6 + column], world[node, 9 + column], joint != SLIDE
 
@@ -253,6 +246,51 @@ def integrate(tree, nodes, q, dq):
             rotate_quat(q, a + 3, dq[v + 3], dq[v + 4], dq[v + 5])
 
 
+@pure
+def rotation_back(q, a, rw, rx, ry, rz):
+    """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
+    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
+    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
+    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
+    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
+    return scale * x, scale * y, scale * z
+
+
+@pure
+def across(x, y, z):
+    """A unit vector across the unit vector (x, y, z)."""
+    if abs(x) <= abs(y) and abs(x) <= abs(z):
+        n = 1.0 / math.sqrt(y * y + z * z)
+        return 0.0, n * z, -n * y
+    if abs(y) <= abs(z):
+        n = 1.0 / math.sqrt(x * x + z * z)
+        return n * z, 0.0, -n * x
+    n = 1.0 / math.sqrt(x * x + y * y)
+    return n * y, -n * x, 0.0
+
+
+@outlined
+def difference(tree, q, wanted, dq):
+    """dq = wanted ⊖ q (nv,), the inverse of ``integrate``; the conventions of ``mj_differentiatePos``."""
+    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
+    for k in range(kind.shape[0]):
+        a, v = qadr[k], vadr[k]
+        if kind[k] < BALL:
+            dq[v] = wanted[a] - q[a]
+            continue
+        if kind[k] == FREE:
+            for i in range(3):
+                dq[v + i] = wanted[a + i] - q[a + i]
+            a, v = a + 3, v + 3
+        dq[v], dq[v + 1], dq[v + 2] = rotation_back(
+            q, a, wanted[a], wanted[a + 1], wanted[a + 2], wanted[a + 3]
+        )
+
+
 @outlined
 def clip(tree, nodes, q):
     """Puts q of the listed nodes inside the limits, in place; returns how many joints were outside."""
@@ -300,6 +338,19 @@ def tree_clip(tree, nodes, q):
     return clip(open_tree(tree), nodes, q)
 
 
+@kernel
+def tree_frame(tree, nodes, node, local, q, world, scratch, out):
+    """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
+    forward(open_tree(tree), nodes, q, world, scratch)
+    frame_pose(world, node, local, types.int64(0), out)
+
+
+@kernel
+def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
+    """``frame_jacobian`` for the table of a tree."""
+    frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)
+
+
 @pure
 def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
     """Pose (1, 12) into ``out``; linear over angular velocity (6, nv) at the frame's origin, world axes."""
@@ -321,16 +372,3 @@ def frame_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
                 world, k, x, y, z, rotational, px, py, pz
             )
             jacobian[3, v], jacobian[4, v], jacobian[5, v] = angular * x, angular * y, angular * z
-
-
-@kernel
-def tree_frame(tree, nodes, node, local, q, world, scratch, out):
-    """Pose of one frame: ``local`` (1, 12) seen from ``node``, into ``out`` (1, 12)."""
-    forward(open_tree(tree), nodes, q, world, scratch)
-    frame_pose(world, node, local, types.int64(0), out)
-
-
-@kernel
-def tree_jacobian(tree, nodes, node, local, q, world, scratch, out, jacobian):
-    """``frame_jacobian`` for the table of a tree."""
-    frame_jacobian(open_tree(tree), nodes, node, local, q, world, scratch, out, jacobian)

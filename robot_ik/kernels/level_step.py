@@ -6,8 +6,6 @@ A step serves level 0 by damped least squares, then level 1 with what freedom is
 without it (Flacco, De Luca & Khatib, Control of redundant robots under hard joint constraints, IEEE
 Transactions on Robotics 31(3), 2015).  Null spaces are right to first order only, so after each step the
 earlier levels are restored, and the step is kept only when none of them lost and its own level won.
-
-Levels of soft goals come last, and ask for the nearest that the others leave open: never met, never searched.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -17,7 +15,7 @@ from numba import types
 
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.linalg import eliminate
-from robot_ik.kernels.loop import apply_step, copy, measure, step_bounds
+from robot_ik.kernels.loop import apply_step, measure, step_bounds
 from robot_ik.kernels.pose_prior import prior_jacobian, prior_rows
 from robot_ik.kernels.residuals import PRIOR, goal_end, goal_jacobian
 from robot_ik.kernels.workspace import COST
@@ -337,13 +335,8 @@ def restore(tree, goal, work, top):
     for _ in range(_RESTORE):
         if levels_kept(goal, work, top, _WELL_INSIDE):
             return True
-        stacked_step(
-            tree,
-            goal,
-            work,
-            top - 1,
-            _HELD_DAMPING if work.level_bar[top - 1] < 0.0 else 0.5 * work.level_cost[top - 1],
-        )
+        damping = _HELD_DAMPING if work.level_bar[top - 1] < 0.0 else 0.5 * work.level_cost[top - 1]
+        stacked_step(tree, goal, work, top - 1, damping)
         apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
         measure_levels(tree, goal, work)
     return levels_kept(goal, work, top, 1.0)
@@ -362,17 +355,9 @@ def better(work, levels):
     A level that is met counts as zero.
     """
     for k in range(levels):
-        now, best = work.level_bar[k], work.level_best[k]
-        now, best = max(now, 0.0), max(best, 0.0)
+        now, best = max(work.level_bar[k], 0.0), max(work.level_best[k], 0.0)
         if now < best * (1.0 - 1e-3) - 1e-18:
             return True
         if now > best * (1.0 + 1e-3) + 1e-18:
             return False
     return False
-
-
-@pure
-def keep_levels(work):
-    """Remembers q and its levels as the best so far."""
-    copy(work.level_bar, work.level_best)
-    copy(work.q, work.best)

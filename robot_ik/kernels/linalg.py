@@ -174,16 +174,10 @@ def box_step(matrix, gradient, low, high, step, free, side, factor):
     return keep_to_box(low, high, side, step)
 
 
-# ------------------------------------------------------------------------------------------
-# The damped step inside a box where a problem has fewer rows than joints: solved among the rows.
-#
-# With m rows and n > m joints, (JᵀJ + λ) d = Jᵀr is as well d = Jᵀy with (JJᵀ + λ) y = r: a smaller system
-# and a better conditioned one.  A joint that stops at a bound takes its column out of JJᵀ and its share
-# out of r.  Since λy is what is left of the residual, Jᵀy says of every joint where it would like to go:
-# of those that are free, where they go.
-#
-# ``hits`` (n, m) and ``counts`` (n,) list for every column the rows in which it may not be zero: in a
-# tree most joints move few of the goals.
+# The damped step inside a box among m rows of n > m joints: (JᵀJ + λ) d = Jᵀr is as well d = Jᵀy with (JJᵀ +
+# λ) y = r, a smaller system and a better conditioned one.  A joint that stops at a bound takes its column out
+# of JJᵀ and its share out of r; of the others Jᵀy says where they go.  ``hits`` (n, m) and ``counts`` (n,)
+# list for every column the rows in which it may not be zero: in a tree most joints move few of the goals.
 
 
 @outlined
@@ -225,27 +219,10 @@ def remove_joint(jacobian, hits, counts, u, bound, factor, push):
 def row_step(
     jacobian, residual, gram, gradient, damping, low, high, hits, counts, step, free, side, factor, push
 ):
-    """The step d that minimises ½ |J d − r|² + ½ λ |d|² inside low <= d <= high, exactly; as ``box_step``.
+    """The step d that minimises ½ |J d − r|² + ½ λ |d|² inside low <= d <= high, exactly.
 
-    Args:
-        jacobian: (m, n), m <= n.
-        residual: (m,) r.
-        gram: (m, m) or larger, from ``row_products``.
-        gradient: (n,) from there.
-        damping: λ > 0.
-        low: (n,) lower bounds of the step, low <= 0.
-        high: (n,) upper bounds, high >= 0.
-        hits: (n, m) rows of each column, see above.
-        counts: (n,) how many.
-        step: (n,) result.
-        free: (n,) work space, int.
-        side: (n,) work space, int: -1 at the lower bound, 1 at the upper, 0 free.
-        factor: (m, m) or larger, work space.
-        push: (m,) or longer, work space: y.
-
-    Returns:
-        Joints pressed against a bound at which they already stood, or -1 when JJᵀ + λ is not positive
-        definite to working precision.
+    As ``box_step``, for a ``jacobian`` (m, n) with m <= n, ``residual`` (m,) r and λ > 0; ``gram`` (m, m) and
+    ``gradient`` (n,) are from ``row_products``, ``push`` (m,) is work space: y.
     """
     m, n = jacobian.shape
     steepest = guess_sides(gradient, low, high, side)

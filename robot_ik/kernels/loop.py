@@ -1,7 +1,5 @@
 """The one loop of every iterative solver: begin, proceed, advance.
 
-A solver's kernel is five lines and its own step:
-
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
@@ -17,75 +15,23 @@ import math
 
 from numba import types
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip, follow, forward, rotate_quat
 from robot_ik.kernels.residuals import ONE_SIDE, PARTIAL, POSITION_PART, evaluate
 from robot_ik.kernels.tree import BALL, FREE
-from robot_ik.kernels.workspace import (
-    ACCEPTED,
-    ALL_GOALS,
-    ANY_UNREACHABLE,
-    ASKED,
-    AWAITED,
-    BACK,
-    BEST_COST,
-    BLOCKED,
-    CONVERGED,
-    COST,
-    DAMPING,
-    DRAW,
-    DRAWN,
-    DRAWS,
-    FIRST_STEPS,
-    FOUND,
-    FRESH,
-    ITERATION_LIMIT,
-    ITERATIONS,
-    LOWEST,
-    MAX_ITERATIONS,
-    MAX_RESTARTS,
-    NO_LIMIT,
-    NOTHING,
-    NUMERICAL,
-    PATIENCE,
-    POLISHING,
-    PRESSED,
-    PROGRESS,
-    RESTARTS,
-    RIVAL,
-    RUNNING,
-    SEARCH,
-    SEARCHING,
-    SEED,
-    SHARE,
-    SLICE_END,
-    STALLED,
-    STALLS,
-    STATUS,
-    STEP,
-    STEP_NORM,
-    TRACE_ROWS,
-    TRY,
-    TRY_COST,
-    TRY_LIMIT,
-    TRY_STEPS,
-)
-
-# ------------------------------------------------------------------------------------------
-# Random starts, the same for the same seed.
 
 
 @pure
 def uniform(state):
     """Next number in [0, 1): xorshift64* (Vigna 2016), so that a seed gives the same bits everywhere."""
-    x = types.uint64(state[SEED])
+    x = types.uint64(state[ws.SEED])
     x ^= x >> types.uint64(12)
     x ^= x << types.uint64(25)
     x ^= x >> types.uint64(27)
-    state[SEED] = types.int64(x)
-    return types.float64((x * types.uint64(2685821657736338717)) >> types.uint64(11)) * (
-        1.0 / 9007199254740992.0
-    )
+    state[ws.SEED] = types.int64(x)
+    bits = (x * types.uint64(2685821657736338717)) >> types.uint64(11)
+    return types.float64(bits) * (1.0 / 9007199254740992.0)
 
 
 @outlined
@@ -113,21 +59,15 @@ def draw(tree, nodes, start, state, q):
         rotate_quat(q, a, r * math.cos(around), r * math.sin(around), angle * z)
 
 
-# ------------------------------------------------------------------------------------------
-# Taking a step inside the joint limits, and how far it may go.
-
-
 @outlined
 def apply_step(tree, goal, nodes, step, dq, q):
     """q = q ⊕ joint scale · step for the goals' joints, inside the limits; ``dq`` is work space."""
     dofs, joint_scale = goal.dofs, goal.joint_scale
-    kind, qadr, vadr, dof_node, lower, upper = (
-        tree.kind, tree.qadr, tree.vadr, tree.dof_node, tree.lower, tree.upper,
-    )  # fmt: skip
+    kind, qadr, vadr, lower, upper = tree.kind, tree.qadr, tree.vadr, tree.lower, tree.upper
     floating = False
     for u in range(dofs.shape[0]):
         v = dofs[u]
-        k = dof_node[v]
+        k = tree.dof_node[v]
         if kind[k] < BALL:
             a = qadr[k]
             q[a] = min(max(q[a] + joint_scale[u] * step[u], lower[v]), upper[v])
@@ -153,10 +93,7 @@ def apply_step(tree, goal, nodes, step, dq, q):
 
 @pure
 def step_bounds(tree, goal, work):
-    """How far each degree of freedom may still go from work.q: work.low <= step <= work.high.
-
-    In units of the step, which ``apply_step`` shortens for stiff joints.
-    """
+    """work.low <= step <= work.high: how far each degree of freedom may go from work.q, as a step."""
     kind, qadr, dof_node, lower, upper = tree.kind, tree.qadr, tree.dof_node, tree.lower, tree.upper
     dofs, joint_scale, q, low, high = goal.dofs, goal.joint_scale, work.q, work.low, work.high
     for u in range(dofs.shape[0]):
@@ -172,46 +109,25 @@ def step_bounds(tree, goal, work):
             high[u] = 3.0
 
 
-@pure
-def finite(q):
-    """Whether all numbers are."""
-    size = 0.0
-    for i in range(q.shape[0]):
-        size = max(size, abs(q[i])) if q[i] == q[i] else math.inf
-    return size < math.inf
-
-
-# ------------------------------------------------------------------------------------------
-# The rows of a trace: one for each step.  The caller empties the table before it is full.
-
-
 @outlined
 def record(tolerance, work):
     """One trace row; of goals that are only wanted, and of parts not asked for, the miss does not count."""
     state, value, miss, trace = work.state, work.value, work.miss, work.trace
-    row = state[TRACE_ROWS]
+    row = state[ws.TRACE_ROWS]
     if row >= trace.shape[0]:
         return
     position, angle = 0.0, 0.0
     for g in range(miss.shape[0]):
         position = max(position, miss[g, 0] if tolerance[g, 0] < math.inf else 0.0)
         angle = max(angle, miss[g, 1] if tolerance[g, 1] < math.inf else 0.0)
-    trace[row, 0] = state[ITERATIONS]
-    trace[row, 1] = state[RESTARTS]
-    trace[row, 2] = value[COST]
-    trace[row, 3] = position
-    trace[row, 4] = angle
-    trace[row, 5] = value[DAMPING]
-    trace[row, 6] = value[STEP_NORM]
-    state[TRACE_ROWS] = row + 1
+    trace[row, 0], trace[row, 1] = state[ws.ITERATIONS], state[ws.RESTARTS]
+    trace[row, 2], trace[row, 3], trace[row, 4] = value[ws.COST], position, angle
+    trace[row, 5], trace[row, 6] = value[ws.DAMPING], value[ws.STEP_NORM]
+    state[ws.TRACE_ROWS] = row + 1
 
 
-# ------------------------------------------------------------------------------------------
-# Goals that are proven out of reach beside others that are not.
-#
 # A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
-# beside it can: they are searched for without it, and all goals share the last descent, so that a goal of
-# vanishing weight costs the others nothing.
+# beside it can: they are searched for without it, and all goals share the last descent.
 
 
 @pure
@@ -270,25 +186,14 @@ def some_within_reach(goal, work):
     return found
 
 
-@pure
-def may_restart(state):
-    """Whether another random start may help: not towards what is proven out of reach."""
-    return state[RESTARTS] < state[MAX_RESTARTS] and (
-        state[ANY_UNREACHABLE] == 0 or state[SEARCH] == SEARCHING
-    )
-
-
 # A later try replaces the best only when it is better by more than this share of the cost, so that
 # an unreachable goal keeps its solution from tick to tick instead of hopping between equal ones.
 _CLEARLY_BETTER = 1e-3
-# The last, polishing descent from the best point found: steps granted, those of a budget that are kept for
-# it, and the share of the cost that counts as progress.  Far finer than in a try: a solution that still
-# creeps would move at every tick; and patient, because a step that did not help only says that the next must
-# be shorter.
-_POLISH_STEPS = 2000
-_KEPT = 200
-_POLISH_PROGRESS = 1e-9
-_POLISH_PATIENCE = 10
+# The last, polishing descent from the best point found: steps granted, those of a budget kept for it …
+_POLISH_STEPS, _KEPT = 2000, 200
+# … and the share of the cost that counts as progress: a solution that still creeps would move at every tick.
+# Patient, because a step that did not help only says that the next must be shorter.
+_POLISH_PROGRESS, _POLISH_PATIENCE = 1e-9, 10
 
 
 @outlined
@@ -296,7 +201,7 @@ def measure(tree, goal, work):
     """Forward pass and evaluation at work.q; returns whether all goals are within tolerance."""
     forward(tree, work.nodes, work.q, work.world, work.scratch)
     cost, within = evaluate(tree, goal, work)
-    work.value[COST] = cost
+    work.value[ws.COST] = cost
     return within
 
 
@@ -322,56 +227,41 @@ def give_row(work, q, miss, iterations, row):
     for i in range(work.best.shape[0]):
         q[row, i] = work.best[i]
     miss[row, 0], miss[row, 1] = work.miss[0, 0], work.miss[0, 1]
-    iterations[row] = work.state[ITERATIONS]
+    iterations[row] = work.state[ws.ITERATIONS]
 
 
 @pure
 def keep_best(work):
     """Remembers q as the best so far."""
-    work.value[BEST_COST] = work.value[COST]
+    work.value[ws.BEST_COST] = work.value[ws.COST]
     copy(work.q, work.best)
-
-
-@pure
-def begin_try(work):
-    """Resets what belongs to one descent, whose start has been measured."""
-    state, value = work.state, work.value
-    state[TRY_STEPS] = 0
-    state[STALLS] = 0
-    value[TRY_COST] = value[COST]
-    value[ACCEPTED] = math.inf
 
 
 @outlined
 def begin(tree, goal, work):
     """First call of a solve: put the start inside the limits.  Later calls go on."""
     state = work.state
-    if state[STATUS] != FRESH:
+    if state[ws.STATUS] != ws.FRESH:
         return
-    if not finite(work.start):
-        state[STATUS] = NUMERICAL
-        return
+    for i in range(work.start.shape[0]):
+        if not abs(work.start[i]) < math.inf:  # NaN too
+            state[ws.STATUS] = ws.NUMERICAL
+            return
     if mark_unreachable(goal, work):  # no other start will help these goals
-        state[ANY_UNREACHABLE], state[FIRST_STEPS] = 1, NO_LIMIT
+        state[ws.ANY_UNREACHABLE], state[ws.FIRST_STEPS] = 1, ws.NO_LIMIT
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
     follow(tree, work.q)
-    state[STATUS], state[AWAITED] = RUNNING, TRY
-
-
-@pure
-def kept_for_polish(state):
-    """Steps of the budget that no random try may use, so that the result is a local minimum."""
-    return min(_KEPT, state[MAX_ITERATIONS] // 4)
+    state[ws.STATUS], state[ws.AWAITED] = ws.RUNNING, ws.TRY
 
 
 @pure
 def rival_wins(work):
     """Whether the best of the random tries clearly beats the solution near the start; it is then polished."""
     value = work.value
-    if not value[RIVAL] < value[BEST_COST] * (1.0 - _CLEARLY_BETTER):
+    if not value[ws.RIVAL] < value[ws.BEST_COST] * (1.0 - _CLEARLY_BETTER):
         return False
-    value[RIVAL], value[BEST_COST] = math.inf, math.inf
+    value[ws.RIVAL], value[ws.BEST_COST] = math.inf, math.inf
     copy(work.rival, work.best)
     copy(work.rival, work.q)
     return True
@@ -381,40 +271,43 @@ def rival_wins(work):
 def next_try(tree, goal, work):
     """Ends a descent: random starts come next, then a polish of the best; False when there is no more."""
     state, value = work.state, work.value
-    more = may_restart(state)
-    if state[POLISHING] == 0 and more and state[ITERATIONS] + kept_for_polish(state) < state[MAX_ITERATIONS]:
-        if state[RESTARTS] == 0:
+    # Not towards what is proven out of reach.
+    more = state[ws.ANY_UNREACHABLE] == 0 or state[ws.SEARCH] == ws.SEARCHING
+    more = more and state[ws.RESTARTS] < state[ws.MAX_RESTARTS]
+    # No random try may use the steps of the polish: the result is a local minimum.
+    left = state[ws.MAX_ITERATIONS] - min(_KEPT, state[ws.MAX_ITERATIONS] // 4) - state[ws.ITERATIONS]
+    if state[ws.POLISHING] == 0 and more and left > 0:
+        if state[ws.RESTARTS] == 0:
             copy(work.best, work.nearby)
-        state[RESTARTS] += 1
-        state[DRAWN] = 0
-        value[LOWEST] = math.inf
+        state[ws.RESTARTS] += 1
+        state[ws.DRAWN], value[ws.LOWEST] = 0, math.inf
         draw_next(tree, work)
         return True
-    if state[SEARCH] == SEARCHING:  # in vain
+    if state[ws.SEARCH] == ws.SEARCHING:  # in vain
         end_search(goal, work)
         return False
-    if state[POLISHING] == 0:
-        value[RIVAL] = math.inf
-        if state[RESTARTS] > 0:  # what was found near the start first: it keeps the arm where it is
-            value[RIVAL] = value[BEST_COST]
+    if state[ws.POLISHING] == 0:
+        value[ws.RIVAL] = math.inf
+        if state[ws.RESTARTS] > 0:  # what was found near the start first: it keeps the arm where it is
+            value[ws.RIVAL] = value[ws.BEST_COST]
             copy(work.best, work.rival)
             copy(work.nearby, work.best)
         copy(work.best, work.q)
-        value[BEST_COST] = math.inf
-    elif state[SEARCH] == FOUND:
+        value[ws.BEST_COST] = math.inf
+    elif state[ws.SEARCH] == ws.FOUND:
         end_search(goal, work)
         return False
     elif not rival_wins(work):
         if begin_search(goal, work):
             return True
         if more:  # it was steps that ran out, not tries
-            state[STATUS] = ITERATION_LIMIT
+            state[ws.STATUS] = ws.ITERATION_LIMIT
         else:  # limits hold the best point, or nothing does but its own slope
-            state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+            state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
         return False
-    state[POLISHING] += 1
-    value[SHARE] = min(2.0 * value[SHARE], 1.0)
-    state[AWAITED] = TRY
+    state[ws.POLISHING] += 1
+    value[ws.SHARE] = min(2.0 * value[ws.SHARE], 1.0)
+    state[ws.AWAITED] = ws.TRY
     return True
 
 
@@ -425,25 +318,16 @@ def begin_search(goal, work):
     The solution near the start is kept: what is found must clearly beat it.
     """
     state, value = work.state, work.value
-    if state[ANY_UNREACHABLE] == 0 or state[SEARCH] != ALL_GOALS or state[MAX_RESTARTS] == 0:
+    if state[ws.ANY_UNREACHABLE] == 0 or state[ws.SEARCH] != ws.ALL_GOALS or state[ws.MAX_RESTARTS] == 0:
         return False
     if not some_within_reach(goal, work):
         return False
     drop_unreachable(goal, work)
     copy(work.best, work.rival)
     copy(work.best, work.q)
-    value[RIVAL] = value[BEST_COST]
-    state[SEARCH], state[POLISHING], state[AWAITED] = ASKED, 0, TRY
+    value[ws.RIVAL] = value[ws.BEST_COST]
+    state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.ASKED, 0, ws.TRY
     return True
-
-
-@pure
-def polish_found(goal, work):
-    """The search has found what meets the goals within reach: from there all goals count again."""
-    state, value = work.state, work.value
-    ask_for_all(goal)
-    value[BEST_COST], value[SHARE] = math.inf, min(value[SHARE], 1.0)
-    state[SEARCH], state[POLISHING], state[AWAITED] = FOUND, 1, TRY
 
 
 @pure
@@ -451,10 +335,10 @@ def end_search(goal, work):
     """The better of what was kept and what was found; the former unless the latter clearly beats it."""
     state, value = work.state, work.value
     ask_for_all(goal)
-    if state[SEARCH] != FOUND or not value[BEST_COST] < value[RIVAL] * (1.0 - _CLEARLY_BETTER):
+    if state[ws.SEARCH] != ws.FOUND or not value[ws.BEST_COST] < value[ws.RIVAL] * (1.0 - _CLEARLY_BETTER):
         copy(work.rival, work.best)
-        value[BEST_COST] = value[RIVAL]
-    state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
+        value[ws.BEST_COST] = value[ws.RIVAL]
+    state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
 
 
 @pure
@@ -462,8 +346,8 @@ def draw_next(tree, work):
     """One more random start into work.q."""
     draw(tree, work.nodes, work.start, work.state, work.q)
     follow(tree, work.q)
-    work.state[DRAWN] += 1
-    work.state[AWAITED] = DRAW
+    work.state[ws.DRAWN] += 1
+    work.state[ws.AWAITED] = ws.DRAW
 
 
 @pure
@@ -471,100 +355,103 @@ def shorten(work, better):
     """Makes a method that takes its steps unseen go downhill only: a step that did not help is taken back."""
     state, value = work.state, work.value
     if better:
-        value[SHARE] = min(2.0 * value[SHARE], 1.0)
+        value[ws.SHARE] = min(2.0 * value[ws.SHARE], 1.0)
         return
-    value[SHARE] *= 0.25
+    value[ws.SHARE] *= 0.25
     copy(work.best, work.q)
-    state[AWAITED] = BACK
+    state[ws.AWAITED] = ws.BACK
 
 
 @outlined
 def judge(tree, goal, work, within):
     """What a measurement of work.q means: converged, best so far, progress, or which random start to take."""
     state, value = work.state, work.value
-    awaited, cost = state[AWAITED], value[COST]
-    state[AWAITED] = NOTHING
-    if awaited == BACK:
+    awaited, cost = state[ws.AWAITED], value[ws.COST]
+    state[ws.AWAITED] = ws.NOTHING
+    if awaited == ws.BACK:
         return
-    if awaited == STEP:
-        state[ITERATIONS] += 1
-        state[TRY_STEPS] += 1
+    if awaited == ws.STEP:
+        state[ws.ITERATIONS] += 1
+        state[ws.TRY_STEPS] += 1
         if work.trace.shape[0] > 0:
             record(goal.tolerance, work)
         if not cost < math.inf:  # NaN too
-            state[STATUS] = NUMERICAL
+            state[ws.STATUS] = ws.NUMERICAL
             return
-    if within and state[SEARCH] == SEARCHING:
-        polish_found(goal, work)
+    if within and state[ws.SEARCH] == ws.SEARCHING:
+        ask_for_all(goal)  # what meets those within reach is found: from there all count again
+        value[ws.BEST_COST], value[ws.SHARE] = math.inf, min(value[ws.SHARE], 1.0)
+        state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.FOUND, 1, ws.TRY
         return
-    if within and state[SEARCH] == ASKED:  # the solution near the start meets them already
+    if within and state[ws.SEARCH] == ws.ASKED:  # the solution near the start meets them already
         end_search(goal, work)
         return
     if within:
-        state[STATUS] = CONVERGED
+        state[ws.STATUS] = ws.CONVERGED
         keep_best(work)
         return
-    if state[SEARCH] == ASKED:
-        state[SEARCH] = SEARCHING
-    if awaited == DRAW:
-        if cost < value[LOWEST]:
-            value[LOWEST] = cost
+    if state[ws.SEARCH] == ws.ASKED:
+        state[ws.SEARCH] = ws.SEARCHING
+    if awaited == ws.DRAW:
+        if cost < value[ws.LOWEST]:
+            value[ws.LOWEST] = cost
             copy(work.q, work.candidate)
-        if state[DRAWN] < state[DRAWS]:
+        if state[ws.DRAWN] < state[ws.DRAWS]:
             draw_next(tree, work)
             return
-        if value[LOWEST] < cost:
+        if value[ws.LOWEST] < cost:
             copy(work.candidate, work.q)
-            state[AWAITED] = TRY
+            state[ws.AWAITED] = ws.TRY
             return
-    same_try = state[RESTARTS] == 0 or state[POLISHING] > 0
-    first = awaited != STEP and same_try and state[POLISHING] == 0
-    bar = value[BEST_COST] if awaited == STEP and same_try else value[BEST_COST] * (1.0 - _CLEARLY_BETTER)
+    same_try = state[ws.RESTARTS] == 0 or state[ws.POLISHING] > 0
+    first = awaited != ws.STEP and same_try and state[ws.POLISHING] == 0
+    bar = (
+        value[ws.BEST_COST]
+        if awaited == ws.STEP and same_try
+        else value[ws.BEST_COST] * (1.0 - _CLEARLY_BETTER)
+    )
     better = first or cost < bar
-    if better and state[SEARCH] != SEARCHING:
+    if better and state[ws.SEARCH] != ws.SEARCHING:
         keep_best(work)
-    if awaited != STEP:
-        begin_try(work)
+    if awaited != ws.STEP:
+        state[ws.TRY_STEPS] = state[ws.STALLS] = 0
+        value[ws.TRY_COST], value[ws.ACCEPTED] = cost, math.inf
         return
-    if state[POLISHING] > 0 and value[SHARE] > 0.0:
+    if state[ws.POLISHING] > 0 and value[ws.SHARE] > 0.0:
         shorten(work, better)
-    progress = _POLISH_PROGRESS if state[POLISHING] > 0 else value[PROGRESS]
-    if cost < value[TRY_COST] * (1.0 - progress):
-        value[TRY_COST] = cost
-        state[STALLS] = 0
+    progress = _POLISH_PROGRESS if state[ws.POLISHING] > 0 else value[ws.PROGRESS]
+    if cost < value[ws.TRY_COST] * (1.0 - progress):
+        value[ws.TRY_COST] = cost
+        state[ws.STALLS] = 0
     else:
-        state[STALLS] += 1
+        state[ws.STALLS] += 1
 
 
 @outlined
 def proceed(tree, goal, work):
-    """Whether to take another step; measures where the last one led, handles budget, stalled tries, restarts.
-
-    This is the one place where a solver measures: what it calls is large, and would be compiled once more
-    for each other.
-    """
+    """Whether to take another step; the one place that measures: what it calls is large."""
     state = work.state
-    while state[STATUS] == RUNNING:
-        if state[AWAITED] != NOTHING:
+    while state[ws.STATUS] == ws.RUNNING:
+        if state[ws.AWAITED] != ws.NOTHING:
             judge(tree, goal, work, measure(tree, goal, work))
             continue
-        if state[ITERATIONS] >= state[SLICE_END]:
+        if state[ws.ITERATIONS] >= state[ws.SLICE_END]:
             return False
-        if state[ITERATIONS] >= state[MAX_ITERATIONS]:
-            if state[SEARCH] != ALL_GOALS:
+        if state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
+            if state[ws.SEARCH] != ws.ALL_GOALS:
                 end_search(goal, work)
-            elif state[POLISHING] > 0:
+            elif state[ws.POLISHING] > 0:
                 rival_wins(work)
-            state[STATUS] = ITERATION_LIMIT
+            state[ws.STATUS] = ws.ITERATION_LIMIT
             return False
-        patience = state[PATIENCE]
-        if state[POLISHING] > 0:
+        patience = state[ws.PATIENCE]
+        if state[ws.POLISHING] > 0:
             limit, patience = _POLISH_STEPS, max(patience, _POLISH_PATIENCE)
-        elif state[RESTARTS] == 0 and state[SEARCH] == ALL_GOALS:
-            limit = state[FIRST_STEPS]
+        elif state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
+            limit = state[ws.FIRST_STEPS]
         else:
-            limit = state[TRY_LIMIT]
-        if state[TRY_STEPS] < limit and state[STALLS] < patience:
+            limit = state[ws.TRY_LIMIT]
+        if state[ws.TRY_STEPS] < limit and state[ws.STALLS] < patience:
             return True
         if not next_try(tree, goal, work):
             return False
@@ -577,6 +464,6 @@ def advance(tree, goal, work):
     norm = 0.0
     for u in range(work.step.shape[0]):
         norm += work.step[u] * work.step[u]
-    work.value[STEP_NORM] = math.sqrt(norm)
+    work.value[ws.STEP_NORM] = math.sqrt(norm)
     apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
-    work.state[AWAITED] = STEP
+    work.state[ws.AWAITED] = ws.STEP

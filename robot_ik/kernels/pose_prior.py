@@ -7,16 +7,16 @@ g = Σ γ_k P_k (x − μ_k) its gradient and H = Σ γ_k P_k = L Lᵀ, the rows
     r = (−L⁻¹ g, √(2 (E − E₀) − |L⁻¹ g|²)),     J = (Lᵀ ∂x/∂dq, 0)
 
 so that ½ |r|² = E − E₀ and Jᵀ r = −∂E/∂dq exactly, and JᵀJ is the Hessian of the bound that
-expectation-maximisation puts on E (Dempster, Laird & Rubin 1977): a Gauss-Newton step lessens E as its M-step
-does.  The root is real: the bound's least value, E − ½ |L⁻¹ g|², is no less than E₀, the least energy of all.
+expectation-maximisation puts on E (Dempster, Laird & Rubin 1977).  The root is real: the bound's least value,
+E − ½ |L⁻¹ g|², is no less than E₀, the least energy of all.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 import math
 
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import slope_of
-from robot_ik.kernels.residuals import inverse_right_jacobian, rotation_back
+from robot_ik.kernels.kinematics import rotation_back, slope_of, unit
+from robot_ik.kernels.residuals import inverse_right_jacobian
 from robot_ik.kernels.tree import FREE
 
 # Kinds of features: a number of q, the world's up in the base's x and y, parts of a ball's rotation vector.
@@ -61,9 +61,8 @@ def feature_rate(what, q, a, axis):
             return 0.0 if axis == 0 else (-uz if axis == 1 else uy)
         return uz if axis == 0 else (0.0 if axis == 1 else -ux)
     x, y, z = rotation_back(q, a, 1.0, 0.0, 0.0, 0.0)
-    rx, ry, rz = inverse_right_jacobian(
-        -x, -y, -z, 1.0 if axis == 0 else 0.0, 1.0 if axis == 1 else 0.0, 1.0 if axis == 2 else 0.0
-    )
+    ex, ey, ez = unit(axis)
+    rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
     return rx if what == VECTOR_X else (ry if what == VECTOR_Y else rz)
 
 

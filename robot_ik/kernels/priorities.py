@@ -8,64 +8,13 @@ out of reach.  Levels of soft goals come last: they are never met, and never sea
 
 import math
 
+from robot_ik.kernels import level_step, loop
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import named_row
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import follow
-from robot_ik.kernels.level_step import (
-    better,
-    keep_levels,
-    leave_level,
-    level_met,
-    levels_met,
-    measure_levels,
-    needed_levels,
-    restore,
-    stacked_step,
-)
-from robot_ik.kernels.loop import (
-    apply_step,
-    ask_for_all,
-    begin,
-    copy,
-    draw,
-    drop_unreachable,
-    judge,
-    record,
-    some_within_reach,
-)
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import (
-    ALL_GOALS,
-    BEST_COST,
-    BLOCKED,
-    CONVERGED,
-    COST,
-    DAMPING,
-    DRAWS,
-    FOUND,
-    ITERATION_LIMIT,
-    ITERATIONS,
-    LEVEL,
-    MAX_ITERATIONS,
-    MAX_RESTARTS,
-    PATIENCE,
-    POLISHING,
-    PRESSED,
-    PROGRESS,
-    RESTARTS,
-    RUNNING,
-    SEARCH,
-    SEARCHING,
-    SLICE_END,
-    STALLED,
-    STALLS,
-    STATUS,
-    TRY_LIMIT,
-    TRY_STEPS,
-    open_run,
-    open_work,
-)
 
 LEVEL_OPTIONS = ("damping", "increase", "decrease", "least", "floor")
 """Options of ``lm`` that count here, in their order."""
@@ -90,78 +39,82 @@ _TOGETHER = -1
 @pure
 def take_step(tree, goal, work):
     """Measures where work.step leads, in the costs of the levels."""
-    apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
-    measure_levels(tree, goal, work)
+    loop.apply_step(tree, goal, work.nodes, work.step, work.dq, work.q)
+    level_step.measure_levels(tree, goal, work)
 
 
 @pure
 def revert_step(tree, goal, work):
     """To where work.accepted is."""
-    copy(work.accepted, work.q)
-    measure_levels(tree, goal, work)
+    loop.copy(work.accepted, work.q)
+    level_step.measure_levels(tree, goal, work)
 
 
 @pure
 def count_step(goal, work):
     """One step more."""
-    work.state[ITERATIONS] += 1
+    work.state[ws.ITERATIONS] += 1
     if work.trace.shape[0] > 0:
-        record(goal.tolerance, work)
+        loop.record(goal.tolerance, work)
 
 
 @pure
 def in_random_try(state):
     """Whether a level is served for a random try only, which is short."""
-    return state[LEVEL] == 0 and state[RESTARTS] > 0 and state[POLISHING] == 0 and state[SEARCH] != FOUND
+    return (
+        state[ws.LEVEL] == 0
+        and state[ws.RESTARTS] > 0
+        and state[ws.POLISHING] == 0
+        and state[ws.SEARCH] != ws.FOUND
+    )
 
 
 @pure
 def keep_first(work):
     """In the try from the start every step that is kept is the best so far."""
     state = work.state
-    if state[RESTARTS] == 0 and state[SEARCH] == ALL_GOALS:
-        copy(work.q, work.best)
-        work.value[BEST_COST] = work.value[COST]
+    if state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
+        loop.keep_best(work)
 
 
 @outlined
-def level_step(tree, goal, work, options):
+def step_level(tree, goal, work, options):
     """One step of the level that is being served; taken back unless it helps and harms no earlier level."""
     state, value = work.state, work.value
     floor, least = options.floor, options.least
     increase, decrease = options.increase, options.decrease
-    level = state[LEVEL]
+    level = state[ws.LEVEL]
     before = work.level_cost[level]
-    soft = level >= needed_levels(goal)
-    if state[TRY_STEPS] == 0 and not soft:
-        value[DAMPING] = options.damping
-    copy(work.q, work.accepted)
-    damping = value[DAMPING] if soft else value[DAMPING] * before + floor
-    pressed, largest = stacked_step(tree, goal, work, level, damping)
+    soft = level >= level_step.needed_levels(goal)
+    if state[ws.TRY_STEPS] == 0 and not soft:
+        value[ws.DAMPING] = options.damping
+    loop.copy(work.q, work.accepted)
+    damping = value[ws.DAMPING] if soft else value[ws.DAMPING] * before + floor
+    pressed, largest = level_step.stacked_step(tree, goal, work, level, damping)
     if soft and largest <= _REST:
-        state[STALLS] = _LEVEL_PATIENCE
+        state[ws.STALLS] = _LEVEL_PATIENCE
         return
     take_step(tree, goal, work)
-    helped = restore(tree, goal, work, level) and work.level_cost[level] < before
+    helped = level_step.restore(tree, goal, work, level) and work.level_cost[level] < before
     if helped:
-        progress = value[PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
-        state[PRESSED] = pressed
-        value[DAMPING] = max(value[DAMPING] * decrease, _SOFT_DAMPING if soft else least)
-        state[STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[STALLS] + 1
+        progress = value[ws.PROGRESS] if in_random_try(state) else _LEVEL_PROGRESS
+        state[ws.PRESSED] = pressed
+        value[ws.DAMPING] = max(value[ws.DAMPING] * decrease, _SOFT_DAMPING if soft else least)
+        state[ws.STALLS] = 0 if work.level_cost[level] < before * (1.0 - progress) else state[ws.STALLS] + 1
         keep_first(work)
     else:
         revert_step(tree, goal, work)
-        value[DAMPING] *= increase
-        state[STALLS] += 1
-    state[TRY_STEPS] += 1
+        value[ws.DAMPING] *= increase
+        state[ws.STALLS] += 1
+    state[ws.TRY_STEPS] += 1
     count_step(goal, work)
 
 
 @pure
-def converge(work, cost):
+def converge(work):
     """The solution is work.q: all that is needed is met."""
-    copy(work.q, work.best)
-    work.value[BEST_COST], work.state[STATUS] = cost, CONVERGED
+    loop.keep_best(work)
+    work.state[ws.STATUS] = ws.CONVERGED
     return True
 
 
@@ -169,29 +122,29 @@ def converge(work, cost):
 def step_together(tree, goal, work):
     """One step of all levels at once; False where that does not lead on."""
     state, levels = work.state, work.level_cost.shape[0]
-    needed, last = needed_levels(goal), levels - 1
-    met = levels_met(goal, work, needed)
-    pressed, largest = stacked_step(tree, goal, work, last, _SOFT_DAMPING)
+    needed, last = level_step.needed_levels(goal), levels - 1
+    met = level_step.levels_met(goal, work, needed)
+    pressed, largest = level_step.stacked_step(tree, goal, work, last, _SOFT_DAMPING)
     if met and largest <= _REST:
-        return converge(work, work.value[COST])
-    if largest > _NEAR or state[STALLS] >= _AT_MOST:
+        return converge(work)
+    if largest > _NEAR or state[ws.STALLS] >= _AT_MOST:
         return False
-    copy(work.q, work.accepted)
-    copy(work.level_cost, work.level_bar)
+    loop.copy(work.q, work.accepted)
+    loop.copy(work.level_cost, work.level_bar)
     take_step(tree, goal, work)
     helped = not met or work.level_cost[last] < work.level_bar[last]
     for level in range(needed):
         shrunk = work.level_cost[level] <= _SHRINKS * work.level_bar[level]
-        helped = helped and (shrunk or level_met(goal, work, level, _NEARLY_MET))
-    state[STALLS] += 1
+        helped = helped and (shrunk or level_step.level_met(goal, work, level, _NEARLY_MET))
+    state[ws.STALLS] += 1
     count_step(goal, work)
     if not helped:
         revert_step(tree, goal, work)
         return False
-    state[PRESSED] = pressed
+    state[ws.PRESSED] = pressed
     keep_first(work)
-    if levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
-        return converge(work, work.value[COST])
+    if level_step.levels_met(goal, work, needed) and (needed == levels or largest <= _LAST):
+        return converge(work)
     return True
 
 
@@ -199,33 +152,24 @@ def step_together(tree, goal, work):
 def begin_at(tree, goal, work, q):
     """Begins with the first level at ``q``."""
     state = work.state
-    copy(q, work.q)
-    measure_levels(tree, goal, work)
-    state[LEVEL], state[STALLS], state[TRY_STEPS] = 0, 0, 0
+    loop.copy(q, work.q)
+    level_step.measure_levels(tree, goal, work)
+    state[ws.LEVEL], state[ws.STALLS], state[ws.TRY_STEPS] = 0, 0, 0
 
 
 @outlined
 def start_anew(tree, goal, work):
     """The best of a few random starts."""
     state, lowest = work.state, math.inf
-    state[RESTARTS] += 1
-    for _ in range(state[DRAWS]):
-        draw(tree, work.nodes, work.start, state, work.q)
+    state[ws.RESTARTS] += 1
+    for _ in range(state[ws.DRAWS]):
+        loop.draw(tree, work.nodes, work.start, state, work.q)
         follow(tree, work.q)
-        measure_levels(tree, goal, work)
+        level_step.measure_levels(tree, goal, work)
         if work.level_cost[0] < lowest:
             lowest = work.level_cost[0]
-            copy(work.q, work.candidate)
+            loop.copy(work.q, work.candidate)
     begin_at(tree, goal, work, work.candidate)
-
-
-@pure
-def some_unreachable_first(goal, work):
-    """Whether a goal of the first level is proven out of reach."""
-    found = False
-    for g in range(goal.kind.shape[0]):
-        found = found or (goal.level[g] == 0 and work.unreachable[g] == 1)
-    return found
 
 
 @outlined
@@ -235,18 +179,20 @@ def try_again(tree, goal, work):
     Where it has goals that are proven out of reach, the others are searched for without them, first from the
     best so far, and once.
     """
-    state = work.state
-    if state[SEARCH] == FOUND:
+    state, beyond = work.state, False
+    for g in range(goal.kind.shape[0]):
+        beyond = beyond or (goal.level[g] == 0 and work.unreachable[g] == 1)
+    if state[ws.SEARCH] == ws.FOUND:
         return False
-    if state[SEARCH] == SEARCHING or not some_unreachable_first(goal, work):
+    if state[ws.SEARCH] == ws.SEARCHING or not beyond:
         start_anew(tree, goal, work)
         return True
-    if not some_within_reach(goal, work):
+    if not loop.some_within_reach(goal, work):
         return False
-    drop_unreachable(goal, work)
-    state[SEARCH] = SEARCHING
+    loop.drop_unreachable(goal, work)
+    state[ws.SEARCH] = ws.SEARCHING
     begin_at(tree, goal, work, work.best)
-    return not level_met(goal, work, 0)
+    return not level_step.level_met(goal, work, 0)
 
 
 @outlined
@@ -256,40 +202,40 @@ def end_try(tree, goal, work):
     Later levels are served from where the first one was met: nothing starts anew for them.
     """
     state, levels = work.state, work.level_cost.shape[0]
-    for level in range(max(state[LEVEL], 0), levels):
-        leave_level(goal, work, level)
-    if state[SEARCH] != SEARCHING and better(work, levels):
-        keep_levels(work)
-        work.value[BEST_COST] = work.value[COST]
+    for level in range(max(state[ws.LEVEL], 0), levels):
+        level_step.leave_level(goal, work, level)
+    if state[ws.SEARCH] != ws.SEARCHING and level_step.better(work, levels):
+        loop.copy(work.level_bar, work.level_best)
+        loop.keep_best(work)
     met = True
-    for level in range(needed_levels(goal)):
+    for level in range(level_step.needed_levels(goal)):
         met = met and work.level_best[level] < 0.0
-    more = work.level_best[0] >= 0.0 and state[POLISHING] == 0
+    more = work.level_best[0] >= 0.0 and state[ws.POLISHING] == 0
     if met:
-        state[STATUS] = CONVERGED
-    elif state[ITERATIONS] >= state[MAX_ITERATIONS]:
-        state[STATUS] = ITERATION_LIMIT
-    elif more and state[RESTARTS] < state[MAX_RESTARTS] and try_again(tree, goal, work):
+        state[ws.STATUS] = ws.CONVERGED
+    elif state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
+        state[ws.STATUS] = ws.ITERATION_LIMIT
+    elif more and state[ws.RESTARTS] < state[ws.MAX_RESTARTS] and try_again(tree, goal, work):
         return
-    elif more and state[RESTARTS] > 0 and state[SEARCH] == ALL_GOALS:
-        state[POLISHING] = 1
+    elif more and state[ws.RESTARTS] > 0 and state[ws.SEARCH] == ws.ALL_GOALS:
+        state[ws.POLISHING] = 1
         begin_at(tree, goal, work, work.best)
         return
     else:
-        state[STATUS] = BLOCKED if state[PRESSED] > 0 else STALLED
-    ask_for_all(goal)
+        state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
+    loop.ask_for_all(goal)
 
 
 @outlined
 def next_level(tree, goal, work, first_damping):
     """Leaves a level that is met, or that no step helps any more."""
-    state, level = work.state, work.state[LEVEL]
-    met = level_met(goal, work, level)
-    if state[SEARCH] == SEARCHING:
+    state, level = work.state, work.state[ws.LEVEL]
+    met = level_step.level_met(goal, work, level)
+    if state[ws.SEARCH] == ws.SEARCHING:
         if met:  # from here all goals count again
-            ask_for_all(goal)
-            state[SEARCH] = FOUND
-            copy(work.q, work.candidate)
+            loop.ask_for_all(goal)
+            state[ws.SEARCH] = ws.FOUND
+            loop.copy(work.q, work.candidate)
             begin_at(tree, goal, work, work.candidate)
         else:
             end_try(tree, goal, work)
@@ -297,59 +243,54 @@ def next_level(tree, goal, work, first_damping):
     if in_random_try(state) and not met:
         end_try(tree, goal, work)
         return
-    leave_level(goal, work, level)
-    copy(work.q, work.accepted)
-    if not restore(tree, goal, work, level + 1):
+    level_step.leave_level(goal, work, level)
+    loop.copy(work.q, work.accepted)
+    if not level_step.restore(tree, goal, work, level + 1):
         revert_step(tree, goal, work)
-    state[LEVEL], state[STALLS] = level + 1, 0
-    work.value[DAMPING] = first_damping if level + 1 < needed_levels(goal) else _SOFT_DAMPING
+    state[ws.LEVEL], state[ws.STALLS] = level + 1, 0
+    work.value[ws.DAMPING] = first_damping if level + 1 < level_step.needed_levels(goal) else _SOFT_DAMPING
 
 
 @pure
 def exhausted(state):
     """Whether a level has had its steps."""
     if in_random_try(state):
-        return state[STALLS] >= state[PATIENCE] or state[TRY_STEPS] >= state[TRY_LIMIT]
-    return state[STALLS] >= _LEVEL_PATIENCE
+        return state[ws.STALLS] >= state[ws.PATIENCE] or state[ws.TRY_STEPS] >= state[ws.TRY_LIMIT]
+    return state[ws.STALLS] >= _LEVEL_PATIENCE
 
 
 @outlined
 def begin_levels(tree, goal, work, first_damping):
     """Measures the start."""
     state = work.state
-    begin(tree, goal, work)
-    if state[STATUS] == RUNNING:
-        judge(tree, goal, work, measure_levels(tree, goal, work))
+    loop.begin(tree, goal, work)
+    if state[ws.STATUS] == ws.RUNNING:
+        loop.judge(tree, goal, work, level_step.measure_levels(tree, goal, work))
     for level in range(work.level_cost.shape[0]):
         work.level_best[level] = math.inf
-    work.value[DAMPING] = first_damping
-    state[LEVEL] = _TOGETHER
-    if state[STATUS] == CONVERGED and needed_levels(goal) < work.level_cost.shape[0]:
-        state[STATUS] = RUNNING  # what is only wanted is still to be served
-
-
-@pure
-def run_levels(tree, goal, work, options):
-    """All steps of a solve, until it ends or its slice does."""
-    state, levels = work.state, work.level_cost.shape[0]
-    if state[STATUS] != RUNNING:
-        begin_levels(tree, goal, work, options.damping)
-    while state[STATUS] == RUNNING and state[ITERATIONS] < state[SLICE_END]:
-        level = state[LEVEL]
-        if level >= levels or state[ITERATIONS] >= state[MAX_ITERATIONS]:
-            end_try(tree, goal, work)
-        elif level == _TOGETHER:
-            if not step_together(tree, goal, work):
-                state[LEVEL], state[STALLS] = 0, 0
-        elif level_met(goal, work, level) or exhausted(state):
-            next_level(tree, goal, work, options.damping)
-        else:
-            level_step(tree, goal, work, options)
+    work.value[ws.DAMPING] = first_damping
+    state[ws.LEVEL] = _TOGETHER
+    if state[ws.STATUS] == ws.CONVERGED and level_step.needed_levels(goal) < work.level_cost.shape[0]:
+        state[ws.STATUS] = ws.RUNNING  # what is only wanted is still to be served
 
 
 @kernel
 def lm_levels(run):
     """``lm`` for goals of several priorities, and for soft ones; its options are ``LEVEL_OPTIONS``."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
-    run_levels(tree, goal, work, open_options(run.options))
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
+    options = open_options(run.options)
+    state, levels = work.state, work.level_cost.shape[0]
+    if state[ws.STATUS] != ws.RUNNING:
+        begin_levels(tree, goal, work, options.damping)
+    while state[ws.STATUS] == ws.RUNNING and state[ws.ITERATIONS] < state[ws.SLICE_END]:
+        level = state[ws.LEVEL]
+        if level >= levels or state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
+            end_try(tree, goal, work)
+        elif level == _TOGETHER:
+            if not step_together(tree, goal, work):
+                state[ws.LEVEL], state[ws.STALLS] = 0, 0
+        elif level_step.level_met(goal, work, level) or exhausted(state):
+            next_level(tree, goal, work, options.damping)
+        else:
+            step_level(tree, goal, work, options)

@@ -17,14 +17,10 @@ import math
 
 from numba import types
 
+from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, frame_pose, point_velocity, slope_of
-from robot_ik.kernels.tree import BALL, FREE, SLIDE
-
-# ------------------------------------------------------------------------------------------
-# Residuals of orientation, and how they shrink while a frame rotates: whole orientations, and single axes.
-
+from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 
 # Nearer than this (sine of the angle) two axes are one, or opposite.
 _PARALLEL = 1e-9
@@ -32,10 +28,7 @@ _PARALLEL = 1e-9
 
 @outlined
 def rotation_error(target, current, g, out, at):
-    """Rotation vector, world axes, that rotates current[g] into target[g] (pose rows), into out[at:at+3].
-
-    Returns its angle in [0, pi].  Exact at both ends: near pi the axis comes from the symmetric part.
-    """
+    """Rotation vector, world, from current[g] to target[g] into out[at:at+3]; returns its angle."""
     # M = R_target · R_currentᵀ, of which only what is needed is formed.
     m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
     m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
@@ -103,48 +96,23 @@ def inverse_right_jacobian(x, y, z, a, b, c):
 
 
 @pure
-def rotation_back(q, a, rw, rx, ry, rz):
-    """Rotation vector, body axes, that takes the quaternion q[a:a+4] to (rw, rx, ry, rz), the short way."""
-    w = q[a] * rw + q[a + 1] * rx + q[a + 2] * ry + q[a + 3] * rz
-    x = q[a] * rx - q[a + 1] * rw - q[a + 2] * rz + q[a + 3] * ry
-    y = q[a] * ry + q[a + 1] * rz - q[a + 2] * rw - q[a + 3] * rx
-    z = q[a] * rz - q[a + 1] * ry + q[a + 2] * rx - q[a + 3] * rw
-    if w < 0.0:
-        w, x, y, z = -w, -x, -y, -z
-    sine = math.sqrt(x * x + y * y + z * z)
-    scale = 2.0 if sine < 1e-9 else 2.0 * math.atan2(sine, w) / sine
-    return scale * x, scale * y, scale * z
-
-
-@pure
-def across(x, y, z):
-    """A unit vector at right angles to the unit vector: its cross product with the farthest world axis."""
-    if abs(x) <= abs(y) and abs(x) <= abs(z):
-        ux, uy, uz = 0.0, z, -y
-    elif abs(y) <= abs(z):
-        ux, uy, uz = -z, 0.0, x
-    else:
-        ux, uy, uz = y, -x, 0.0
-    inverse = 1.0 / math.sqrt(ux * ux + uy * uy + uz * uz)
-    return inverse * ux, inverse * uy, inverse * uz
+def between(ax, ay, az, dx, dy, dz):
+    """Of two unit vectors: their cross product, the sine and cosine of the angle between them, and it."""
+    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
+    sine, cosine = math.sqrt(nx * nx + ny * ny + nz * nz), ax * dx + ay * dy + az * dz
+    return nx, ny, nz, sine, cosine, math.atan2(sine, cosine)
 
 
 @pure
 def axis_error(ax, ay, az, dx, dy, dz):
-    """Rotation vector, world axes, that rotates the unit vector a the short way onto the unit vector d.
-
-    Returns it with its angle in [0, pi]; at π any axis across a will do.
-    """
-    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
-    cosine = ax * dx + ay * dy + az * dz
-    angle = math.atan2(sine, cosine)
+    """Rotation vector, world, from the unit vector a the short way to d, and its angle in [0, pi]."""
+    nx, ny, nz, sine, cosine, angle = between(ax, ay, az, dx, dy, dz)
     if sine > _PARALLEL:
         scale = angle / sine
         return scale * nx, scale * ny, scale * nz, angle
     if cosine > 0.0:
         return nx, ny, nz, angle
-    ux, uy, uz = across(ax, ay, az)
+    ux, uy, uz = kinematics.across(ax, ay, az)
     return angle * ux, angle * uy, angle * uz, angle
 
 
@@ -155,16 +123,13 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     With n = a × d, s = |n|, c = a·d and θ the angle, the error is (θ/s) n; its derivative is
     (θ/s) n' − ((s − θ c)/s³) c' n, since s θ' = −c'.
     """
-    nx, ny, nz = ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx
-    sine = math.sqrt(nx * nx + ny * ny + nz * nz)
-    cosine = ax * dx + ay * dy + az * dz
-    angle = math.atan2(sine, cosine)
+    nx, ny, nz, sine, cosine, angle = between(ax, ay, az, dx, dy, dz)
     if sine < 1e-3 and cosine > 0.0:
         ratio, slope = 1.0 + angle * angle / 6.0, 1.0 / 3.0 + 2.0 * angle * angle / 15.0
     elif sine > _PARALLEL:
         ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
     else:  # by π: only the way about the axis that ``axis_error`` takes counts
-        ux, uy, uz = across(ax, ay, az)
+        ux, uy, uz = kinematics.across(ax, ay, az)
         wx = (ay * pz - az * py) - (dy * qz - dz * qy)
         wy = (az * px - ax * pz) - (dz * qx - dx * qz)
         wz = (ax * py - ay * px) - (dx * qy - dy * qx)
@@ -174,14 +139,9 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     rx = (py * dz - pz * dy) + (ay * qz - az * qy)
     ry = (pz * dx - px * dz) + (az * qx - ax * qz)
     rz = (px * dy - py * dx) + (ax * qy - ay * qx)
-    return (
-        slope * along * nx - ratio * rx,
-        slope * along * ny - ratio * ry,
-        slope * along * nz - ratio * rz,
-    )
+    return (slope * along * nx - ratio * rx, slope * along * ny - ratio * ry, slope * along * nz - ratio * rz)
 
 
-# ------------------------------------------------------------------------------------------
 # Rows of a goal.  Whole positions, orientations and poses have a faster path of their own, above all others;
 # ``goal.row_codes`` lists the rows of goals for a part of a pose, the centre of mass or the joints:
 #
@@ -190,7 +150,6 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 #     of           whose position and orientation: the frame, the centre of mass, or the joints themselves
 #
 # The axis that counts is always z: ``Problem`` rotates frame and target so that it is.
-
 
 NO_POSITION, WHOLE, SOME_AXES, ONE_SIDE = range(4)
 NO_ORIENTATION, ALL_AXES, ONE_AXIS, AIMED = range(4)
@@ -206,8 +165,7 @@ _AT_POINT = 1e-9
 def mass_center(tree, goal, work, g):
     """Centre of mass into frames[g, :3]; first moments of what hangs on each node into goal.moments.
 
-    goal.masses holds for each node its own mass and centre, seen from the node, and in a last row those
-    of the bodies that do not move.
+    goal.masses has mass and centre of each node, seen from it, and in a last row those that do not move.
     """
     parent, world, masses, moments, frames = tree.parent, work.world, goal.masses, goal.moments, work.frames
     n, first = parent.shape[0], goal.row_codes[g, BLOCK]
@@ -215,14 +173,9 @@ def mass_center(tree, goal, work, g):
         mass = masses[first + k, 0]
         moments[first + k, 0] = mass
         for i in range(3):
-            moments[first + k, 1 + i] = 0.0
-            if mass > 0.0:
-                moments[first + k, 1 + i] = mass * (
-                    world[k, i]
-                    + world[k, 3 + 3 * i] * masses[first + k, 1]
-                    + world[k, 4 + 3 * i] * masses[first + k, 2]
-                    + world[k, 5 + 3 * i] * masses[first + k, 3]
-                )
+            x, y, z = masses[first + k, 1], masses[first + k, 2], masses[first + k, 3]
+            at = world[k, i] + world[k, 3 + 3 * i] * x + world[k, 4 + 3 * i] * y + world[k, 5 + 3 * i] * z
+            moments[first + k, 1 + i] = mass * at if mass > 0.0 else 0.0
     still = first + n
     moments[still, 0] = masses[still, 0]
     for i in range(1, 4):
@@ -245,7 +198,7 @@ def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
         return 0.0, 0.0, 0.0
     share = mass / moments[first + work.world.shape[0], 0]
     s = 1.0 / mass
-    x, y, z = point_velocity(
+    x, y, z = kinematics.point_velocity(
         work.world, k, ax, ay, az, rotational,
         s * moments[first + k, 1], s * moments[first + k, 2], s * moments[first + k, 3],
     )  # fmt: skip
@@ -255,33 +208,26 @@ def mass_velocity(goal, work, g, k, ax, ay, az, rotational):
 @outlined
 def joint_rows(tree, goal, work, g):
     """Rows of a posture: the distance of each joint to where it is wanted; returns (|r|², within)."""
-    kind, qadr, vadr, dof_node = tree.kind, tree.qadr, tree.vadr, tree.dof_node
-    q, wanted, residual, miss = work.q, goal.posture, work.residual, work.miss
+    kind, residual, miss, off = tree.kind, work.residual, work.miss, work.dq
     metres, radians, cost = 0.0, 0.0, 0.0
-    x, y, z = 0.0, 0.0, 0.0
+    kinematics.difference(tree, work.q, goal.posture[g], off)
     for u in range(goal.dofs.shape[0]):
         v = goal.dofs[u]
-        k = dof_node[v]
-        a, i = qadr[k], v - vadr[k]
-        if kind[k] < BALL:
-            off = wanted[g, a] - q[a]
-        elif kind[k] == FREE and i < 3:
-            off = wanted[g, a + i] - q[a + i]
-        else:
-            b = a + 3 if kind[k] == FREE else a
-            x, y, z = rotation_back(q, b, wanted[g, b], wanted[g, b + 1], wanted[g, b + 2], wanted[g, b + 3])
-            off = x if i % 3 == 0 else (y if i % 3 == 1 else z)
-        joint_weights = goal.joint_weight[g, v]
+        k = tree.dof_node[v]
+        i, counts = v - tree.vadr[k], goal.joint_weight[g, v]
         shift = kind[k] == SLIDE or (kind[k] == FREE and i < 3)
-        w = joint_weights * (goal.weight[g, 0] if shift else goal.weight[g, 1])
-        residual[goal.row[g] + u] = w * off
-        cost += w * w * off * off
-        if joint_weights > 0.0:
-            size = math.sqrt(x * x + y * y + z * z) if kind[k] >= BALL and not shift else abs(off)
-            if shift:
-                metres = max(metres, size)
-            else:
-                radians = max(radians, size)
+        w = counts * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+        residual[goal.row[g] + u] = w * off[v]
+        cost += w * w * off[v] * off[v]
+        if counts > 0.0 and shift:
+            metres = max(metres, abs(off[v]))
+        elif counts > 0.0 and kind[k] < BALL:
+            radians = max(radians, abs(off[v]))
+        elif counts > 0.0:
+            a = v - i % 3
+            radians = max(
+                radians, math.sqrt(off[a] * off[a] + off[a + 1] * off[a + 1] + off[a + 2] * off[a + 2])
+            )
     miss[g, 0], miss[g, 1] = metres, radians
     return cost, metres <= goal.tolerance[g, 0] and radians <= goal.tolerance[g, 1]
 
@@ -289,21 +235,19 @@ def joint_rows(tree, goal, work, g):
 @pure
 def joint_column(tree, goal, work, g, u, v):
     """The posture's rows of degree of freedom ``v``, in column ``u``."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    q, wanted, jacobian = work.q, goal.posture, work.jacobian
-    k = tree.dof_node[v]
-    i, row = v - vadr[k], goal.row[g] + u
-    if kind[k] < BALL or (kind[k] == FREE and i < 3):
-        shift = kind[k] != 0
-        jacobian[row, u] = goal.joint_weight[g, v] * (goal.weight[g, 0] if shift else goal.weight[g, 1])
+    jacobian, wanted, k = work.jacobian, goal.posture, tree.dof_node[v]
+    joint, i, row = tree.kind[k], v - tree.vadr[k], goal.row[g] + u
+    if joint < BALL or (joint == FREE and i < 3):
+        jacobian[row, u] = goal.joint_weight[g, v] * goal.weight[g, 1 if joint == HINGE else 0]
         return
-    a = qadr[k] + 3 if kind[k] == FREE else qadr[k]
-    x, y, z = rotation_back(q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3])
+    a = tree.qadr[k] + (3 if joint == FREE else 0)
+    x, y, z = kinematics.rotation_back(
+        work.q, a, wanted[g, a], wanted[g, a + 1], wanted[g, a + 2], wanted[g, a + 3]
+    )
     i %= 3
     # The vector belongs to the body's own axes, which the rotation carries along: the left Jacobian.
-    rx, ry, rz = inverse_right_jacobian(
-        -x, -y, -z, 1.0 if i == 0 else 0.0, 1.0 if i == 1 else 0.0, 1.0 if i == 2 else 0.0
-    )
+    ex, ey, ez = kinematics.unit(i)
+    rx, ry, rz = inverse_right_jacobian(-x, -y, -z, ex, ey, ez)
     w, row, v = goal.weight[g, 1], row - i, v - i
     jacobian[row, u] = w * goal.joint_weight[g, v] * rx
     jacobian[row + 1, u] = w * goal.joint_weight[g, v + 1] * ry
@@ -349,7 +293,7 @@ def partial_rows(tree, goal, work, g):
     if row_codes[g, OF] == OF_MASS:
         mass_center(tree, goal, work, g)
     else:
-        frame_pose(work.world, goal.node[g], goal.local, g, frames)
+        kinematics.frame_pose(work.world, goal.node[g], goal.local, g, frames)
     row, cost, distance, angle = goal.row[g], 0.0, 0.0, 0.0
     if row_codes[g, POSITION_PART] != NO_POSITION:
         distance = position_rows(goal, work, g, row)
@@ -380,12 +324,12 @@ def partial_column(tree, goal, work, g, u, v, moves):
         if moves > 0.0:
             joint_column(tree, goal, work, g, u, v)
         return
-    ax, ay, az, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
+    ax, ay, az, rotational = kinematics.dof_axis(tree.kind, world, k, v - tree.vadr[k])
     if row_codes[g, OF] == OF_MASS:
         vx, vy, vz = mass_velocity(goal, work, g, k, ax, ay, az, rotational)
     else:
         fx, fy, fz = frames[g, 0], frames[g, 1], frames[g, 2]
-        vx, vy, vz = point_velocity(world, k, ax, ay, az, rotational, fx, fy, fz)
+        vx, vy, vz = kinematics.point_velocity(world, k, ax, ay, az, rotational, fx, fy, fz)
     vx, vy, vz = moves * vx, moves * vy, moves * vz
     if row_codes[g, POSITION_PART] != NO_POSITION:
         target, w = goal.target, goal.weight[g, 0]
@@ -433,11 +377,11 @@ GOALS = Layout(
     "Goals",
     kind="ints",  # (g,) POSITION, ORIENTATION, POSE, PARTIAL, PRIOR
     row_codes="int_table",  # (g, ROW_CODES) which rows a PARTIAL goal makes, see ``partial_rows``
-    row="ints",  # (g,) first row of its residual
+    row="ints g",  # (g,) first row of its residual
     level="ints",  # (g,) its position in the order of priorities, 0 first; soft goals come after all others
     soft="ints",  # (g,) 1: wanted, not needed
     node="ints",  # (g,) node that carries its frame, -1 = world
-    local="table",  # (g, 12) frame seen from the node
+    local="table g 12",  # frame seen from the node
     target="table",  # (g, 12) wanted pose, world
     mask="table",  # (g, 3) which coordinates count, in the axes of the target
     weight="table",  # (g, 2) on metres (already over the length scale) and on radians, as it counts now
@@ -456,10 +400,10 @@ GOALS = Layout(
     coupled="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is coupled
     masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
-    posture="table",  # (g, nq) where a posture wants the joints
-    joint_weight="table",  # (g, nv) and how much each counts
-    feature="int_table",  # (n, 3) the features of a pose prior, see ``pose_prior``; there is one at most
-    prior="table",  # (…, n) its mixture, and its work space
+    posture="table g nq",  # where a posture wants the joints
+    joint_weight="table g nv",  # and how much each counts
+    feature="int_table 0 3",  # (n, 3) the features of a pose prior, see ``pose_prior``; there is one at most
+    prior="table 0 0",  # (…, n) its mixture, and its work space
 )
 open_goals = GOALS.open
 
@@ -481,7 +425,7 @@ def evaluate(tree, goal, work):
             continue
         if kind == PRIOR:
             continue
-        frame_pose(world, nodes[g], local, g, frames)
+        kinematics.frame_pose(world, nodes[g], local, g, frames)
         row = rows[g]
         if kind != ORIENTATION:
             x, y, z = target[g, 0] - frames[g, 0], target[g, 1] - frames[g, 1], target[g, 2] - frames[g, 2]
@@ -506,10 +450,7 @@ def evaluate(tree, goal, work):
 
 @outlined
 def whole_columns(tree, goal, work, points, g, first, end):
-    """The columns listed in goal.movers[g, first:end], of a whole position, orientation or pose.
-
-    Those of joints that cannot move the goal are zero from the beginning, and stay it.
-    """
+    """Columns goal.movers[g, first:end] of a whole position, orientation or pose; others stay zero."""
     kind, vadr, dof_node, moved = tree.kind, tree.vadr, tree.dof_node, goal.moves
     world, residual, jacobian = work.world, work.residual, work.jacobian
     row, what = goal.row[g], goal.kind[g]
@@ -525,11 +466,11 @@ def whole_columns(tree, goal, work, points, g, first, end):
         mover = goal.movers[g, at]
         u, v = goal.column[mover], goal.moved[mover]
         k = dof_node[v]
-        ax, ay, az, rotational = dof_axis(kind, world, k, v - vadr[k])
+        ax, ay, az, rotational = kinematics.dof_axis(kind, world, k, v - vadr[k])
         moves = float(moved[g, mover])
         if what != ORIENTATION:
             w = metre * moves
-            x, y, z = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+            x, y, z = kinematics.point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
             jacobian[row, u], jacobian[row + 1, u], jacobian[row + 2, u] = w * x, w * y, w * z
         if what != POSITION:
             w = radian * moves if rotational else 0.0
@@ -545,7 +486,7 @@ def add_tied(tree, goal, work, points):
     for c in range(goal.coupled.shape[0]):
         coupling, u, v = goal.coupled[c, 0], goal.coupled[c, 1], goal.coupled[c, 2]
         mover = goal.dofs.shape[0] + c
-        slope = slope_of(tree, coupling, work.q)
+        slope = kinematics.slope_of(tree, coupling, work.q)
         for r in range(jacobian.shape[0]):
             kept[r] = jacobian[r, u]
         for g in range(goal.kind.shape[0]):
@@ -590,8 +531,7 @@ def clamp_residual(goal, residual, wanted, clamp, alike):
 def goal_jacobian(tree, goal, work, points):
     """Weighted Jacobian (m, nu) with J dq ≈ r: minus the derivative of the residual, exact.
 
-    ``points`` (g, 12) are the poses whose origins the position rows move: work.frames, or goal.target
-    for the alternative Jacobian.
+    Position rows move the origins of ``points`` (g, 12): work.frames, or goal.target (alternative Jacobian).
     """
     dofs, joint_scale, jacobian = goal.dofs, goal.joint_scale, work.jacobian
     for g in range(goal.kind.shape[0]):

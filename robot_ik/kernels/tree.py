@@ -5,9 +5,7 @@ Every active joint is a *node*.  With ``X_k`` the pose of node k in the world,
     X_k = X_parent(k) · C_k · J_k(q),      frame = X_node · L
 
 where ``C_k`` is constant and ``J_k`` is a rotation about z (hinge), a shift along z (slide), a rotation
-(ball) or the whole pose (free).  Bodies without active joints vanish into the constants; the
-reference angle of a joint and its axis do as well.  Poses are rows of twelve numbers: position, then
-the rotation matrix row by row.
+(ball) or the whole pose (free).  Poses are rows of twelve: position, then the rotation matrix row by row.
 """
 
 from __future__ import annotations
@@ -50,16 +48,9 @@ open_tree = TREE.open
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree:
-    """Arrays of a kinematic tree, read-only, and ``handle``, the same for compiled code.
+    """Arrays of a kinematic tree (``TREE``), read-only, and ``handle``, the same for compiled code."""
 
-    Attributes:
-        joint_ids: (n,) MuJoCo joint of each node, in the order of the nodes.
-        nq, nv: Length of q and of dq.
-        coupled, law: Joints that follow another, see ``model.py``.
-        handle: Their packed table; holds addresses, so it is only good while this tree lives.
-    """
-
-    joint_ids: tuple[int, ...]
+    joint_ids: tuple[int, ...]  # (n,) MuJoCo joint of each node
     kind: Ints
     parent: Ints
     qadr: Ints
@@ -75,20 +66,16 @@ class Tree:
     law: Array = field(default_factory=lambda: np.zeros((0, 7)))
     dof_node: Ints = field(init=False)
     every: Ints = field(init=False)
-    handle: Ints = field(init=False, repr=False)
+    handle: Ints = field(init=False, repr=False)  # the packed table: good while this tree lives
 
     def __post_init__(self) -> None:
-        arrays: dict[str, NDArray[Any]] = {}
-        for name in ("kind", "parent", "qadr", "vadr"):
-            arrays[name] = np.array(getattr(self, name), dtype=np.int64)
-        arrays["constant"] = np.array(self.constant, dtype=float).reshape(-1, 12)
-        for name in ("lower", "upper", "low", "high"):
-            arrays[name] = np.array(getattr(self, name), dtype=float)
-        arrays["coupled"] = np.array(self.coupled, dtype=np.int64).reshape(-1, 2)
-        arrays["law"] = np.array(self.law, dtype=float).reshape(-1, 7)
-        widths = [V_WIDTH[int(kind)] for kind in arrays["kind"]]
-        arrays["dof_node"] = np.repeat(np.arange(len(widths)), widths).astype(np.int64)
-        arrays["every"] = np.arange(len(widths), dtype=np.int64)
+        n = len(self.kind)
+        widths = [V_WIDTH[int(kind)] for kind in self.kind]
+        made = {"dof_node": np.repeat(np.arange(n), widths), "every": np.arange(n)}
+        arrays: dict[str, NDArray[Any]] = {
+            name: np.array(made.get(name, getattr(self, name, None)), np.int64 if "int" in kind else float)
+            for name, kind in TREE.fields.items()
+        }
         for name, array in arrays.items():
             array.flags.writeable = False
             object.__setattr__(self, name, array)
@@ -115,12 +102,7 @@ class Tree:
         return found[::-1]
 
     def reach(self, node: int, local: Array) -> tuple[Array, float] | None:
-        """A ball that a point can never leave: centre (3,) and radius in metres; see ``Robot.reach``.
-
-        Args:
-            node: Node that carries the point.
-            local: (3,) or longer, the point seen from the node.
-        """
+        """A ball that a point (``local``, seen from ``node``) can never leave, as ``Robot.reach`` has it."""
         chain = self.ancestors(node)
         if not chain or self.kind[chain[0]] == FREE:
             return None

@@ -4,14 +4,11 @@ Each frame minimises, from where the frame before it ended,
 
     Σ w |A dq − a|² + Σ s (posture − q)²    subject to    J dq = e,  low <= q + dq <= high
 
-step after step (the linearised rows change with q), two to four steps a frame.  ``low`` and ``high`` are the
-joint limits and what the speed limits leave of them within one frame.  There are no levels of priority
-below the
-hard rows, no test of convergence on the soft ones, and so no restarts: ``lm`` has all that and costs three
-    times
-as much.  A step is solved by the Schur complement of its hard rows (Nocedal & Wright, *Numerical
-Optimization*, section 16.2); joints that a step would take over a bound are held there and the step is
-solved again.
+in two to four steps.  ``low`` and ``high`` are the joint limits and what the speed limits leave of them
+within one frame.  There are no levels of priority below the hard rows, no test of convergence on the soft
+ones and no restarts: ``lm`` has all that and costs three times as much.  A step is solved by the Schur
+complement of its hard rows (Nocedal & Wright, *Numerical Optimization*, section 16.2); joints that it would
+take over a bound are held there and it is solved again.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -19,26 +16,24 @@ import math
 
 from numba import types
 
+from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import dof_axis, forward, frame_pose, integrate, point_velocity, width_of
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
 """Kinds of rows: a frame's origin, its rotation, the whole centre of mass, where its x axis points, and the
-angular
-momentum about the centre of mass since the frame before (kg m² rad)."""
+angular momentum about the centre of mass since the frame before (kg m² rad)."""
 HARD = math.inf
 """The weight of a row that must hold."""
 
 # A step longer than this, rad or m, is shortened: rows are linear near q only.
 _LONGEST = 0.4
-# What a step costs by itself, beside posture weights of 0.02 and more; and the slack of the hard rows, which
-# keeps their system solvable where they depend on each other.
-_DAMPING, _SLACK = 1e-4, 1e-10
-# … and where they contradict each other, by what the bounds leave: much more, so that they are missed and
-# not fled.
-_YIELDING = 1e-2
+# What a step costs by itself, beside posture weights of 0.02 and more.
+_DAMPING = 1e-4
+# Slack of the hard rows, which keeps their system solvable where they depend on each other; and where they
+# contradict each other, by what the bounds leave.
+_SLACK, _YIELDING = 1e-10, 1e-2
 # What a step costs by itself where it would be longer than ``_LONGEST``.
 _CAUTIOUS = 10.0
 # Angular momentum is scaled to count like metres: 10 kg m² of the body.
@@ -86,10 +81,7 @@ _open = WHOLE_BODY.open
 
 @pure
 def log_between(a, i, b, j, out):
-    """Rotation vector from the rotation of a[i] to that of b[j], world axes, into out[:3].
-
-    The smaller angle.
-    """
+    """Rotation vector (the smaller angle) from rotation a[i] to b[j], world axes, into out[:3]."""
     # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
     # 1978).
     for r in range(3):
@@ -138,11 +130,8 @@ def carry(tree, body):
         x, y, z = carried[k, 1] - center[0], carried[k, 2] - center[1], carried[k, 3] - center[2]
         carried[k, 0] = m
         carried[k, 1], carried[k, 2], carried[k, 3] = m * x, m * y, m * z
-        carried[k, 4], carried[k, 5], carried[k, 6] = (
-            m * (y * y + z * z),
-            m * (x * x + z * z),
-            m * (x * x + y * y),
-        )
+        carried[k, 4], carried[k, 5] = m * (y * y + z * z), m * (x * x + z * z)
+        carried[k, 6] = m * (x * x + y * y)
         carried[k, 7], carried[k, 8], carried[k, 9] = -m * x * y, -m * x * z, -m * y * z
         xx, yy, zz = inertia[k, 4], inertia[k, 5], inertia[k, 6]
         xy, xz, yz = inertia[k, 7], inertia[k, 8], inertia[k, 9]
@@ -178,32 +167,22 @@ def mass_column(carried, center, world, k, ax, ay, az, rotational):
     tx, ty, tz = sx + m * px, sy + m * py, sz + m * pz
     vx, vy, vz = ay * pz - az * py, az * px - ax * pz, ax * py - ay * px
     return (
-        inverse * (ay * tz - az * ty),
-        inverse * (az * tx - ax * tz),
-        inverse * (ax * ty - ay * tx),
+        inverse * (ay * tz - az * ty), inverse * (az * tx - ax * tz), inverse * (ax * ty - ay * tx),
         carried[k, 4] * ax + carried[k, 7] * ay + carried[k, 8] * az + sy * vz - sz * vy,
         carried[k, 7] * ax + carried[k, 5] * ay + carried[k, 9] * az + sz * vx - sx * vz,
         carried[k, 8] * ax + carried[k, 9] * ay + carried[k, 6] * az + sx * vy - sy * vx,
-    )
-
-
-@pure
-def clear_rows(row):
-    """Zeroes three rows."""
-    for i in range(3):
-        for v in range(row.shape[1]):
-            row[i, v] = 0.0
+    )  # fmt: skip
 
 
 @outlined
 def mass_rows(tree, body, momentum, target, t, g):
     """Rows and misses of the centre of mass, or of the angular momentum about it."""
     row, miss, share = body.row, body.miss, body.share
-    clear_rows(row)
+    row[:] = 0.0
     for k in range(tree.kind.shape[0]):
-        for i in range(width_of(tree.kind[k])):
+        for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, rotational = dof_axis(tree.kind, body.world, k, i)
+            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, body.world, k, i)
             cx, cy, cz, lx, ly, lz = mass_column(
                 body.carried, body.center, body.world, k, ax, ay, az, rotational
             )
@@ -223,15 +202,15 @@ def mass_rows(tree, body, momentum, target, t, g):
 def frame_rows(tree, body, what, target, t, g):
     """Rows and misses of a frame's position, rotation or line of sight."""
     row, miss, share, world, pose = body.row, body.miss, body.share, body.world, body.pose
-    clear_rows(row)
+    row[:] = 0.0
     px, py, pz = pose[g, 0], pose[g, 1], pose[g, 2]
     k = body.node[g]
     while k >= 0:
-        for i in range(width_of(tree.kind[k])):
+        for i in range(kinematics.width_of(tree.kind[k])):
             v = tree.vadr[k] + i
-            ax, ay, az, rotational = dof_axis(tree.kind, world, k, i)
+            ax, ay, az, rotational = kinematics.dof_axis(tree.kind, world, k, i)
             if what == POSITION:
-                ax, ay, az = point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
+                ax, ay, az = kinematics.point_velocity(world, k, ax, ay, az, rotational, px, py, pz)
             elif not rotational:
                 ax, ay, az = 0.0, 0.0, 0.0
             row[0, v], row[1, v], row[2, v] = ax * share[g, v], ay * share[g, v], az * share[g, v]
@@ -255,42 +234,24 @@ def frame_rows(tree, body, what, target, t, g):
 @outlined
 def measure_displacement(tree, body, q):
     """What lies between the frame before and q, (nv,), and the bounds of every joint's next step."""
-    previous, displacement = body.previous, body.displacement
+    previous = body.previous
+    kinematics.difference(tree, previous, q, body.displacement)
     for k in range(tree.kind.shape[0]):
         a, v = tree.qadr[k], tree.vadr[k]
         if tree.kind[k] == FREE:
-            for i in range(3):
-                displacement[v + i] = q[a + i] - previous[a + i]
-            w, x, y, z = previous[a + 3], -previous[a + 4], -previous[a + 5], -previous[a + 6]
-            bw, bx, by, bz = q[a + 3], q[a + 4], q[a + 5], q[a + 6]
-            cw, cx = w * bw - x * bx - y * by - z * bz, w * bx + x * bw + y * bz - z * by
-            cy, cz = w * by - x * bz + y * bw + z * bx, w * bz + x * by - y * bx + z * bw
-            if cw < 0.0:
-                cw, cx, cy, cz = -cw, -cx, -cy, -cz
-            n = math.sqrt(cx * cx + cy * cy + cz * cz)
-            factor = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, cw) / n
-            displacement[v + 3], displacement[v + 4], displacement[v + 5] = (
-                factor * cx,
-                factor * cy,
-                factor * cz,
-            )
             for i in range(6):
                 body.low[v + i], body.high[v + i] = -math.inf, math.inf
         else:
-            displacement[v] = q[a] - previous[a]
             body.low[v] = max(body.lower[v], previous[a] - body.stride[v]) - q[a]
             body.high[v] = min(body.upper[v], previous[a] + body.stride[v]) - q[a]
 
 
 @outlined
 def gather(tree, body, q, target, weight, t, posture):
-    """The quadratic form, its gradient and the hard rows at q.
-
-    Returns the number of hard rows and their miss.
-    """
+    """The quadratic form, its gradient and the hard rows at q; returns the number of these and their miss."""
     matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
     nv = gradient.shape[0]
-    forward(tree, tree.every, q, body.world, body.scratch)
+    kinematics.forward(tree, tree.every, q, body.world, body.scratch)
     carry(tree, body)
     measure_displacement(tree, body, q)
     for i in range(nv):
@@ -311,7 +272,7 @@ def gather(tree, body, q, target, weight, t, posture):
         if what in (CENTER_OF_MASS, MOMENTUM):
             mass_rows(tree, body, what == MOMENTUM, target, at, g)
         else:
-            frame_pose(body.world, body.node[g], body.local, g, body.pose)
+            kinematics.frame_pose(body.world, body.node[g], body.local, g, body.pose)
             frame_rows(tree, body, what, target, at, g)
         for i in range(3):
             if not body.axes[g] >> i & 1:
@@ -470,7 +431,7 @@ def take_step(tree, body, q, count):
             body.step[v] *= _LONGEST / longest
     for v in range(n):
         body.step[v] = min(max(body.step[v], body.low[v]), body.high[v])
-    integrate(tree, tree.every, q, body.step)
+    kinematics.integrate(tree, tree.every, q, body.step)
     return longest
 
 
@@ -511,7 +472,7 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
                 a, v = tree.qadr[k], tree.vadr[k]
                 to = min(max(here[a] + body.displacement[v], body.lower[v]), body.upper[v])
                 body.displacement[v] = min(max(to - here[a], -body.stride[v]), body.stride[v])
-        integrate(tree, tree.every, here, body.displacement)
+        kinematics.integrate(tree, tree.every, here, body.displacement)
         longest = math.inf
         for step in range(steps + 1):
             count, miss[t] = gather(tree, body, here, target, weight, t, posture)

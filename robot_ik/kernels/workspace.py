@@ -37,56 +37,57 @@ TRACE_ROOM = 1024
 # Columns of a trace row.
 TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 
+# With g goals, m rows, nu joints that move them, n nodes, k = max(m, nu), p = min(m, nu).
 WORK = Layout(
     "Work",
-    state="ints",  # (STATE_SIZE,)
-    value="floats",  # (VALUE_SIZE,)
-    start="floats",  # (nq,)
-    q="floats",  # (nq,) where the solver is
-    best="floats",  # (nq,) best so far
-    nearby="floats",  # (nq,) best of the try from the start
-    rival="floats",  # (nq,) best of all tries, while the one from the start is polished
-    accepted="floats",  # (nq,) free for a solver that may reject a step
-    candidate="floats",  # (nq,) the best of several random starts
-    reach="table",  # (g, 4) centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
-    unreachable="ints",  # (g,) 1 for a goal that is proven out of reach
+    state=f"ints {STATE_SIZE}",
+    value=f"floats {VALUE_SIZE}",
+    start="floats nq",
+    q="floats nq",  # where the solver is
+    best="floats nq",  # best so far
+    nearby="floats nq",  # best of the try from the start
+    rival="floats nq",  # best of all tries, while the one from the start is polished
+    accepted="floats nq",  # free for a solver that may reject a step
+    candidate="floats nq",  # the best of several random starts
+    reach="table g 4",  # centre and radius, metres, of a ball that the goal's frame cannot leave; or inf
+    unreachable="ints g",  # 1 for a goal that is proven out of reach
     nodes="ints",  # joints that move any goal, parents first
-    world="table",  # (n, 12) node poses
-    scratch="table",  # (2, 12)
-    frames="table",  # (g, 12) goal frames
-    residual="floats",  # (m,)
-    miss="table",  # (g, 2) metres, radians
-    jacobian="table",  # (m, nu)
-    column="floats",  # (m,) work space of the Jacobian
-    normal="table",  # (nu, nu)
-    damped="table",  # (nu, nu)
-    factor="table",  # (k, k), k = max(m, nu)
-    gradient="floats",  # (nu,)
-    step="floats",  # (nu,) the step to take
-    low="floats",  # (nu,) lower bounds of the step
-    high="floats",  # (nu,)
-    rhs="floats",  # (k,)
-    free="ints",  # (k,)
-    side="ints",  # (k,)
-    dq="floats",  # (nv,)
-    wanted="floats",  # (m,) the part of the residual that a step shall remove
-    left="table",  # (p, m) singular vectors u, p = min(m, nu)
-    sigma="floats",  # (p,) singular values
-    right="table",  # (p, nu) singular vectors v
-    aim="floats",  # (nu,) where the null space should go
+    world="table n 12",  # node poses
+    scratch="table 2 12",
+    frames="table g 12",  # goal frames
+    residual="floats m",
+    miss="table g 2",  # metres, radians
+    jacobian="table m nu",
+    column="floats m",  # work space of the Jacobian
+    normal="table nu nu",
+    damped="table nu nu",
+    factor="table k k",
+    gradient="floats nu",
+    step="floats nu",  # the step to take
+    low="floats nu",  # lower bounds of the step
+    high="floats nu",
+    rhs="floats k",
+    free="ints k",
+    side="ints k",
+    dq="floats nv",
+    wanted="floats m",  # the part of the residual that a step shall remove
+    left="table p m",  # singular vectors u
+    sigma="floats p",  # singular values
+    right="table p nu",  # singular vectors v
+    aim="floats nu",  # where the null space should go
     rest="floats",  # (nq,) the robot's home, an aim
-    level_cost="floats",  # (levels,) cost of the goals of each priority; empty where all are equal
-    level_bar="floats",  # (levels,) what it was when the next level began, -1 = met
-    level_best="floats",  # (levels,) the same of the best so far
-    basis="table",  # (p, nu) orthonormal rows: what the levels before have taken
-    own="table",  # (m, nu) rows of a level less their part in the basis
-    gram="table",  # (m, m)
-    metric="table",  # (nu, nu) the inverse Hessian that steps along the slope are multiplied by (bfgs)
-    search_direction="floats",  # (nu,) the direction that is searched
-    before="floats",  # (nu,) gradient before the step
-    moved="floats",  # (nu,) how far the joints have really gone
-    outward="floats",  # (nu,) axis along which a ball would leave its cone
-    trace="table",  # (TRACE_ROOM, len(TRACE_COLUMNS)); no rows = no trace
+    level_cost="floats levels",  # cost of the goals of each priority; empty where all are equal
+    level_bar="floats levels",  # what it was when the next level began, -1 = met
+    level_best="floats levels",  # the same of the best so far
+    basis="table free nu",  # orthonormal rows: what the levels before have taken
+    own="table dense nu",  # rows of a level less their part in the basis
+    gram="table dense dense",
+    metric="table nu nu",  # the inverse Hessian that steps along the slope are multiplied by (bfgs)
+    search_direction="floats nu",  # the direction that is searched
+    before="floats nu",  # gradient before the step
+    moved="floats nu",  # how far the joints have really gone
+    outward="floats nu",  # axis along which a ball would leave its cone
+    trace=f"table trace {len(TRACE_COLUMNS)}",  # no rows = no trace
 )
 open_work = WORK.open
 

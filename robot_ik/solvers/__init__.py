@@ -54,8 +54,7 @@ class _Solvers(Mapping[str, "type[Solver]"]):
         return f"SOLVERS({', '.join(_ROWS)})"
 
     def __contains__(self, name: object) -> bool:
-        # Mapping's own would let UnknownSolverError through, which is no KeyError.
-        return name in _ROWS
+        return name in _ROWS  # Mapping's own would let UnknownSolverError through, which is no KeyError
 
 
 SOLVERS: Mapping[str, type[Solver]] = _Solvers()
@@ -72,20 +71,17 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         if not hasattr(solver, "attempt"):
             raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]  # whatever it is
         if options:
-            raise ConfigError(
-                f"{', '.join(options)} cannot be set on a solver that is made already",
-                file=f"solver {solver.name}", hint="give them where it is made, or name the solver instead",
-            )  # fmt: skip
+            problem = f"{', '.join(options)} cannot be set on a solver that is made already"
+            hint = "give them where it is made, or name the solver instead"
+            raise ConfigError(problem, file=f"solver {solver.name}", hint=hint)
         return solver
     kind = SOLVERS[solver]
     known = [item.name for item in fields(kind)]
     for key in options:
         if key not in known:
             close = close_matches(key, known)
-            raise ConfigError(
-                "unknown option" + (f" (did you mean {close[0]!r}?)" if close else ""),
-                file=f"solver {solver}", key=key, allowed=", ".join(known),
-            )  # fmt: skip
+            problem = "unknown option" + (f" (did you mean {close[0]!r}?)" if close else "")
+            raise ConfigError(problem, file=f"solver {solver}", key=key, allowed=", ".join(known))
     return kind(**options)
 
 

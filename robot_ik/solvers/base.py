@@ -1,7 +1,6 @@
 """What a solver is: a frozen dataclass of options, and a compiled kernel.
 
-The options (with default, range, unit and one line of help) become the CLI's flags, the rows of the
-docs' table and the columns of benchmarks; ``option`` declares them.
+The options (``option``) become the CLI's flags, the rows of the docs' table and the columns of benchmarks.
 """
 
 from __future__ import annotations
@@ -52,19 +51,12 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """The results of a batch, row by row.
+    """The results of a batch, row by row."""
 
-    Attributes:
-        q: (n, nq) the best found.
-        status: (n,) numbers of ``Status``.
-        miss: (n, 2) metres and radians.
-        iterations, restarts: (n,) steps and random restarts of each.
-    """
-
-    q: Array
-    status: NDArray[np.int64]
-    miss: Array
-    iterations: NDArray[np.int64]
+    q: Array  # (n, nq) the best found
+    status: NDArray[np.int64]  # (n,) numbers of ``Status``
+    miss: Array  # (n, 2) metres and radians
+    iterations: NDArray[np.int64]  # (n,)
     restarts: NDArray[np.int64]
 
     @classmethod
@@ -100,17 +92,13 @@ class Solver(ABC):
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value, meta = getattr(self, item.name), item.metadata
+            value, meta, file = getattr(self, item.name), item.metadata, f"solver {self.name}"
             if meta.get("choices") and value not in meta["choices"]:
-                raise ConfigError(
-                    f"{value!r} is no choice", file=f"solver {self.name}", key=item.name,
-                    allowed=", ".join(meta["choices"]),
-                )  # fmt: skip
+                allowed = ", ".join(meta["choices"])
+                raise ConfigError(f"{value!r} is no choice", file=file, key=item.name, allowed=allowed)
             if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
-                raise ConfigError(
-                    f"{value} is out of range", file=f"solver {self.name}", key=item.name,
-                    allowed=f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip(),
-                )  # fmt: skip
+                allowed = f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip()
+                raise ConfigError(f"{value} is out of range", file=file, key=item.name, allowed=allowed)
 
     def supports(self, goal: Goal) -> bool:
         """Whether it serves this kind of goal."""
@@ -130,9 +118,7 @@ class Solver(ABC):
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
                 return f"a {goal.name}" + (" that asks for single axes only" if part else "")
-        for feature in sorted(problem.features - self.capabilities):
-            return _FEATURES[feature]
-        return ""
+        return next((_FEATURES[feature] for feature in sorted(problem.features - self.capabilities)), "")
 
     def require_support(self, problem: Problem) -> None:
         """Raises ``UnsupportedGoalError``, with the methods that can, unless every goal is served."""
@@ -162,10 +148,7 @@ class Solver(ABC):
     def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
         """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
 
-        The problem's budget is that of each row.
-
-        Raises:
-            As ``solve``.
+        The problem's budget is that of each row; errors as of ``solve``.
         """
         with problem.in_use():
             self.attempt_many(problem, targets, starts, results, problem.budget)
@@ -188,11 +171,7 @@ class Solver(ABC):
 
     @abstractmethod
     def load(self, problem: Problem) -> None:
-        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same.
-
-        Raises:
-            UnsupportedGoalError: As ``solve``.
-        """
+        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same."""
 
 
 # What a problem may ask for beside its goals, as text.
@@ -294,10 +273,7 @@ class IterativeSolver(Solver):
 def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
     """What a kernel opens its options with, as a global of its module: then they have their names.
 
-    Those with choices are the number of the choice.
-
-    Raises:
-        TypeError: A field is no float, int, bool or choice.
+    Those with choices are the number of the choice; raises ``TypeError`` for other fields.
     """
     kinds: dict[str, type] = {"float": float, "int": int, "bool": bool, "str": int}
     names = [(item.name, getattr(item.type, "__name__", item.type)) for item in fields(solver)]
@@ -309,19 +285,9 @@ def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
 class Run:
     """A solver's compiled loop for one problem: made once, so that the hot loop only copies numbers.
 
-    Attributes:
-        solver, budget, seed: What ``fresh`` was made for.
-        entry: The compiled loop without numba's inspection of its arguments.
-        tables: What it works on; holds what ``arguments`` has addresses of.
-        arguments: What it takes: the addresses of tables, and arrays.
-        fresh: State and values that a solve begins with.
-        traced, whole: Whether a trace is kept; whether nothing is to be done between the steps.
+    ``tables`` holds what ``arguments`` has addresses of; ``entry`` is the loop itself; ``fresh`` are the
+    state and values that a solve with that budget and seed begins with.
     """
-
-    __slots__ = (
-        "arguments", "best", "budget", "entry", "fresh", "outcome", "seed", "shape", "solver", "start",
-        "state", "tables", "target", "traced", "value", "whole",
-    )  # fmt: skip
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
         solver.require_support(problem)
@@ -347,10 +313,7 @@ class Run:
 
 
 def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
-    """Runs a kernel piece by piece: between, it reads the clock and takes the rows of the trace away.
-
-    A solve in pieces is the same to the last bit.
-    """
+    """Runs a kernel in pieces, the same to the last bit: between, it reads the clock and the trace."""
     rows: list[Array] = []
     state, longest = run.state, len(trace) or workspace.NO_LIMIT
     seconds = run.budget.seconds
@@ -374,11 +337,7 @@ def _in_slices(run: Run, trace: Array, began: float) -> Array | None:
 
 
 def take_start(problem: Problem, start: ArrayLike | None) -> None:
-    """Puts the start (nq,) of a solve, default home, where the kernels read it.
-
-    Raises:
-        ModelError: Wrong length, or a number that is not finite.
-    """
+    """Puts the start (nq,), default home, where the kernels read it; raises as ``Robot.check_q``."""
     begin = problem.arrays["start"]
     if type(start) is np.ndarray and start.shape == begin.shape:
         if start is not begin:

@@ -1,15 +1,11 @@
 """Cyclic coordinate descent: one joint at a time, each to its exact optimum inside its limits.
 
 A rotation about an axis changes both parts of the cost to const − A cos φ − B sin φ, so the best angle is
-atan2(B, A) in closed form, for positions, orientations and any mixture on any frames the joint moves;
-a shift has a parabola.  Wang & Chen (A combined optimization method for solving the inverse kinematics
-problem of mechanical manipulators, IEEE T-RA 7(4), 1991) give the position and orientation terms.
-Unlike the textbook form it rotates joints about their real axes, keeps limits exactly and cannot divide
-by a vanishing cross product: where no angle matters, the joint stays.
-
-``axis="free"`` is the textbook form: each bone rotates about (s − p) × (t − p) by the angle between the two
-(Pađen 2011; Šimunić 2012, section 3.5), and is put back inside its limits.  A hinge takes the part of that
-rotation that is about its own axis, so that three hinges through one point are a bone, too.
+atan2(B, A), for positions, orientations and any mixture on any frames the joint moves; a shift has a parabola
+(Wang & Chen, A combined optimization method for solving the inverse kinematics problem of mechanical
+manipulators, IEEE T-RA 7(4), 1991).  ``axis="free"`` is the textbook form: each bone rotates about
+(s − p) × (t − p) by the angle between the two, and is put back inside its limits (Pađen 2011; Šimunić 2012,
+section 3.5); a hinge takes the part of that rotation about its own axis.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -23,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.kernels.bones import move_with_node, store_pose
+from robot_ik.kernels.bones import best_angle, move_with_node, store_pose
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
@@ -92,23 +88,6 @@ def rotation_terms(world, k, x, y, z, goal, frames, u):
 
 
 @pure
-def best_angle(a, b, low, high):
-    """The φ in [low, high] that maximises A cos φ + B sin φ; 0 where nothing depends on it."""
-    if a * a + b * b < 1e-24:
-        return 0.0
-    angle = math.atan2(b, a)
-    if low <= angle <= high:
-        return angle
-    # The optimum may also be met 2π away; else the better end of the range is it.
-    for candidate in (angle - 2.0 * math.pi, angle + 2.0 * math.pi):
-        if low <= candidate <= high:
-            return candidate
-    at_low = a * math.cos(low) + b * math.sin(low)
-    at_high = a * math.cos(high) + b * math.sin(high)
-    return low if at_low > at_high else high
-
-
-@pure
 def best_shift(x, y, z, goal, frames, u, low, high):
     """The shift along (x, y, z) in [low, high] that minimises the weighted distances."""
     wanted, total = 0.0, 0.0
@@ -170,7 +149,7 @@ def move_joint(tree, goal, work, u, one, old):
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
-    store_pose(work.world, k, old, 0)
+    store_pose(work.world, k, old)
     if tree.kind[k] < BALL:
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
@@ -186,7 +165,7 @@ def move_joint(tree, goal, work, u, one, old):
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 1:
-            move_with_node(work.world, k, old, 0, work.frames, g)
+            move_with_node(work.world, k, old, work.frames, g)
 
 
 @outlined

@@ -18,12 +18,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, UnsupportedGoalError
 from robot_ik.kernels import jit
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward
 from robot_ik.kernels.residuals import evaluate, open_goals
 from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import BEST_COST, CONVERGED, RUN, open_run, open_work
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Solution, Status
 from robot_ik.solvers import able_solvers, make_solver
@@ -71,21 +71,7 @@ class Combined(Solver):
         solution = members[0].attempt(problem, start, budget)
         if solution.status is _CONVERGED:
             return solution
-        return self._after_first(solution, members, problem, start, budget)
-
-    def _after_first(
-        self,
-        solution: Solution,
-        members: tuple[Solver, ...],
-        problem: Problem,
-        start: ArrayLike | None,
-        budget: Budget,
-    ) -> Solution:
-        if len(members) == 1:
-            return solution
-        if solution.status is Status.UNREACHABLE and members[0].name == members[-1].name:
-            return solution  # proven, and the nearest is found: the last would do the same
-        return self._go_on(members[1:], problem, start, budget, solution)
+        return self._go_on(solution, members, problem, start, budget)
 
     def load(self, problem: Problem) -> None:
         self._sequence(problem)
@@ -103,38 +89,38 @@ class Combined(Solver):
         return kept
 
     def _make_sequence(self, problem: Problem) -> _SolverSequence:
-        return _SolverSequence(self, self._choose(problem))
-
-    def _choose(self, problem: Problem) -> tuple[Solver, ...]:
         members = tuple(member for member in self._members if member.applies(problem))
         if not members:
-            goal = problem.given[0]
             unsupported = [member.unsupported(problem) for member in self._members]
-            what = next(filter(None, unsupported), f"a {goal.name}")
+            what = next(filter(None, unsupported), f"a {problem.given[0].name}")
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
-        return members
+        return _SolverSequence(self, members)
 
     def _go_on(
         self,
-        others: tuple[Solver, ...],
+        best: Solution,
+        members: tuple[Solver, ...],
         problem: Problem,
         start: ArrayLike | None,
         budget: Budget,
-        best: Solution,
     ) -> Solution:
         """The other methods, after the first has failed with ``best``; what all of them took is reported."""
+        if len(members) == 1:
+            return best
+        if best.status is Status.UNREACHABLE and members[0].name == members[-1].name:
+            return best  # proven, and the nearest is found: the last would do the same
         began = time.perf_counter() - best.seconds
         iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
-        best_cost = float(problem.arrays["value"][BEST_COST])
-        for member in others:
+        best_cost = float(problem.arrays["value"][ws.BEST_COST])
+        for member in members[1:]:
             futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
             rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
             solution = member.attempt(problem, start, rest)
             rows.append(_later(solution.trace_rows, iterations, restarts))
             iterations, restarts = iterations + solution.iterations, restarts + solution.restarts
             last, proven = solution.status, proven or solution.status is Status.UNREACHABLE
-            cost = float(problem.arrays["value"][BEST_COST])
+            cost = float(problem.arrays["value"][ws.BEST_COST])
             if solution.converged or cost < best_cost:
                 best, best_cost = solution, cost
             if solution.converged:
@@ -166,9 +152,7 @@ class Combined(Solver):
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, results, budget)
-        if np.count_nonzero(results.status == CONVERGED) == len(targets):
-            return
-        left = np.flatnonzero(results.status != CONVERGED)
+        left = np.flatnonzero(results.status != ws.CONVERGED)
         if members[0].name == members[-1].name:
             left = left[results.status[left] != Status.UNREACHABLE]
         if not len(left) or len(members) == 1:
@@ -203,18 +187,12 @@ _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class _SolverSequence:
-    """The methods that try a problem, one after the other, and who asked.
-
-    Attributes:
-        nearby: Those that try it where its start is near its goal; empty: the same.
-        near: Whether that is so, asked of the work space.
-        start, address, table: What it reads, and holds that.
-    """
+    """The methods that try a problem, one after the other, and who asked."""
 
     solver: Combined
     members: tuple[Solver, ...]
-    nearby: tuple[Solver, ...] = ()
-    near: Callable[[int], bool] | None = None
+    nearby: tuple[Solver, ...] = ()  # those that try it where its start is near its goal; empty: the same
+    near: Callable[[int], bool] | None = None  # whether that is so, asked of the work space:
     start: Array = field(default_factory=lambda: np.empty(0))
     address: int = 0
     table: NDArray[np.int64] | None = None
@@ -259,10 +237,6 @@ def _cost(problem: Problem, miss: Array) -> Array:
     return np.asarray((miss[:, 0] * weight[0]) ** 2 + (miss[:, 1] * weight[1]) ** 2)
 
 
-# ------------------------------------------------------------------------------------------
-# Whether a solve starts near its goal, which ``auto`` asks before it chooses a method.
-
-
 # A start with half the squared residual (rad²) below this is near its goal: ``lm`` takes a few steps.
 _NEAR = 0.01
 
@@ -270,8 +244,8 @@ _NEAR = 0.01
 @kernel
 def starts_near(run):
     """Whether work.start is near the goal; changes work space only."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     forward(tree, work.nodes, work.start, work.world, work.scratch)
     cost, _ = evaluate(tree, goal, work)
     return cost < _NEAR
@@ -280,8 +254,8 @@ def starts_near(run):
 @kernel
 def starts_near_many(run, targets, starts, near):
     """The same for each row of targets (n, 12) of the one goal, and starts (n, nq): 1 or 0 into near (n,)."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     for row in range(targets.shape[0]):
         same = row > 0  # as the start before it, mostly: its pose is known
         for i in range(starts.shape[1]):
@@ -318,20 +292,17 @@ class Auto(Combined):
         return make_solver("lm", restarts=0)
 
     def _make_sequence(self, problem: Problem) -> _SolverSequence:
-        members = self._choose(problem)
+        plain = super()._make_sequence(problem)
+        members = plain.members
         if [member.name for member in members] != ["analytic", "lm"]:
-            return _SolverSequence(self, members)
-        cold, warm = (
-            FIRST_CHOICE.get((members[0].family(problem), start), "analytic") for start in ("cold", "warm")
-        )
-        if cold == "lm":
+            return plain
+        family = members[0].family(problem)
+        if FIRST_CHOICE.get((family, "cold")) == "lm":
             return _SolverSequence(self, (self._quick, *members))
-        if warm != "lm":
-            return _SolverSequence(self, members)
+        if FIRST_CHOICE.get((family, "warm")) != "lm":
+            return plain
         compiled = problem.compiled
-        table = RUN.pack(
-            {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": np.zeros(0)}
-        )
+        table = compiled.run_table(np.zeros(0))
         address = address_of(table)
         near = jit.entry(starts_near, address)
         begin = problem.arrays["start"]
@@ -353,7 +324,7 @@ class Auto(Combined):
         solution = members[0].attempt(problem, start, budget)
         if solution.status is _CONVERGED:
             return solution
-        return self._after_first(solution, members, problem, start, budget)
+        return self._go_on(solution, members, problem, start, budget)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget

@@ -15,18 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import (
-    NEGLIGIBLE,
-    cap,
-    extra_damping,
-    filtered_step,
-    fix_pushed_by_gradient,
-    fix_pushed_by_step,
-    keep_inside,
-    prepare,
-    svd,
-    volume,
-)
+from robot_ik.kernels import jacobian_step as steps
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, proceed
@@ -66,7 +55,7 @@ open_options = options_of(DampedLeastSquares)
 @outlined
 def box_damped(goal, work, damping):
     """work.step minimises ‖J d − e‖² + λ² ‖d‖² inside the limits, exactly; among few rows."""
-    normal, step, strength = work.normal, work.step, damping * damping + extra_damping(work)
+    normal, step, strength = work.normal, work.step, damping * damping + steps.extra_damping(work)
     m, n = work.jacobian.shape
     if m < n:
         row_products(work.jacobian, work.wanted, goal.hits, goal.hit_count, normal, work.gradient)
@@ -91,16 +80,18 @@ def box_damped(goal, work, damping):
 @outlined
 def svd_damped(work, damping, adaptive, threshold):
     """work.step = Σ σ / (σ² + λ²) v uᵀ e; joints that stand at a bound and would leave it are taken out."""
-    fix_pushed_by_gradient(work)
+    steps.fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
-        svd(work.jacobian, work.left, work.sigma, work.right)
+        steps.svd(work.jacobian, work.left, work.sigma, work.right)
         strength = damping
         if adaptive:
-            strength = damping * max(0.0, 1.0 - volume(work.sigma) / threshold)
-        filtered_step(work, NEGLIGIBLE, math.sqrt(strength * strength + extra_damping(work)))
-        if not fix_pushed_by_step(work):
+            strength = damping * max(0.0, 1.0 - steps.volume(work.sigma) / threshold)
+        steps.filtered_step(
+            work, steps.NEGLIGIBLE, math.sqrt(strength * strength + steps.extra_damping(work))
+        )
+        if not steps.fix_pushed_by_step(work):
             break
-    keep_inside(work)
+    steps.keep_inside(work)
 
 
 @outlined
@@ -108,12 +99,12 @@ def dls_step(tree, goal, work, options):
     """work.step from the clamped residual; joints at a limit do not hold the others back."""
     clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
     damping, mode = options.damping, options.mode
-    prepare(tree, goal, work, clamp, alternative)
+    steps.prepare(tree, goal, work, clamp, alternative)
     if mode == CONSTANT:
         box_damped(goal, work, damping)
     else:
         svd_damped(work, damping, mode == ADAPTIVE, options.threshold)
-    cap(work, gain, max_step)
+    steps.cap(work, gain, max_step)
 
 
 @kernel

@@ -20,51 +20,26 @@ from numba import types
 from numpy.typing import NDArray
 
 from robot_ik.compiled_problem import CompiledProblem
-from robot_ik.kernels import jit
+from robot_ik.kernels import jit, residuals
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import dof_axis
 from robot_ik.kernels.linalg import box_step, normal_equations, row_products, row_step
 from robot_ik.kernels.loop import advance, begin, copy, give_row, measure, proceed, step_bounds, take_row
-from robot_ik.kernels.residuals import (
-    ORIENTATION,
-    PARTIAL,
-    POSITION,
-    clamp_residual,
-    curvature,
-    goal_jacobian,
-    open_goals,
-)
+from robot_ik.kernels.residuals import clamp_residual, curvature, goal_jacobian, open_goals
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
-from robot_ik.kernels.workspace import (
-    ACCEPTED,
-    ANY_UNREACHABLE,
-    CONVERGED,
-    COST,
-    DAMPING,
-    NO_LIMIT,
-    POLISHING,
-    PRESSED,
-    RESTARTS,
-    RUN,
-    STALLS,
-    STATUS,
-    TRY_STEPS,
-    UNREACHABLE,
-    open_run,
-    open_work,
-)
 from robot_ik.problem import Budget, Problem
 from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
 
-# ------------------------------------------------------------------------------------------
-# What Gauss-Newton leaves out: how the Jacobian itself rotates, weighed with the residual.
-#
-# Near a goal that can be met the residual vanishes and this with it.  Near the nearest point to a goal that
-# cannot, it decides how quickly a descent ends: without it each step takes off a fixed share of the way.
+Array = NDArray[np.float64]
 
-
-# Beyond so many joints the matrix costs more than the steps that it saves: its factors grow with the cube.
+# Beyond so many joints ``second_order`` costs more than the steps that it saves: it grows with the cube.
 _MOST_JOINTS = 64
+_NO_CLAMP = 1e6
+# In the last descent the exact Hessian makes the steps.  They need little damping, and show when there is no
+# more to gain: a share of the cost, of which rounding leaves some 1e-15.
+_EXACT_DECREASE = 0.1
+_NOTHING_LEFT = 1e-13
 
 
 @pure
@@ -73,7 +48,7 @@ def has_second_order(tree, goal):
     if goal.coupled.shape[0] > 0 or goal.dofs.shape[0] > _MOST_JOINTS:
         return False
     for g in range(goal.kind.shape[0]):
-        if goal.kind[g] == PARTIAL:
+        if goal.kind[g] == residuals.PARTIAL:
             return False
     for u in range(goal.dofs.shape[0]):
         joint = tree.kind[tree.dof_node[goal.dofs[u]]]
@@ -86,6 +61,8 @@ def has_second_order(tree, goal):
 def second_order(tree, goal, work, out):
     """Hessian of ½ |r|² less JᵀJ into the lower triangle of ``out`` (nu, nu); r and J are in the work space.
 
+    Gauss-Newton leaves it out.  It vanishes with the residual; near the nearest point to a goal that cannot
+    be met it decides how quickly a descent ends: without it each step takes off a fixed share of the way.
     Of two joints that move a goal the one with the smaller index is nearer to the root, a its axis.  A hinge
     there rotates the other's column of the position, v: ∂²p = a × v.  Of a rotation, with unit axes a, b,
     and φ = log(R_target Rᵀ), the Hessian of ½ |φ|² is a·b + k ((φ·a)(φ·b) − |φ|² a·b) − ½ φ·(a × b), as
@@ -99,11 +76,11 @@ def second_order(tree, goal, work, out):
             out[i, j] = 0.0
     for g in range(goal.kind.shape[0]):
         what, row, weight = goal.kind[g], goal.row[g], goal.weight[g, 1]
-        angle_row = row if what == ORIENTATION else row + 3
+        angle_row = row if what == residuals.ORIENTATION else row + 3
         ex, ey, ez, fx, fy, fz, k, square = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if what != ORIENTATION:
+        if what != residuals.ORIENTATION:
             ex, ey, ez = residual[row], residual[row + 1], residual[row + 2]
-        if what != POSITION and weight > 0.0:
+        if what != residuals.POSITION and weight > 0.0:
             s = 1.0 / weight
             fx, fy, fz = s * residual[angle_row], s * residual[angle_row + 1], s * residual[angle_row + 2]
             k, square = curvature(fx, fy, fz), fx * fx + fy * fy + fz * fz
@@ -122,9 +99,9 @@ def second_order(tree, goal, work, out):
             for i in range(j, n):
                 if goal.moves[g, i] == 0:
                     continue
-                if what != ORIENTATION:
+                if what != residuals.ORIENTATION:
                     out[i, j] -= px * jacobian[row, i] + py * jacobian[row + 1, i] + pz * jacobian[row + 2, i]
-                if what == POSITION:
+                if what == residuals.POSITION:
                     continue
                 other = dof_node[goal.dofs[i]]
                 bx, by, bz, other_rotational = dof_axis(kinds, world, other, goal.dofs[i] - vadr[other])
@@ -137,15 +114,6 @@ def second_order(tree, goal, work, out):
                 for r in range(angle_row, angle_row + 3):
                     product += jacobian[r, i] * jacobian[r, j]
                 out[i, j] += weight * weight * s * joint_scale[i] * hessian - product
-
-
-Array = NDArray[np.float64]
-
-_NO_CLAMP = 1e6
-# In the last descent the exact Hessian makes the steps.  They need little damping, and show when there is no
-# more to gain: a share of the cost, of which rounding leaves some 1e-15.
-_EXACT_DECREASE = 0.1
-_NOTHING_LEFT = 1e-13
 
 
 @dataclass(frozen=True)
@@ -185,23 +153,19 @@ class LevenbergMarquardt(IterativeSolver):
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
-    @property
-    def guided(self) -> bool:
-        """Whether an option asks for other steps than the plain ones; these have a loop of their own."""
-        return self.clamp < _NO_CLAMP or self.gain != 1.0 or self.alternative
-
     def kernel(self) -> Callable[..., None]:
-        return lm_guided if self.guided else lm
+        return lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
         if not has_levels(problem.compiled):
-            return self.kernel()
+            return lm
         from robot_ik.kernels.priorities import lm_levels  # which few problems need
 
         return lm_levels
 
     def unsupported(self, problem: Problem) -> str:
-        if self.guided and has_levels(problem.compiled):
+        guided = self.clamp < _NO_CLAMP or self.gain != 1.0 or self.alternative
+        if guided and has_levels(problem.compiled):
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().unsupported(problem)
 
@@ -211,14 +175,13 @@ class LevenbergMarquardt(IterativeSolver):
             from robot_ik.kernels.priorities import LEVEL_OPTIONS
 
             options = np.array([getattr(self, name) for name in LEVEL_OPTIONS], dtype=float)
-        tables = {"tree": compiled.tree, "goals": compiled.goals, "work": compiled.work, "options": options}
-        return (RUN.pack(tables),)
+        return (compiled.run_table(options),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
         run = self._run_for(problem)
-        if budget.seconds is not None or self.guided:
+        if budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)  # only Python can read a clock
             return
         jit.announce(lm_many, f"batches of solver {self.name!r}")
@@ -243,10 +206,9 @@ def has_levels(compiled: CompiledProblem) -> bool:
 def stride_bounds(tree, goal, work, stride):
     """``step_bounds``, but no more than ``stride`` at once; in later tries joints may wrap around."""
     step_bounds(tree, goal, work)
-    low, high, joint_scale = work.low, work.high, goal.joint_scale
-    around = may_wrap(tree, work)
+    low, high, around = work.low, work.high, may_wrap(tree, work)
     for u in range(low.shape[0]):
-        most = stride / joint_scale[u]
+        most = stride / goal.joint_scale[u]
         if around and can_wrap(tree, goal.dofs[u]):
             low[u], high[u] = -most, most
         else:
@@ -256,7 +218,7 @@ def stride_bounds(tree, goal, work, stride):
 @pure
 def may_wrap(tree, work):
     """Whether joints may wrap around: not where others follow, nor in the tries that stay near the start."""
-    return work.state[RESTARTS] > 0 and work.state[POLISHING] == 0 and tree.coupled.shape[0] == 0
+    return work.state[ws.RESTARTS] > 0 and work.state[ws.POLISHING] == 0 and tree.coupled.shape[0] == 0
 
 
 @pure
@@ -281,43 +243,45 @@ def wrap_around(tree, goal, work):
 
 
 @outlined
-def lm_step(tree, goal, work, points, wanted, options):
+def lm_step(tree, goal, work, options):
     """One damped Gauss-Newton step inside the limits; a step that made things worse is taken back first.
 
-    Towards ``wanted`` (m,), the residual or a part of it, by the Jacobian of the goals at ``points``.
+    ``alternative`` and ``clamp`` are as in ``jacobian_step.prepare``.
     """
     state, value, normal, damped = work.state, work.value, work.normal, work.damped
     jacobian, gradient, low, high, step = work.jacobian, work.gradient, work.low, work.high, work.step
+    wanted, last = work.wanted, state[ws.POLISHING] > 0
     floor, first, least = options.floor, options.damping, options.least
     increase, decrease = options.increase, options.decrease
     m, n = jacobian.shape
-    exact = state[POLISHING] > 0 and has_second_order(tree, goal)
-    if value[COST] < value[ACCEPTED]:
+    exact = last and has_second_order(tree, goal)
+    if value[ws.COST] < value[ws.ACCEPTED]:
         if exact:
             decrease, least = _EXACT_DECREASE, 0.0
-        value[DAMPING] = first if state[TRY_STEPS] == 0 else max(value[DAMPING] * decrease, least)
-        value[ACCEPTED] = value[COST]
+        value[ws.DAMPING] = first if state[ws.TRY_STEPS] == 0 else max(value[ws.DAMPING] * decrease, least)
+        value[ws.ACCEPTED] = value[ws.COST]
         copy(work.q, work.accepted)
-        goal_jacobian(tree, goal, work, points)
+        goal_jacobian(tree, goal, work, goal.target if options.alternative and not last else work.frames)
+        copy(work.residual, wanted)  # a step that is taken back leaves another residual behind
+        if options.clamp < _NO_CLAMP:
+            clamp_residual(goal, work.residual, wanted, options.clamp, last)
         if exact:
             second_order(tree, goal, work, work.metric)
-            normal_equations(jacobian, wanted, normal, gradient)
-        elif m < n:
-            copy(wanted, work.wanted)  # a step that is taken back leaves another residual behind
+        if m < n and not exact:
             row_products(jacobian, wanted, goal.hits, goal.hit_count, normal, gradient)
         else:
             normal_equations(jacobian, wanted, normal, gradient)
     else:
-        value[DAMPING] *= increase
-        value[COST] = value[ACCEPTED]
+        value[ws.DAMPING] *= increase
+        value[ws.COST] = value[ws.ACCEPTED]
         copy(work.accepted, work.q)
-    damping = value[DAMPING] * value[COST] + floor
+    damping = value[ws.DAMPING] * value[ws.COST] + floor
     stride_bounds(tree, goal, work, options.stride)
     if exact:
         pressed = exact_step(work, damping)
     elif m < n:
         pressed = row_step(
-            jacobian, work.wanted, normal, gradient, damping, low, high,
+            jacobian, wanted, normal, gradient, damping, low, high,
             goal.hits, goal.hit_count, step, work.free, work.side, work.factor, work.rhs,
         )  # fmt: skip
     else:
@@ -327,13 +291,15 @@ def lm_step(tree, goal, work, points, wanted, options):
             damped[i, i] = normal[i, i] + damping
         pressed = box_step(damped, gradient, low, high, step, work.free, work.side, work.factor)
     if pressed < 0:  # not positive definite to working precision: more damping
-        value[DAMPING] = value[DAMPING] * increase + 1e-9
+        value[ws.DAMPING] = value[ws.DAMPING] * increase + 1e-9
         for i in range(n):
             step[i] = 0.0
-    else:
-        state[PRESSED] = pressed
-        if may_wrap(tree, work):
-            wrap_around(tree, goal, work)
+        return
+    state[ws.PRESSED] = pressed
+    if may_wrap(tree, work):
+        wrap_around(tree, goal, work)
+    for i in range(n):
+        step[i] *= options.gain
 
 
 @pure
@@ -354,45 +320,20 @@ def exact_step(work, damping):
     promised = 0.0
     for i in range(step.shape[0]):
         promised += work.gradient[i] * step[i]
-    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[COST]:
-        work.state[STALLS] = NO_LIMIT
+    if pressed >= 0 and promised < _NOTHING_LEFT * work.value[ws.COST]:
+        work.state[ws.STALLS] = ws.NO_LIMIT
     return pressed
-
-
-@outlined
-def guided_step(tree, goal, work, options):
-    """``lm_step`` to a clamped residual, by the alternative Jacobian if asked, and a share of it."""
-    clamp, alternative, gain = options.clamp, options.alternative, options.gain
-    last = work.state[POLISHING] > 0  # as in ``prepare`` of the other Jacobian methods
-    if work.value[COST] < work.value[ACCEPTED]:
-        clamp_residual(goal, work.residual, work.wanted, clamp, last)
-    points = goal.target if alternative and not last else work.frames
-    lm_step(tree, goal, work, points, work.wanted, options)
-    for u in range(work.step.shape[0]):
-        work.step[u] *= gain
-
-
-@kernel
-def lm_guided(run):
-    """``lm`` with clamp, alternative, gain."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
-    options = open_options(run.options)
-    begin(tree, goal, work)
-    while proceed(tree, goal, work):
-        guided_step(tree, goal, work, options)
-        advance(tree, goal, work)
 
 
 @kernel
 def lm(run):
     """Runs until ``proceed`` says stop."""
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     options = open_options(run.options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        lm_step(tree, goal, work, work.frames, work.residual, options)
+        lm_step(tree, goal, work, options)
         advance(tree, goal, work)
 
 
@@ -402,8 +343,8 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
 
     Fills q (n, nq), status (n,), miss (n, 2), iterations (n,), restarts (n,).
     """
-    run = open_run(run)
-    tree, goal, work = open_tree(run.tree), open_goals(run.goals), open_work(run.work)
+    run = ws.open_run(run)
+    tree, goal, work = open_tree(run.tree), open_goals(run.goals), ws.open_work(run.work)
     options = open_options(run.options)
     state = work.state
     for row in range(targets.shape[0]):
@@ -411,13 +352,15 @@ def lm_many(run, fresh, targets, starts, q, status, miss, iterations, restarts):
         copy(fresh, state)
         begin(tree, goal, work)
         while proceed(tree, goal, work):
-            lm_step(tree, goal, work, work.frames, work.residual, options)
+            lm_step(tree, goal, work, options)
             advance(tree, goal, work)
-        if state[STATUS] != CONVERGED:  # else it has just been measured
+        if state[ws.STATUS] != ws.CONVERGED:  # else it has just been measured
             copy(work.best, work.q)
             measure(tree, goal, work)
         give_row(work, q, miss, iterations, row)
         status[row] = (
-            UNREACHABLE if state[ANY_UNREACHABLE] == 1 and state[STATUS] != CONVERGED else state[STATUS]
+            ws.UNREACHABLE
+            if state[ws.ANY_UNREACHABLE] == 1 and state[ws.STATUS] != ws.CONVERGED
+            else state[ws.STATUS]
         )
-        restarts[row] = state[RESTARTS]
+        restarts[row] = state[ws.RESTARTS]

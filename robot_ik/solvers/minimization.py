@@ -2,9 +2,7 @@
 
 Zhao & Badler (Inverse kinematics positioning using nonlinear programming for highly articulated figures,
 ACM Transactions on Graphics 13(4), 1994): BFGS steps d = H g, g = −∇G = Jᵀr, in a metric from which the
-active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line search; so the cost never
-rises within a try.  Their linear equalities between joints are kept by construction (coupled joints have
-no columns of their own), their rigidity of joints is the robot's stiffness.
+active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line search.
 """
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
@@ -15,22 +13,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import difference
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
-from robot_ik.kernels.tree import BALL, FREE, open_tree
-from robot_ik.kernels.workspace import COST, NO_LIMIT, PRESSED, SCALE, STALLS, TRY_STEPS, UPDATES, open_work
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
+from robot_ik.kernels.tree import BALL, open_tree
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
-# ------------------------------------------------------------------------------------------
 # Cones of balls as constraints of a variable metric.
-#
 # A ball whose rotation is as large as its cone allows would leave it along that rotation's axis n, body axes:
 # ``work.outward``.  Held there, it moves along the edge, and n moves with it: the metric is carried from one
 # edge point to the next by the shortest rotation between their axes, and slopes are compared without their
 # parts along n, which the edge takes up.  (The edge is curved: the parts along n, whose size does not go to
 # zero at the minimum, would spoil the update of the metric.)
-
 
 # A ball this near to the edge of its cone, rad, is on it; one with a smaller cone does not move at all.
 AT_CONE = 1e-9
@@ -72,8 +68,7 @@ def leaves_cone(work, vector, u):
 @outlined
 def hold_cone(work, u):
     """Makes the cone of the ball whose first coordinate is ``u`` active."""
-    metric, normal, image = work.metric, work.outward, work.rhs
-    n, square = metric.shape[0], 0.0
+    metric, normal, image, n = work.metric, work.outward, work.rhs, work.metric.shape[0]
     x, y, z = normal[u], normal[u + 1], normal[u + 2]
     for i in range(n):
         image[i] = x * metric[i, u] + y * metric[i, u + 1] + z * metric[i, u + 2]
@@ -91,7 +86,7 @@ def release_cone(work, u):
     normal = work.outward
     for i in range(u, u + 3):
         for j in range(u, u + 3):
-            work.metric[i, j] += work.value[SCALE] * normal[i] * normal[j]
+            work.metric[i, j] += work.value[ws.SCALE] * normal[i] * normal[j]
     work.side[u] = 0
 
 
@@ -133,16 +128,11 @@ def transport(tree, goal, work):
         if cosine < 0.5:  # off the edge, or too far along it to be the same constraint
             release_cone(work, u)
             continue
-        for vector in (moved, before):
-            out = along(vector, u, x, y, z)
-            vector[u] -= out * x
-            vector[u + 1] -= out * y
-            vector[u + 2] -= out * z
         vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
         for vector in (moved, before):
-            vector[u], vector[u + 1], vector[u + 2] = rotated(
-                vector[u], vector[u + 1], vector[u + 2], vx, vy, vz, k
-            )
+            out = along(vector, u, x, y, z)
+            a, b, c = vector[u] - out * x, vector[u + 1] - out * y, vector[u + 2] - out * z
+            vector[u], vector[u + 1], vector[u + 2] = rotated(a, b, c, vx, vy, vz, k)
         for i in range(n):
             metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(
                 metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
@@ -159,9 +149,7 @@ def transport(tree, goal, work):
         before[u + 2] += out * pz
 
 
-# ------------------------------------------------------------------------------------------
 # The metric of a variable-metric method, projected on the limits that are active.
-#
 # ``work.metric`` (nu, nu) is H: the step is d = H g with g = Jᵀr, the descent direction.  It begins as
 # a multiple of the identity and is updated to the inverse of the Hessian by the steps that are taken
 # (``update_metric``).
@@ -173,7 +161,6 @@ def transport(tree, goal, work):
 #     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 #
 # n is a coordinate for hinges and slides; the cones of balls are below.
-
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
 _AT_BOUND = 1e-12
@@ -201,7 +188,7 @@ def measure_gradient(tree, goal, work):
         for u in range(gradient.shape[0]):
             row += jacobian[r, u] * gradient[u]
         curvature += row * row
-    work.value[SCALE] = square / curvature if curvature > 0.0 else 1.0
+    work.value[ws.SCALE] = square / curvature if curvature > 0.0 else 1.0
 
 
 @outlined
@@ -211,9 +198,9 @@ def reset(work):
     for u in range(metric.shape[0]):
         for i in range(metric.shape[0]):
             metric[u, i] = 0.0
-        metric[u, u] = work.value[SCALE]
+        metric[u, u] = work.value[ws.SCALE]
         work.side[u] = 0
-    work.state[UPDATES] = 0
+    work.state[ws.UPDATES] = 0
 
 
 @outlined
@@ -259,7 +246,7 @@ def constrain(tree, goal, work):
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
-            work.metric[u, u] = work.value[SCALE]
+            work.metric[u, u] = work.value[ws.SCALE]
             side[u] = 0
 
 
@@ -288,28 +275,16 @@ def direction(tree, goal, work):
     for u in range(n):
         pressed += side[u]
         slope += gradient[u] * search_direction[u]
-    work.state[PRESSED] = pressed
+    work.state[ws.PRESSED] = pressed
     return slope
 
 
 @outlined
 def displacement(tree, goal, work):
     """work.moved (nu,): the displacement from work.accepted to work.q in units of the step."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    before, q, dofs, joint_scale, moved = work.accepted, work.q, goal.dofs, goal.joint_scale, work.moved
-    for u in range(dofs.shape[0]):
-        k = tree.dof_node[dofs[u]]
-        a, i = qadr[k], dofs[u] - vadr[k]
-        if kind[k] < BALL or (kind[k] == FREE and i < 3):
-            moved[u] = (q[a + i] - before[a + i]) / joint_scale[u]
-        elif i % 3 == 0:
-            a = a + 3 if kind[k] == FREE else a
-            x, y, z = rotation_back(before, a, q[a], q[a + 1], q[a + 2], q[a + 3])
-            moved[u], moved[u + 1], moved[u + 2] = (
-                x / joint_scale[u],
-                y / joint_scale[u + 1],
-                z / joint_scale[u + 2],
-            )
+    difference(tree, work.accepted, work.q, work.dq)
+    for u in range(work.moved.shape[0]):
+        work.moved[u] = work.dq[goal.dofs[u]] / goal.joint_scale[u]
 
 
 @outlined
@@ -340,7 +315,7 @@ def update_metric(work):
     for i in range(n):
         for j in range(n):
             metric[i, j] += factor * s[i] * s[j] - inverse * (image[i] * s[j] + s[i] * image[j])
-    work.state[UPDATES] += 1
+    work.state[ws.UPDATES] += 1
 
 
 # Points tried along one direction before it is given up.
@@ -407,7 +382,7 @@ def line_search(tree, goal, work, options, slope):
     A direction that meets limits is clipped to them, and searched for descent only.
     """
     max_step, decrease, curvature = options.max_step, options.decrease, options.curvature
-    cost, search_direction = work.value[COST], work.search_direction
+    cost, search_direction = work.value[ws.COST], work.search_direction
     longest = 0.0
     for u in range(search_direction.shape[0]):
         longest = max(longest, abs(search_direction[u]))
@@ -415,17 +390,14 @@ def line_search(tree, goal, work, options, slope):
     good, bad = 0.0, 0.0
     for _ in range(_TRIALS):
         promised = try_step(tree, goal, work, share)
-        won = cost - work.value[COST]
+        won = cost - work.value[ws.COST]
         if promised > 0.0 and won >= decrease * promised:
             measure_gradient(tree, goal, work)
             clipped = False
             for u in range(search_direction.shape[0]):
                 clipped = clipped or work.step[u] != share * search_direction[u]
-            if (
-                slope_left(tree, goal, work) <= curvature * slope
-                or clipped
-                or 2.0 * share * longest > max_step
-            ):
+            eased = slope_left(tree, goal, work) <= curvature * slope
+            if eased or clipped or 2.0 * share * longest > max_step:
                 return True
             good = share
             share = 2.0 * share if bad == 0.0 else 0.5 * (good + bad)
@@ -444,8 +416,8 @@ def line_search(tree, goal, work, options, slope):
 @outlined
 def bfgs_step(tree, goal, work, options):
     """work.step for one step downhill; zero, and the end of the try, where there is none."""
-    state, cost = work.state, work.value[COST]
-    if state[TRY_STEPS] == 0:
+    state, cost = work.state, work.value[ws.COST]
+    if state[ws.TRY_STEPS] == 0:
         measure_gradient(tree, goal, work)
         reset(work)
     copy(work.q, work.accepted)
@@ -458,21 +430,21 @@ def bfgs_step(tree, goal, work, options):
             transport(tree, goal, work)
             update_metric(work)
         copy(work.accepted, work.q)  # ``advance`` goes on from there
-        work.value[COST] = cost
+        work.value[ws.COST] = cost
         if found:
             return
-        if state[UPDATES] == 0:
+        if state[ws.UPDATES] == 0:
             break
         reset(work)  # what was learned does not hold here: down the plain slope
     for u in range(work.step.shape[0]):
         work.step[u] = 0.0
-    state[STALLS] = NO_LIMIT
+    state[ws.STALLS] = ws.NO_LIMIT
 
 
 @kernel
 def bfgs(tree, goals, work, options):
     """Runs until ``proceed`` says stop."""
-    tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
+    tree, goal, work = open_tree(tree), open_goals(goals), ws.open_work(work)
     options = open_options(options)
     begin(tree, goal, work)
     while proceed(tree, goal, work):

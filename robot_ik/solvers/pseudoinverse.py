@@ -14,33 +14,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import (
-    AT_BOUND,
-    cap,
-    extra_damping,
-    filtered_step,
-    fix_pushed_by_gradient,
-    fix_pushed_by_step,
-    keep_inside,
-    prepare,
-    svd,
-    volume,
-)
+from robot_ik.kernels import jacobian_step as steps
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import follow, integrate
+from robot_ik.kernels.kinematics import difference, follow, integrate
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
-from robot_ik.kernels.residuals import goal_jacobian, open_goals, rotation_back
+from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
 from robot_ik.kernels.workspace import POLISHING, open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.families import JacobianSolver
 
-# ------------------------------------------------------------------------------------------
 # Secondary aims φ of the null space, and the part of them that leaves the goals alone.
-#
 # Liégeois (Automatic supervisory control of the configuration and behavior of multibody mechanisms, IEEE
 # T-SMC 7(12), 1977): d = J⁺ e + (I − J⁺J) φ, φ the slope of what is wanted besides the goals.
-
 
 # What the null space is used for; ``AIMS[code]`` is the name of the option.
 AIMS = ("none", "rest", "limits", "manipulability")
@@ -53,26 +39,8 @@ _UNLIMITED = 1e9
 
 
 @outlined
-def towards(tree, dofs, q, rest, dq, aim):
-    """aim = rest ⊖ q, the difference to ``rest`` (nq,) in the tangent of q; ``dq`` (nv,) is work space."""
-    kind, qadr, vadr = tree.kind, tree.qadr, tree.vadr
-    for k in range(kind.shape[0]):
-        a, v = qadr[k], vadr[k]
-        if kind[k] < BALL:
-            dq[v] = rest[a] - q[a]
-            continue
-        if kind[k] == FREE:
-            for i in range(3):
-                dq[v + i] = rest[a + i] - q[a + i]
-            a, v = a + 3, v + 3
-        dq[v], dq[v + 1], dq[v + 2] = rotation_back(q, a, rest[a], rest[a + 1], rest[a + 2], rest[a + 3])
-    for u in range(dofs.shape[0]):
-        aim[u] = dq[dofs[u]]
-
-
-@outlined
-def off_limits(tree, dofs, q, dq, aim):
-    """aim = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
+def off_limits(tree, q, dq):
+    """dq = (middle − q) / half range: where the limits are far; unlimited joints have no aim.
 
     Liégeois's −½ Σ ((q − middle) / half)² rises that way, each joint measured by its own range.  A ball's
     middle is no rotation at all, and half its range the angle of its cone.
@@ -96,8 +64,6 @@ def off_limits(tree, dofs, q, dq, aim):
             scale = 1.0 if norm < 1e-9 else math.atan2(norm, abs(q[a])) / norm
             for i in range(3):
                 dq[v + i] = sign * scale * q[a + 1 + i] / upper[v]
-    for u in range(dofs.shape[0]):
-        aim[u] = dq[dofs[u]]
 
 
 @outlined
@@ -106,8 +72,8 @@ def manipulability(tree, goal, work):
     for r in range(work.residual.shape[0]):
         work.residual[r] = 0.0  # the geometric Jacobian, which knows of no target
     goal_jacobian(tree, goal, work, work.frames)
-    svd(work.jacobian, work.left, work.sigma, work.right)
-    return volume(work.sigma)
+    steps.svd(work.jacobian, work.left, work.sigma, work.right)
+    return steps.volume(work.sigma)
 
 
 @outlined
@@ -141,13 +107,13 @@ def set_aim(tree, goal, work, code, gain):
     aim, q = work.aim, work.q
     joint_scale = goal.joint_scale
     if code == REST:
-        towards(tree, goal.dofs, q, work.rest, work.dq, aim)
+        difference(tree, q, work.rest, work.dq)
         for u in range(aim.shape[0]):
-            aim[u] /= joint_scale[u]
+            aim[u] = work.dq[goal.dofs[u]] / joint_scale[u]
     elif code == LIMITS:
-        off_limits(tree, goal.dofs, q, work.dq, aim)
+        off_limits(tree, q, work.dq)
         for u in range(aim.shape[0]):
-            aim[u] *= joint_scale[u]
+            aim[u] = work.dq[goal.dofs[u]] * joint_scale[u]
     elif code == MANIPULABILITY:
         dexterous(tree, goal, work)
     else:
@@ -170,7 +136,7 @@ def keep_aim_inside(work):
     """Drops what the aim asks of joints that stand at a bound and would leave it, or are fixed."""
     for u in range(work.aim.shape[0]):
         a = work.aim[u]
-        leaves = (a < 0.0 and work.low[u] > -AT_BOUND) or (a > 0.0 and work.high[u] < AT_BOUND)
+        leaves = (a < 0.0 and work.low[u] > -steps.AT_BOUND) or (a > 0.0 and work.high[u] < steps.AT_BOUND)
         if leaves or work.side[u] != 0:
             work.aim[u] = 0.0
 
@@ -196,12 +162,9 @@ class Pseudoinverse(JacobianSolver):
     """The shortest step that solves the linear model; fast near a solution, rough near singularities."""
 
     cutoff: float = option(
-        1e-4,
-        "singular values below this share of the largest count as zero",
-        low=1e-12,
-        high=1.0,
+        1e-4, "singular values below this share of the largest count as zero", low=1e-12, high=1.0,
         usual=(0.0, 0.1),
-    )
+    )  # fmt: skip
     aim: str = option("none", "what the null space is used for", choices=AIMS)
     aim_gain: float = option(0.2, "share of the aim in each step", low=0.0, high=1e3, usual=(0.0, 1.0))
     halvings: int = option(
@@ -229,20 +192,20 @@ def pseudo_step(tree, goal, work, options):
     clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
     cutoff = options.cutoff
     set_aim(tree, goal, work, options.aim, options.aim_gain)
-    prepare(tree, goal, work, clamp, alternative)
-    extra = math.sqrt(extra_damping(work))
+    steps.prepare(tree, goal, work, clamp, alternative)
+    extra = math.sqrt(steps.extra_damping(work))
     if work.state[POLISHING] > 0:
         cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
-    fix_pushed_by_gradient(work)
+    steps.fix_pushed_by_gradient(work)
     keep_aim_inside(work)
     for _ in range(work.step.shape[0] + 1):
-        svd(work.jacobian, work.left, work.sigma, work.right)
-        filtered_step(work, cutoff, extra)
+        steps.svd(work.jacobian, work.left, work.sigma, work.right)
+        steps.filtered_step(work, cutoff, extra)
         add_null_motion(work, cutoff)
-        if not fix_pushed_by_step(work):
+        if not steps.fix_pushed_by_step(work):
             break
-    share = keep_inside(work)
-    return share * cap(work, gain, max_step)
+    share = steps.keep_inside(work)
+    return share * steps.cap(work, gain, max_step)
 
 
 @outlined

@@ -1,16 +1,9 @@
 """The recursive method: the chain is pulled by its end like a chain of rings, or not moved at all.
 
-From the tip: if the last bone can reach the goal by turning, it does.  Otherwise it is moved there, and its
-other end must meet its predecessor: at a point of the circle in which the sphere about the goal (radius:
-this bone) cuts the sphere about the predecessor's own base (radius: that bone).  If they do not cut, the
-bone follows the pull and where its other end comes to lie is the predecessor's goal; so on towards the root.
-On success the joints are turned to match; on failure every move is undone and q is, bit for bit, what it
-was (Aho, Implementation of articulated mechanisms in computer animation, University of Helsinki 2000,
-section 4.3).
-
-``guard`` is ours: a dragged bone turns just so far that the bones before it can still reach its end; without
-it, as published, some reachable goals fail.  Where hinges or limits do not allow the points, the try fails
-and is undone.  One goal, one chain, positions only; no restarts unless asked for.
+From the tip, a bone that cannot reach the goal by rotating is moved there, and its other end becomes the goal
+of the bone before it: on the circle where the spheres of both bones cut, else where the pull drags it.  On
+failure q is, bit for bit, what it was (Aho, Implementation of articulated mechanisms in computer animation,
+University of Helsinki 2000, section 4.3).  ``guard`` is ours; see ``docs/reference/solvers/recursive.md``.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -24,32 +17,23 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.kernels.bones import (
-    BALL_PULL,
-    DESCENDANTS,
-    LENGTH,
-    NOW,
-    PATH,
-    POINT_COLUMNS,
-    PULL,
-    SUM_SIZE,
-    TARGET,
-    across,
     chain_path,
     distance,
     inner_radius,
     link_points,
     locate_all,
-    mark_descendants,
+    open_bones,
     settle,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
 from robot_ik.kernels.workspace import BEST_COST, open_work
 from robot_ik.solvers.base import option, options_of
-from robot_ik.solvers.families import BoneSolver
+from robot_ik.solvers.bones import BoneSolver
 
 # Lengths that agree to this share of the chain are equal.
 _EQUAL = 1e-10
@@ -78,24 +62,24 @@ open_options = options_of(Recursive)
 
 
 @pure
-def intersect_spheres(points, e, b, p, radius):
+def intersect_spheres(bones, e, b, p, radius):
     """Target of ``b`` on the circle of the spheres about that of ``e`` (its bone) and ``p`` (``radius``).
 
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
-    length = points[e, LENGTH]
-    far = distance(points, e, TARGET, p, NOW)
+    length = bones.length[e]
+    far = distance(bones.target, e, bones.now, p)
     if far > length + radius or far < abs(length - radius) or far == 0.0:
         return False
-    x = (points[e, TARGET] - points[p, NOW]) / far
-    y = (points[e, TARGET + 1] - points[p, NOW + 1]) / far
-    z = (points[e, TARGET + 2] - points[p, NOW + 2]) / far
+    x = (bones.target[e, 0] - bones.now[p, 0]) / far
+    y = (bones.target[e, 1] - bones.now[p, 1]) / far
+    z = (bones.target[e, 2] - bones.now[p, 2]) / far
     along = (far * far + radius * radius - length * length) / (2.0 * far)
     off = math.sqrt(max(0.0, radius * radius - along * along))
     bx, by, bz = (
-        points[b, NOW] - points[p, NOW],
-        points[b, NOW + 1] - points[p, NOW + 1],
-        points[b, NOW + 2] - points[p, NOW + 2],
+        bones.now[b, 0] - bones.now[p, 0],
+        bones.now[b, 1] - bones.now[p, 1],
+        bones.now[b, 2] - bones.now[p, 2],
     )
     s = bx * x + by * y + bz * z
     bx, by, bz = bx - s * x, by - s * y, bz - s * z
@@ -104,31 +88,31 @@ def intersect_spheres(points, e, b, p, radius):
         bx, by, bz = bx / norm, by / norm, bz / norm
     else:
         bx, by, bz = across(x, y, z)
-    points[b, TARGET] = points[p, NOW] + along * x + off * bx
-    points[b, TARGET + 1] = points[p, NOW + 1] + along * y + off * by
-    points[b, TARGET + 2] = points[p, NOW + 2] + along * z + off * bz
+    bones.target[b, 0] = bones.now[p, 0] + along * x + off * bx
+    bones.target[b, 1] = bones.now[p, 1] + along * y + off * by
+    bones.target[b, 2] = bones.now[p, 2] + along * z + off * bz
     return True
 
 
 @pure
-def drag_bone(points, e, b, root, low, high, guard):
+def drag_bone(bones, e, b, root, low, high, guard):
     """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
-    length = points[e, LENGTH]
+    length = bones.length[e]
     x, y, z = (
-        points[b, NOW] - points[e, TARGET],
-        points[b, NOW + 1] - points[e, TARGET + 1],
-        points[b, NOW + 2] - points[e, TARGET + 2],
+        bones.now[b, 0] - bones.target[e, 0],
+        bones.now[b, 1] - bones.target[e, 1],
+        bones.now[b, 2] - bones.target[e, 2],
     )
     norm = math.sqrt(x * x + y * y + z * z)
     if norm > 0.0:
         x, y, z = x / norm, y / norm, z / norm
     else:
         x, y, z = 0.0, 0.0, 1.0
-    far = distance(points, root, NOW, e, TARGET)
+    far = distance(bones.now, root, bones.target, e)
     if guard and far > 0.0 and length > 0.0:
-        rx = (points[root, NOW] - points[e, TARGET]) / far
-        ry = (points[root, NOW + 1] - points[e, TARGET + 1]) / far
-        rz = (points[root, NOW + 2] - points[e, TARGET + 2]) / far
+        rx = (bones.now[root, 0] - bones.target[e, 0]) / far
+        ry = (bones.now[root, 1] - bones.target[e, 1]) / far
+        rz = (bones.now[root, 2] - bones.target[e, 2]) / far
         along = x * rx + y * ry + z * rz
         sx, sy, sz = x - along * rx, y - along * ry, z - along * rz
         sine = math.sqrt(sx * sx + sy * sy + sz * sz)
@@ -141,46 +125,46 @@ def drag_bone(points, e, b, root, low, high, guard):
                 sx, sy, sz = across(rx, ry, rz)
             c, s = math.cos(allowed), math.sin(allowed)
             x, y, z = c * rx + s * sx, c * ry + s * sy, c * rz + s * sz
-    points[b, TARGET] = points[e, TARGET] + length * x
-    points[b, TARGET + 1] = points[e, TARGET + 1] + length * y
-    points[b, TARGET + 2] = points[e, TARGET + 2] + length * z
+    bones.target[b, 0] = bones.target[e, 0] + length * x
+    bones.target[b, 1] = bones.target[e, 1] + length * y
+    bones.target[b, 2] = bones.target[e, 2] + length * z
 
 
 @outlined
-def pull_chain(tree, goal, links, points, guard):
+def pull_chain(tree, goal, bones, guard):
     """Targets of all points, tip to root; False when the root bone cannot follow."""
-    count = chain_path(tree, links)
+    count = chain_path(tree, bones)
     total = 0.0
     for i in range(count):
-        c = links[i, PATH]
-        total += points[c, LENGTH]
+        c = bones.path[i]
+        total += bones.length[c]
         for m in range(3):
-            points[c, TARGET + m] = points[c, NOW + m]
-    tip, root = links[count - 1, PATH], links[0, PATH]
+            bones.target[c, m] = bones.now[c, m]
+    tip, root = bones.path[count - 1], bones.path[0]
     for m in range(3):
-        points[tip, TARGET + m] = goal.target[0, m]
+        bones.target[tip, m] = goal.target[0, m]
     rest = total
     for i in range(count - 1, 0, -1):
-        e, b = links[i, PATH], links[i - 1, PATH]
-        if abs(distance(points, e, TARGET, b, NOW) - points[e, LENGTH]) <= _EQUAL * total:
+        e, b = bones.path[i], bones.path[i - 1]
+        if abs(distance(bones.target, e, bones.now, b) - bones.length[e]) <= _EQUAL * total:
             return True
         if i == 1:
             return False
-        rest -= points[e, LENGTH]
-        if not intersect_spheres(points, e, b, links[i - 2, PATH], points[b, LENGTH]):
-            drag_bone(points, e, b, root, inner_radius(points, links, 1, i), rest, guard)
+        rest -= bones.length[e]
+        if not intersect_spheres(bones, e, b, bones.path[i - 2], bones.length[b]):
+            drag_bone(bones, e, b, root, inner_radius(bones, 1, i), rest, guard)
         else:
             return True
     return False
 
 
 @outlined
-def recursive_step(tree, goal, work, links, points, one, sums, options):
+def recursive_step(tree, goal, work, bones, options):
     """One try; leaves q at the goal, or as it was and returns False."""
     copy(work.q, work.accepted)
-    locate_all(tree, goal, work, links, points, one)
-    if pull_chain(tree, goal, links, points, options.guard):
-        settle(tree, goal, work, links, points, one, sums, options.sweeps)
+    locate_all(tree, goal, work, bones)
+    if pull_chain(tree, goal, bones, options.guard):
+        settle(tree, goal, work, bones, options.sweeps)
         if measure(tree, goal, work):
             return True
     copy(work.accepted, work.q)
@@ -188,25 +172,20 @@ def recursive_step(tree, goal, work, links, points, one, sums, options):
 
 
 @kernel
-def recursive(tree, goals, work, options):
+def recursive(tree, goals, work, options, bones):
     """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
-    count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
-    points = np.empty((count, POINT_COLUMNS))
-    one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
+    bones = open_bones(bones)
     best = np.empty(work.best.shape[0])
-    link_points(tree, goal, work.nodes, links, points)
-    mark_descendants(goal, links)
+    link_points(tree, goal, work.nodes, bones)
     work.step[:] = 0.0
-    sums[BALL_PULL] = 0.0
-    sums[PULL] = 0.0
+    bones.pull[:] = 0.0
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         copy(work.best, best)
         best_cost = work.value[BEST_COST]
-        moved = recursive_step(tree, goal, work, links, points, one, sums, options)
+        moved = recursive_step(tree, goal, work, bones, options)
         advance(tree, goal, work)
         if not moved:
             # ``advance`` normalises quaternions: a failure must not change a bit.

@@ -18,15 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-from robot_ik.kernels.jacobian_step import (
-    cap,
-    fix_pushed_by_gradient,
-    fix_pushed_by_step,
-    keep_inside,
-    prepare,
-    shorten,
-    svd,
-)
+from robot_ik.kernels import jacobian_step as steps
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import goal_end, open_goals
@@ -41,13 +33,9 @@ class SelectivelyDamped(JacobianSolver):
     """Smooth near singularities and at unreachable targets without a damping to tune."""
 
     max_step: float = option(
-        math.pi / 4,
-        "γ_max: largest change of one joint in a step",
-        low=1e-4,
-        high=1e6,
-        unit="rad",
+        math.pi / 4, "γ_max: largest change of one joint in a step", low=1e-4, high=1e6, unit="rad",
         usual=(0.0, 2.0),
-    )
+    )  # fmt: skip
 
     name: ClassVar[str] = "sdls"
     title: ClassVar[str] = "selectively damped least squares"
@@ -109,16 +97,16 @@ def selective_step(goal, work, max_step):
 def sdls_step(tree, goal, work, options):
     """One step of Buss & Kim; joints that stand at a bound and would leave it are taken out first."""
     clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
-    prepare(tree, goal, work, clamp, alternative)
-    fix_pushed_by_gradient(work)
+    steps.prepare(tree, goal, work, clamp, alternative)
+    steps.fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
-        svd(work.jacobian, work.left, work.sigma, work.right)
+        steps.svd(work.jacobian, work.left, work.sigma, work.right)
         selective_step(goal, work, max_step)
-        if not fix_pushed_by_step(work):
+        if not steps.fix_pushed_by_step(work):
             break
-    keep_inside(work)
-    cap(work, gain, max_step)
-    shorten(work)
+    steps.keep_inside(work)
+    steps.cap(work, gain, max_step)
+    steps.shorten(work)
 
 
 @kernel

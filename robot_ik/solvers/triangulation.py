@@ -1,16 +1,10 @@
-"""Triangulation: root to tip, each bone turned by the law of cosines so that a triangle closes.
+"""Triangulation: root to tip, each bone rotated by the law of cosines so that a triangle closes.
 
 With a = this bone, b = the rest of the chain stretched out, c = from the joint to the target, the bone makes
-the angle arccos((a² + c² − b²) / 2ac) with the line to the target: straight at it when c ≥ a + b, away from
-it when c ≤ b − a (Müller-Cajar & Mukundan, Triangulation: a new algorithm for inverse kinematics, Image and
-Vision Computing New Zealand 2007).  A chain of unlimited balls is solved by one pass, exactly.
-
-``improved`` (after Mukundan, A robust inverse kinematics algorithm for animating a joint chain, International
-Journal of Computer Applications in Technology 34(4), 2009, which avoids the large angles near the root):
-every bone turns only as far as the rest of the chain needs to be able to close, so most of them stay.
-
-Under limits and on hinges a bone may not reach the side of its triangle; then passes repeat from where the
-last one ended, until they help no more.  One goal, one chain; orientations are not served.
+the angle arccos((a² + c² − b²) / 2ac) with the line to the target (Müller-Cajar & Mukundan, Triangulation: a
+new algorithm for inverse kinematics, Image and Vision Computing New Zealand 2007).  ``improved`` (after
+Mukundan, A robust inverse kinematics algorithm for animating a joint chain, IJCAT 34(4), 2009): only as far
+as the rest of the chain needs.  See ``docs/reference/solvers/triangulation.md``.
 """
 
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
@@ -21,35 +15,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
 from robot_ik.kernels.bones import (
-    BALL_PULL,
-    DESCENDANTS,
-    LENGTH,
-    NOW,
-    PATH,
-    POINT_COLUMNS,
-    PULL,
-    SUM_SIZE,
-    TARGET,
-    across,
     chain_path,
     fit_joint,
     inner_radius,
     link_points,
     locate,
     locate_all,
-    mark_descendants,
+    open_bones,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
+from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import option, options_of
-from robot_ik.solvers.families import BoneSolver
+from robot_ik.solvers.bones import BoneSolver
 
 # A bone shorter than this, metres, is none: its ends are one point.
 _NO_BONE = 1e-9
@@ -66,11 +49,7 @@ class Triangulation(BoneSolver):
     progress: float = option(0.02, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
     improved: bool = option(True, "rotate each bone no farther than the rest needs", low=0, high=1)
     pull: float = option(
-        0.1,
-        "hinges: weight of the goal beside the targets of points",
-        low=0.0,
-        high=10.0,
-        usual=(0.0, 1.0),
+        0.1, "hinges: weight of the goal beside the targets of points", low=0.0, high=10.0, usual=(0.0, 1.0)
     )
     sweeps: int = option(3, "rounds over joints that share an anchor", low=1, high=100, usual=(1, 10))
 
@@ -86,7 +65,7 @@ open_options = options_of(Triangulation)
 
 
 @outlined
-def side(tree, work, links, p, c, x, y, z):
+def side(tree, work, bones, p, c, x, y, z):
     """To which side a bone leaves the line (x, y, z) it lies on: where its hinge, or the next, can go."""
     world = work.world
     for k in (p, c):
@@ -100,18 +79,18 @@ def side(tree, work, links, p, c, x, y, z):
 
 
 @outlined
-def bone_direction(tree, work, goal, links, points, i, j, count, improved):
+def bone_direction(tree, work, goal, bones, i, j, count, improved):
     """Unit vector along which the bone from path[i] to path[j] should lie."""
-    p, c = links[i, PATH], links[j, PATH]
-    a, b = points[c, LENGTH], 0.0
+    p, c = bones.path[i], bones.path[j]
+    a, b = bones.length[c], 0.0
     for m in range(j + 1, count):
-        b += points[links[m, PATH], LENGTH]
-    ux = (points[c, NOW] - points[p, NOW]) / a
-    uy = (points[c, NOW + 1] - points[p, NOW + 1]) / a
-    uz = (points[c, NOW + 2] - points[p, NOW + 2]) / a
-    tx = goal.target[0, 0] - points[p, NOW]
-    ty = goal.target[0, 1] - points[p, NOW + 1]
-    tz = goal.target[0, 2] - points[p, NOW + 2]
+        b += bones.length[bones.path[m]]
+    ux = (bones.now[c, 0] - bones.now[p, 0]) / a
+    uy = (bones.now[c, 1] - bones.now[p, 1]) / a
+    uz = (bones.now[c, 2] - bones.now[p, 2]) / a
+    tx = goal.target[0, 0] - bones.now[p, 0]
+    ty = goal.target[0, 1] - bones.now[p, 1]
+    tz = goal.target[0, 2] - bones.now[p, 2]
     far = math.sqrt(tx * tx + ty * ty + tz * tz)
     if far <= _NO_BONE:  # whichever way it points, the rest is as far away
         return ux, uy, uz
@@ -121,77 +100,72 @@ def bone_direction(tree, work, goal, links, points, i, j, count, improved):
     sine = math.sqrt(sx * sx + sy * sy + sz * sz)
     angle = third_side_angle(a, far, b)
     if improved:
-        least = third_side_angle(a, far, inner_radius(points, links, j + 1, count))
+        least = third_side_angle(a, far, inner_radius(bones, j + 1, count))
         angle = min(max(math.atan2(sine, along), least), angle)
     if sine > 1e-9:
         sx, sy, sz = sx / sine, sy / sine, sz / sine
     else:
-        sx, sy, sz = side(tree, work, links, p, c, tx, ty, tz)
+        sx, sy, sz = side(tree, work, bones, p, c, tx, ty, tz)
     k, s = math.cos(angle), math.sin(angle)
     return k * tx + s * sx, k * ty + s * sy, k * tz + s * sz
 
 
 @outlined
-def target_bone(tree, work, goal, links, points, i, j, count, improved):
+def target_bone(tree, work, goal, bones, i, j, count, improved):
     """Targets for the end of the bone from path[i] to path[j], and for the points after it on one line."""
-    p, a = links[i, PATH], points[links[j, PATH], LENGTH]
-    dx, dy, dz = bone_direction(tree, work, goal, links, points, i, j, count, improved)
-    x, y, z = points[p, NOW] + a * dx, points[p, NOW + 1] + a * dy, points[p, NOW + 2] + a * dz
+    p, a = bones.path[i], bones.length[bones.path[j]]
+    dx, dy, dz = bone_direction(tree, work, goal, bones, i, j, count, improved)
+    x, y, z = bones.now[p, 0] + a * dx, bones.now[p, 1] + a * dy, bones.now[p, 2] + a * dz
     # The rest on the line from there to the target.
     dx, dy, dz = goal.target[0, 0] - x, goal.target[0, 1] - y, goal.target[0, 2] - z
     far = math.sqrt(dx * dx + dy * dy + dz * dz)
     s = 1.0 / far if far > _NO_BONE else 0.0
     along = 0.0
     for m in range(i + 1, count):
-        e = links[m, PATH]
+        e = bones.path[m]
         if m < j:
             for r in range(3):
-                points[e, TARGET + r] = points[p, NOW + r]
+                bones.target[e, r] = bones.now[p, r]
             continue
-        along += points[e, LENGTH] if m > j else 0.0
-        points[e, TARGET] = x + s * along * dx
-        points[e, TARGET + 1] = y + s * along * dy
-        points[e, TARGET + 2] = z + s * along * dz
+        along += bones.length[e] if m > j else 0.0
+        bones.target[e, 0] = x + s * along * dx
+        bones.target[e, 1] = y + s * along * dy
+        bones.target[e, 2] = z + s * along * dz
 
 
 @outlined
-def triangulation_step(tree, goal, work, links, points, one, sums, options):
+def triangulation_step(tree, goal, work, bones, options):
     """One pass from the root to the tip; leaves q moved."""
     improved, sweeps = options.improved, options.sweeps
-    locate_all(tree, goal, work, links, points, one)
-    count = chain_path(tree, links)
+    locate_all(tree, goal, work, bones)
+    count = chain_path(tree, bones)
     head = 0
     while head < count - 1:
         # Joints head … last share an anchor; the bone goes from them to path[last + 1].
         last = head
-        while last < count - 2 and points[links[last + 1, PATH], LENGTH] <= _NO_BONE:
+        while last < count - 2 and bones.length[bones.path[last + 1]] <= _NO_BONE:
             last += 1
-        bone = points[links[last + 1, PATH], LENGTH] > _NO_BONE
+        bone = bones.length[bones.path[last + 1]] > _NO_BONE
         for _ in range(sweeps if last > head else 1):
             for i in range(head, last + 1):
                 for m in range(i, count):  # what hangs on the joints turned so far
-                    locate(tree, goal, work, points, one, links[m, PATH])
+                    locate(tree, goal, work, bones, bones.path[m])
                 if bone:
-                    target_bone(tree, work, goal, links, points, i, last + 1, count, improved)
-                    fit_joint(tree, goal, work, links, points, one, sums, links[i, PATH])
+                    target_bone(tree, work, goal, bones, i, last + 1, count, improved)
+                    fit_joint(tree, goal, work, bones, bones.path[i])
         head = last + 1
 
 
 @kernel
-def triangulation(tree, goals, work, options):
+def triangulation(tree, goals, work, options, bones):
     """Runs until ``proceed`` says stop."""
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
-    count = tree.parent.shape[0] + goal.kind.shape[0]
-    links = np.empty((count, DESCENDANTS + goal.kind.shape[0]), dtype=np.int64)
-    points = np.empty((count, POINT_COLUMNS))
-    one, sums = np.empty(1, dtype=np.int64), np.empty(SUM_SIZE)
-    link_points(tree, goal, work.nodes, links, points)
-    mark_descendants(goal, links)
+    bones = open_bones(bones)
+    link_points(tree, goal, work.nodes, bones)
     work.step[:] = 0.0
-    sums[BALL_PULL] = 0.0
-    sums[PULL] = options.pull
+    bones.pull[0], bones.pull[1] = options.pull, 0.0
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        triangulation_step(tree, goal, work, links, points, one, sums, options)
+        triangulation_step(tree, goal, work, bones, options)
         advance(tree, goal, work)

@@ -438,8 +438,7 @@ def without_limits(robot: Robot) -> Robot:
     for kind, at in zip(robot.tree.kind.tolist(), robot.tree.vadr.tolist(), strict=True):
         if kind in (HINGE, SLIDE):
             lower[at], upper[at] = -np.inf, np.inf
-    tree = robot.tree.with_limits(lower, upper)
-    return dataclasses.replace(robot, tree=tree, lower=lower, upper=upper)
+    return dataclasses.replace(robot, tree=robot.tree.with_limits(lower, upper))
 
 
 def first_ball(robot: Robot) -> Pose:

@@ -156,4 +156,4 @@ def test_a_part_that_weighs_nothing_is_not_asked_for(load_xml):
     far = PoseGoal(None, (9, 9, 9), (1, 0, 0, 0), position_weight=0.0)
     problem = Problem(robot, far)
     cost, residual, _, _ = evaluate(problem, [1.0, 0, 0, 0])
-    assert cost == 0.0 and not residual.any() and not problem.out_of_reach()
+    assert cost == 0.0 and not residual.any() and not problem.out_of_reach(problem.target)

@@ -9,6 +9,7 @@ no solution, a proof is tried that nothing within tolerance can be reached (``pr
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable
@@ -21,31 +22,16 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import address_of
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
-from robot_ik.kernels.workspace import (
-    BEST_COST,
-    CONVERGED,
-    ITERATION_LIMIT,
-    ITERATIONS,
-    STATUS,
-    TIME_LIMIT,
-    UNREACHABLE,
-    open_work,
-)
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
+from robot_ik.solvers.analytic import proofs, subproblems
 from robot_ik.solvers.analytic.limb import limb
-from robot_ik.solvers.analytic.proofs import (
-    length,
-    limb_is_out_of_reach,
-    parallel_is_out_of_reach,
-    planar_is_out_of_reach,
-    wrist_is_out_of_reach,
-)
 from robot_ik.solvers.analytic.recognise import (
     BRANCH_NAMES,
     Family,
@@ -55,22 +41,7 @@ from robot_ik.solvers.analytic.recognise import (
     recognise,
 )
 from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
-from robot_ik.solvers.analytic.subproblems import (
-    EVERY,
-    FORM,
-    SOLVE,
-    START_ONLY,
-    invert,
-    measure_start,
-    nearest,
-    open_form,
-    settle,
-)
 from robot_ik.solvers.base import BatchResult, Solver, take_start
-
-# ------------------------------------------------------------------------------------------
-# The entry points of the closed forms of two and of six hinges.
-
 
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
 _SHOULDER = int(Family.SPHERICAL_SHOULDER)
@@ -79,7 +50,7 @@ _SHOULDER = int(Family.SPHERICAL_SHOULDER)
 @outlined
 def solve_axes(tree, goal, work, form, family, mode):
     """Solves from work.start, which is the solution if it is at the goal; fills best, status and branches."""
-    if not measure_start(tree, goal, work, form, mode):
+    if not subproblems.measure_start(tree, goal, work, form, mode):
         return
     axes, extra, target, start, branches = form.axes, form.extra, form.target, form.start, form.branches
     lower, upper = form.lower, form.upper
@@ -88,41 +59,44 @@ def solve_axes(tree, goal, work, form, family, mode):
     elif family == _WRIST:
         found = spherical_wrist(axes, extra, target, start, lower, upper, branches)
     elif family == _SHOULDER:
-        invert(target, form.inverse)
+        subproblems.invert(target, form.inverse)
         found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
     else:
         found = three_parallel(axes, extra, target, start, branches)
-    row = nearest(branches, start, lower, upper, form.best)
-    settle(tree, goal, work, form, row, found)
+    row = subproblems.nearest(branches, start, lower, upper, form.best)
+    subproblems.settle(tree, goal, work, form, row, found)
 
 
 @kernel
 def closed_form(tree, goals, work, form, family, mode):
     """One solve."""
-    solve_axes(open_tree(tree), open_goals(goals), open_work(work), open_form(form), family, mode)
+    solve_axes(
+        open_tree(tree), open_goals(goals), ws.open_work(work), subproblems.open_form(form), family, mode
+    )
 
 
 @kernel
 def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    tree, goal, work, form = (
+        open_tree(tree),
+        open_goals(goals),
+        ws.open_work(work),
+        subproblems.open_form(form),
+    )
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        solve_axes(tree, goal, work, form, family, SOLVE)
+        solve_axes(tree, goal, work, form, family, subproblems.SOLVE)
         give_row(work, q, miss, iterations, row)
-        status[row] = work.state[STATUS]
-
-
-# ------------------------------------------------------------------------------------------
-# The entry points of a limb's closed form; compiled only for robots that have one.
+        status[row] = work.state[ws.STATUS]
 
 
 @outlined
 def solve_limb(tree, goal, work, form, mode):
     """Solves from work.start; fills best and status, and the branches if they are asked for."""
-    if not measure_start(tree, goal, work, form, mode):
+    if not subproblems.measure_start(tree, goal, work, form, mode):
         return
-    if mode == EVERY:
+    if mode == subproblems.EVERY:
         branches = form.branches
         for row in range(branches.shape[0]):
             for j in range(branches.shape[1]):
@@ -130,75 +104,71 @@ def solve_limb(tree, goal, work, form, mode):
         # First without limits: a branch that is nowhere inside them is still a branch.
         limb(form, form.least, form.most, mode)
     row, found = limb(form, form.lower, form.upper, mode)
-    if mode == EVERY:
+    if mode == subproblems.EVERY:
         return
-    settle(tree, goal, work, form, row, found)
+    subproblems.settle(tree, goal, work, form, row, found)
 
 
 @kernel
 def closed_limb(tree, goals, work, form, _family, mode):
     """One solve."""
-    solve_limb(open_tree(tree), open_goals(goals), open_work(work), open_form(form), mode)
+    solve_limb(open_tree(tree), open_goals(goals), ws.open_work(work), subproblems.open_form(form), mode)
 
 
 @kernel
 def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = open_tree(tree), open_goals(goals), open_work(work), open_form(form)
+    tree, goal, work, form = (
+        open_tree(tree),
+        open_goals(goals),
+        ws.open_work(work),
+        subproblems.open_form(form),
+    )
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
-        solve_limb(tree, goal, work, form, SOLVE)
+        solve_limb(tree, goal, work, form, subproblems.SOLVE)
         give_row(work, q, miss, iterations, row)
-        status[row] = work.state[STATUS]
-
-
-# ------------------------------------------------------------------------------------------
-# The entry points of the proofs, one for each family: compiled when a goal is first missed.
+        status[row] = work.state[ws.STATUS]
 
 
 @kernel
 def prove_planar(goals, form):
     """Whether no joint angles bring the form's target within tolerance."""
-    form, goal = open_form(form), open_goals(goals)
-    return planar_is_out_of_reach(form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance)
+    return proofs.planar_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
 def prove_wrist(goals, form):
     """The same for a spherical wrist."""
-    form, goal = open_form(form), open_goals(goals)
-    lever = length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
-    return wrist_is_out_of_reach(
-        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance, lever
-    )
+    form = subproblems.open_form(form)
+    lever = proofs.length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
+    return proofs.wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
 
 
 @kernel
 def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
-    form, goal = open_form(form), open_goals(goals)
-    invert(form.target, form.inverse)
+    form = subproblems.open_form(form)
+    subproblems.invert(form.target, form.inverse)
     x, y, z = centre(form.inverse, form.extra)
-    return wrist_is_out_of_reach(
-        form.axes, form.extra, form.inverse, form.lower, form.upper, goal.tolerance, length(x, y, z)
+    return proofs.wrist_is_out_of_reach(
+        form, form.inverse, open_goals(goals).tolerance, proofs.length(x, y, z)
     )
 
 
 @kernel
 def prove_parallel(goals, form):
     """The same for three parallel axes."""
-    form, goal = open_form(form), open_goals(goals)
-    return parallel_is_out_of_reach(
-        form.axes, form.extra, form.target, form.lower, form.upper, goal.tolerance
-    )
+    return proofs.parallel_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
 @kernel
 def prove_limb(goals, form):
     """The same for a limb."""
-    return limb_is_out_of_reach(open_form(form), open_goals(goals).tolerance)
+    return proofs.limb_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
 
 
+# Compiled when a goal is first missed.
 PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
     Family.PLANAR_TWO_LINK: prove_planar,
     Family.SPHERICAL_WRIST: prove_wrist,
@@ -218,29 +188,17 @@ _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A closed form made ready for one problem.
+    """A closed form made ready for one problem."""
 
-    Attributes:
-        solver: For whom.
-        form: Which one.
-        arrays: By their names in ``FORM``.
-        tables: What the kernels work on: tree, goals, work space, form; holds what ``addresses`` are of.
-        addresses: What the kernels take first.
-        family: The form's number.
-        run: What solves one problem, without numba's inspection of its arguments.
-        batch: What solves many.
-        prove: What proves that no joint angles will do, if anything can.
-    """
-
-    solver: Analytic
+    solver: Analytic  # for whom
     form: Form
-    arrays: dict[str, Any]
-    tables: tuple[Any, ...]
-    addresses: tuple[int, int, int, int]
-    family: int
-    run: Callable[..., None]
-    batch: Callable[..., None]
-    prove: Callable[..., bool] | None
+    arrays: dict[str, Any]  # by their names in ``FORM``
+    tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
+    addresses: tuple[int, int, int, int]  # of these: what the kernels take first
+    family: int  # the form's number
+    run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
+    batch: Callable[..., None]  # what solves many
+    prove: Callable[..., bool] | None  # what proves that no joint angles will do, if anything can
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,16 +254,16 @@ class Analytic(Solver):
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
-        mode = START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else SOLVE
+        mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == SOLVE and state[STATUS] != CONVERGED and _is_out_of_reach(prepared):
-            state[STATUS] = UNREACHABLE
-        if mode == START_ONLY and state[STATUS] != CONVERGED:
-            state[STATUS] = ITERATION_LIMIT if budget.iterations < 1 else TIME_LIMIT
-        number, iterations = state[: ITERATIONS + 1].tolist()
+        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
+            state[ws.STATUS] = ws.UNREACHABLE
+        if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
+            state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
+        number, iterations = state[: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach():
+        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach(problem.target)[0]:
             status = Status.UNREACHABLE
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
@@ -325,14 +283,11 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             results.q, results.status, results.miss, results.iterations,
         )  # fmt: skip
-        missed = np.flatnonzero(results.status != CONVERGED)
-        if not len(missed):
-            return
-        for row in missed:
+        for row in np.flatnonzero(results.status != ws.CONVERGED):
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
-                results.status[row] = UNREACHABLE
-        results.status[(results.status != CONVERGED) & problem.rows_out_of_reach(targets)] = UNREACHABLE
+                results.status[row] = ws.UNREACHABLE
+        results.status[(results.status != ws.CONVERGED) & problem.out_of_reach(targets)] = ws.UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
@@ -346,18 +301,15 @@ class Analytic(Solver):
     def _branches(self, problem: Problem, start: ArrayLike | None) -> list[tuple[str, Array]]:
         prepared = self._require(problem)
         take_start(problem, start)
-        prepared.run(*prepared.addresses, prepared.family, EVERY)
+        prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
         names = BRANCH_NAMES[prepared.form.family]
+        signs = itertools.product("+-", repeat=len(names))
         found: list[tuple[str, Array]] = []
-        for row, angles in enumerate(prepared.arrays["branches"]):
-            if np.isnan(angles[0]):
-                continue
-            q = problem.arrays["start"].copy()
-            q[prepared.arrays["qadr"]] = angles
-            bits = [(row >> (len(names) - 1 - k)) & 1 for k in range(len(names))]
-            found.append(
-                (" ".join(f"{n}{'+' if b == 0 else '-'}" for n, b in zip(names, bits, strict=True)), q)
-            )
+        for chosen, angles in zip(signs, prepared.arrays["branches"], strict=False):
+            if not np.isnan(angles[0]):
+                q = problem.arrays["start"].copy()
+                q[prepared.arrays["qadr"]] = angles
+                found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
         return found
 
 
@@ -370,7 +322,7 @@ def _trace(arrays: dict[str, Any]) -> Array:
     """The one row of a closed form's trace."""
     position, angle = arrays["miss"].max(axis=0)
     step = float(np.linalg.norm(arrays["q"] - arrays["start"]))
-    return np.array([[1.0, 0.0, arrays["value"][BEST_COST], position, angle, 0.0, step]])
+    return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
 def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
@@ -381,16 +333,15 @@ def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
     compiled = problem.compiled
-    tables = (compiled.tree, compiled.goals, compiled.work, FORM.pack(arrays))
+    tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))
     tree, goals, space, numbers = (address_of(table) for table in tables)
-    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), SOLVE)
+    run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
     prove = PROOFS.get(form.family)
     if prove is not None:
         jit.announce(prove, "proofs of unreachable goals")
         prove = jit.entry(prove, goals, numbers)
-    return Prepared(
-        solver, form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, prove
-    )
+    addresses = (tree, goals, space, numbers)
+    return Prepared(solver, form, arrays, tables, addresses, int(form.family), run, batch, prove)
 
 
 def _form_of(problem: Problem) -> Form | None:
@@ -416,14 +367,9 @@ def _arrays(form: Form, tree: Tree, target: Array) -> dict[str, Any]:
         limits += [(float(tree.lower[v]), float(tree.upper[v]))] * width
     n = len(qadr)
     lower, upper = (np.array(side) for side in zip(*limits, strict=True))
-    return {
+    return subproblems.FORM.zeros({"n": n}) | {
         "qadr": np.array(qadr, dtype=np.int64),
-        "axes": form.axes, "extra": form.extra, "groups": form.groups,
+        "axes": form.axes, "extra": form.extra, "groups": form.groups, "target": target,
         "lower": lower, "upper": upper, "least": np.full(n, -np.inf), "most": np.full(n, np.inf),
-        "start": np.zeros(n), "best": np.zeros(n), "branches": np.zeros((8, n)),
-        "target": target, "inverse": np.zeros((1, 12)),
         "middle_rotations": middle_rotations(form), "edges": limit_edges(form, lower, upper),
-        "matrices": np.zeros((7, 9)), "parts": np.zeros((2, 27)), "cuts": np.zeros(64),
-        "tally": np.zeros((4, 4)), "trial": np.zeros((2, n)), "scores": np.zeros(6),
-        "spin": np.zeros((2, 3)), "speeds": np.zeros(2),
     }  # fmt: skip

@@ -15,23 +15,11 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.kinematics import unit
+from robot_ik.solvers.analytic import swivel
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
 from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, rotate
-from robot_ik.solvers.analytic.swivel import (
-    WHOLE,
-    add_slope,
-    apply_back,
-    make_parts,
-    put_column,
-    score,
-    start_rotation,
-    swing,
-)
-
-# ------------------------------------------------------------------------------------------
-# The search for the swivel angle nearest to the start, inside the joint limits.
-
 
 # Angles at which a range of swivel angles is evaluated, besides its cuts: a wide one, and one near the start.
 _WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3
@@ -94,8 +82,8 @@ def evaluate_angle(form, lower, upper, angle, low, high, nearest):
     tally, scores = form.tally, form.scores
     c, s = math.cos(angle), math.sin(angle)
     for g in range(2):
-        swing(form, g, c, s)
-        closest = score(form, g, 0, 1, lower, upper)
+        swivel.swing(form, g, c, s)
+        closest = swivel.score(form, g, 0, 1, lower, upper)
         if closest == math.inf:
             return False
         if g == 0 and GAIN * closest > nearest:
@@ -159,12 +147,12 @@ def value_at(form, lower, upper, angle, row):
     c, s, value, scores = math.cos(angle), math.sin(angle), 0.0, form.scores
     scores[4] = scores[5] = 0.0
     for g in range(2):
-        swing(form, g, c, s)
+        swivel.swing(form, g, c, s)
         flip = row // 2 if g == 0 else row % 2
-        value += score(form, g, flip, flip, lower, upper)
+        value += swivel.score(form, g, flip, flip, lower, upper)
         if value == math.inf:
             break
-        add_slope(form, g, flip)
+        swivel.add_slope(form, g, flip)
     return value
 
 
@@ -341,13 +329,12 @@ def limb(form, lower, upper, mode):
     middle, half, _, possible = angles_to_height(fx, fy, fz, ux, uy, uz, ex, ey, ez, height, _SLACK)
     if not possible:
         return -1, 0
-    start_rotation(form)
+    swivel.start_rotation(form)
     if form.groups[1, 0] != NO_JOINTS:
         for j in range(3):
-            x, y, z = relative_rotation(
-                target, extra, 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
-            )
-            put_column(form.matrices, WHOLE, j, x, y, z)
+            x, y, z = unit(j)
+            x, y, z = relative_rotation(target, extra, x, y, z)
+            swivel.put_column(form.matrices, swivel.WHOLE, j, x, y, z)
     column = form.groups[1, 1] - 1
     one, one_fits = image(middle + half, start[column], lower[column], upper[column])
     two, two_fits = image(middle - half, start[column], lower[column], upper[column])
@@ -363,10 +350,10 @@ def limb(form, lower, upper, mode):
         vx, vy, vz = vx - fx, vy - fy, vz - fz  # shoulder -> wrist, as the elbow makes it
         size = math.sqrt(vx * vx + vy * vy + vz * vz)
         if r > 1e-12 and size > 1e-12:
-            make_parts(form, angle, vx / size, vy / size, vz / size, dx / r, dy / r, dz / r)
+            swivel.make_parts(form, angle, vx / size, vy / size, vz / size, dx / r, dy / r, dz / r)
         else:  # folded onto the shoulder: it may rotate freely
-            vx, vy, vz = apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
-            make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
+            vx, vy, vz = swivel.apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
+            swivel.make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
         scan(form, lower, upper, every, nearest - moved)
         nearest = take_best(form, lower, upper, types.int64(1 if other else 0), angle, moved, every, nearest)
     return (1 if nearest < math.inf else -1), 2

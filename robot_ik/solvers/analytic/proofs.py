@@ -15,12 +15,9 @@ from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.solvers.analytic.six_axes import back, centre, relative_back, relative_rotation
 from robot_ik.solvers.analytic.subproblems import angle_between, rotate
 
-# ------------------------------------------------------------------------------------------
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
-#
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
 # the true set lies inside, so that an empty one is a proof.
-
 
 # Rounding allowed for: of angles (an arc cosine near 1 loses half the digits) and of metres or cosines.
 _ANGLE_PAD, PAD = 1e-6, 1e-9
@@ -47,6 +44,14 @@ def arc(low, high, amplitude):
     first = math.acos(min(max(high / amplitude, -1.0), 1.0))
     last = math.acos(min(max(low / amplitude, -1.0), 1.0))
     return 0.5 * (first + last), 0.5 * (last - first) + _ANGLE_PAD, True
+
+
+@pure
+def third_side(squares, far, error, amplitude):
+    """``arc`` of the angle between sides whose squares add up to that, where the third is far ± error."""
+    near_side, far_side = max(0.0, far - error), far + error
+    low, high = 0.5 * (squares - far_side * far_side), 0.5 * (squares - near_side * near_side)
+    return arc(low - PAD, high + PAD, amplitude)
 
 
 @pure
@@ -105,8 +110,9 @@ def centre_error(tolerance, lever):
 
 
 @outlined
-def planar_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
+def planar_is_out_of_reach(form, tolerance):
     """Of two parallel hinges and a position."""
+    axes, extra, target, lower, upper = form.axes, form.extra, form.target, form.lower, form.upper
     ux, uy, uz = axes[0, 0], axes[0, 1], axes[0, 2]
     along = 1.0 if ux * axes[1, 0] + uy * axes[1, 1] + uz * axes[1, 2] > 0.0 else -1.0
     gx, gy, gz = target[0, 0] - axes[0, 3], target[0, 1] - axes[0, 4], target[0, 2] - axes[0, 5]
@@ -130,13 +136,9 @@ def two_links_may_fit(
     f and e: the first axis and the end seen from the second, at q = 0.
     """
     far = across(ux, uy, uz, gx, gy, gz)
-    near_side, far_side = max(0.0, far - error), far + error
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
     _, amplitude, middle = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
-    sides = lf * lf + le * le
-    half, radius, some = arc(
-        0.5 * (sides - far_side * far_side) - PAD, 0.5 * (sides - near_side * near_side) + PAD, amplitude
-    )
+    half, radius, some = third_side(lf * lf + le * le, far, error, amplitude)
     if not some:
         return False
     for elbow in range(2):
@@ -218,8 +220,9 @@ def wrist_may_fit(axes, extra, target, lower, upper, c1, s1, c2, s2, c3, s3, err
 
 
 @outlined
-def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
+def wrist_is_out_of_reach(form, target, tolerance, lever):
     """Of six axes with a spherical wrist; ``lever`` (m) from the frame to its centre."""
+    axes, extra, lower, upper = form.axes, form.extra, form.lower, form.upper
     error = centre_error(tolerance, lever)
     wx, wy, wz = centre(target, extra)
     hx, hy, hz = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -235,7 +238,6 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
     if not some:
         return True
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
-    sides = lf * lf + le * le
     _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
     for shoulder in range(2):
         q1 = middle + half if shoulder == 0 else middle - half
@@ -246,10 +248,7 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
         gx, gy, gz = gx + px, gy + py, gz + pz
         far = across(ux, uy, uz, gx, gy, gz)
         off = error + chord(radius, across(hx, hy, hz, dx, dy, dz))
-        near_side, far_side = max(0.0, far - off), far + off
-        half3, radius3, some = arc(
-            0.5 * (sides - far_side * far_side) - PAD, 0.5 * (sides - near_side * near_side) + PAD, reach
-        )
+        half3, radius3, some = third_side(lf * lf + le * le, far, off, reach)
         if not some:
             continue
         for elbow in range(2):
@@ -270,13 +269,10 @@ def wrist_is_out_of_reach(axes, extra, target, lower, upper, tolerance, lever):
     return True
 
 
-# ------------------------------------------------------------------------------------------
-# The same proof for arms with three parallel axes (Universal Robots).
-
-
 @outlined
-def parallel_is_out_of_reach(axes, extra, target, lower, upper, tolerance):
+def parallel_is_out_of_reach(form, tolerance):
     """Of six axes of which the second to fourth are parallel and the last two meet."""
+    axes, extra, target, lower, upper = form.axes, form.extra, form.target, form.lower, form.upper
     error = centre_error(tolerance, length(extra[1, 0], extra[1, 1], extra[1, 2]))
     wx, wy, wz = centre(target, extra)
     hx, hy, hz = axes[0, 0], axes[0, 1], axes[0, 2]
@@ -352,11 +348,7 @@ def three_may_fit(
     fx, fy, fz = axes[1, 3] - axes[2, 3], axes[1, 4] - axes[2, 4], axes[1, 5] - axes[2, 5]
     lf, le = across(ux, uy, uz, fx, fy, fz), across(ux, uy, uz, ex, ey, ez)
     _, reach, middle3 = height_terms(fx, fy, fz, ux, uy, uz, ex, ey, ez)
-    near_side, far_side = max(0.0, far - off), far + off
-    sides = lf * lf + le * le
-    half, radius, some = arc(
-        0.5 * (sides - far_side * far_side) - PAD, 0.5 * (sides - near_side * near_side) + PAD, reach
-    )
+    half, radius, some = third_side(lf * lf + le * le, far, off, reach)
     if not some:
         return False
     for elbow in range(2):

@@ -213,16 +213,13 @@ def on_axis(axis: Array, point: Array, scale: float, slack: float = _MEETS) -> b
     return float(np.linalg.norm(np.cross(axis[:3], point - axis[3:]))) < slack * scale
 
 
-# ------------------------------------------------------------------------------------------
 # Where, on the circle of swivel angles, a limb's joints meet their limits: made once for a problem.
-#
 # The shoulder's rotation is S(φ) = R(n, φ) S₀, so that every number yᵀ S(φ) x is a + b cos φ + c sin φ, and
 # so is yᵀ W(φ) x of the wrist's.  Each limit of a joint is such a number that takes one value d (after
 # Tolani, Goswami & Badler, Graphical Models 62, 2000, section 4): with S = R₁ R₂ R₃ about axes h₁, h₂, h₃
 #
 #     q₁ = L:  (R₁(L) h₂)ᵀ S h₃ = h₂ᵀ h₃        q₃ = L:  h₁ᵀ S (R₃(-L) h₂) = h₁ᵀ h₂
 #     q₂ = L:  h₁ᵀ S h₃ = h₁ᵀ R₂(L) h₃          ball:    tr S = 1 + 2 cos L
-
 
 # Columns of an edge: which rotation (shoulder, wrist, then their traces), y (3), x (3), d.
 COLUMNS = 8

@@ -275,10 +275,6 @@ def three_parallel(axes, extra, target, start, branches):
     return found
 
 
-# ------------------------------------------------------------------------------------------
-# Closed form of two parallel hinges that bring a point to a position: the law of cosines.
-
-
 # Metres off the plane of motion, or beyond the reach, that still are rounding.
 _SLACK = 1e-9
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 
+from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
-from robot_ik.kernels.workspace import BEST_COST, BLOCKED, CONVERGED, COST, ITERATIONS, STALLED, STATUS
 
 
 @pure
@@ -101,10 +101,6 @@ def split_inside(total, sign, a, b, lower_a, upper_a, lower_b, upper_b):
     return best_a, best_b
 
 
-# ------------------------------------------------------------------------------------------
-# The arrays of a closed form, and what all of them share: measuring the start, taking the solution.
-
-
 # n numbers of q belong to the chain: one for a hinge, four for a ball.
 FORM = Layout(
     "Form",
@@ -113,25 +109,25 @@ FORM = Layout(
     extra="table",  # (5, 3)
     lower="floats",  # (n,) limits; of a ball joint the cone angle stands in ``upper`` of its first number
     upper="floats",  # (n,)
-    start="floats",  # (n,)
-    best="floats",  # (n,)
-    branches="table",  # (8, n)
+    start="floats n",
+    best="floats n",
+    branches="table 8 n",
     target="table",  # (1, 12) the goal in the world
-    inverse="table",  # (1, 12) its inverse, for arms that are solved from the tool
+    inverse="table 1 12",  # its inverse, for arms that are solved from the tool
     # Of limbs only:
     groups="int_table",  # (2, 2) how shoulder and wrist are joined, column of their first number
     middle_rotations="table",  # (2, 3) ``recognise.middle_rotations``
     edges="table",  # (m, 8) ``edges.limit_edges``
     least="floats",  # (n,) -inf: no limits at all
     most="floats",  # (n,) inf
-    matrices="table",  # (7, 9) rotations in use
-    parts="table",  # (2, 27) rotations of shoulder and wrist by swivel angle: constant, cosine's, sine's
-    cuts="floats",  # (64,) swivel angles at which something changes
-    tally="table",  # (4, 4) best of each combination of flips: squared distance, angle, cell's ends
-    trial="table",  # (2, n) angles by flip
-    scores="floats",  # (6,) squared distances: shoulder's two flips, wrist's two; their slope and speed
-    spin="table",  # (2, 3) by the swivel angle: angular velocity of shoulder and wrist
-    speeds="floats",  # (2,) of ball joints: growth of their rotation
+    matrices="table 7 9",  # rotations in use
+    parts="table 2 27",  # rotations of shoulder and wrist by swivel angle: constant, cosine's, sine's
+    cuts="floats 64",  # swivel angles at which something changes
+    tally="table 4 4",  # best of each combination of flips: squared distance, angle, cell's ends
+    trial="table 2 n",  # angles by flip
+    scores="floats 6",  # squared distances: shoulder's two flips, wrist's two; their slope and speed
+    spin="table 2 3",  # by the swivel angle: angular velocity of shoulder and wrist
+    speeds="floats 2",  # of ball joints: growth of their rotation
 )
 open_form = FORM.open
 
@@ -143,18 +139,18 @@ SOLVE, EVERY, START_ONLY = range(3)
 def measure_start(tree, goal, work, form, mode):
     """Measures the start, which is the solution if it is at the goal; returns whether there is more to do."""
     state, q = work.state, work.q
-    state[ITERATIONS] = 0
+    state[ws.ITERATIONS] = 0
     copy(work.start, q)
     clip(tree, work.nodes, q)
     within = measure(tree, goal, work)
     keep_best(work)
-    state[STATUS] = CONVERGED if within else STALLED
+    state[ws.STATUS] = ws.CONVERGED if within else ws.STALLED
     if mode == START_ONLY or (within and mode == SOLVE):
         return False
     qadr, start = form.qadr, form.start
     for j in range(qadr.shape[0]):
         start[j] = q[qadr[j]]
-    state[ITERATIONS] = 1
+    state[ws.ITERATIONS] = 1
     return True
 
 
@@ -163,13 +159,13 @@ def settle(tree, goal, work, form, row, found):
     """Takes ``form.best`` as the solution, where some branch ``row`` is inside the limits."""
     state, q, qadr, best = work.state, work.q, form.qadr, form.best
     if row < 0:
-        state[STATUS] = BLOCKED if found > 0 else STALLED
+        state[ws.STATUS] = ws.BLOCKED if found > 0 else ws.STALLED
         return
     for j in range(qadr.shape[0]):
         q[qadr[j]] = best[j]
     clip(tree, work.nodes, q)
-    state[STATUS] = CONVERGED if measure(tree, goal, work) else STALLED
-    if state[STATUS] == CONVERGED or work.value[COST] < work.value[BEST_COST]:
+    state[ws.STATUS] = ws.CONVERGED if measure(tree, goal, work) else ws.STALLED
+    if state[ws.STATUS] == ws.CONVERGED or work.value[ws.COST] < work.value[ws.BEST_COST]:
         keep_best(work)
     else:
         copy(work.best, q)
@@ -187,10 +183,6 @@ def invert(target, inverse):
         )
         for j in range(3):
             inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
-
-
-# ------------------------------------------------------------------------------------------
-# Which branch: the one inside the limits that is nearest to the start.
 
 
 @outlined

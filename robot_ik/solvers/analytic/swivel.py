@@ -13,6 +13,7 @@ import math
 from numba import types
 
 from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.kinematics import unit
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
 from robot_ik.solvers.analytic.subproblems import angle_between, image, rotate, split_inside
 
@@ -82,7 +83,7 @@ def start_rotation(form):
         put_column(m, START, 2, s * (x * z + w * y), s * (y * z - w * x), 1.0 - s * (x * x + y * y))
         return
     for j in range(3):
-        x, y, z = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+        x, y, z = unit(j)
         for k in range(2, -1, -1):
             c, s = math.cos(start[k]), math.sin(start[k])
             x, y, z = rotate(axes[k, 0], axes[k, 1], axes[k, 2], c, s, x, y, z)
@@ -126,7 +127,7 @@ def make_parts(form, angle, vx, vy, vz, nx, ny, nz):
             parts[0, 9 + 3 * i + j] = m[ORIGIN, 3 * i + j] - n * along
         parts[0, 18 + j], parts[0, 21 + j] = ny * z - nz * y, nz * x - nx * z
         parts[0, 24 + j] = nx * y - ny * x
-        x, y, z = 1.0 if j == 0 else 0.0, 1.0 if j == 1 else 0.0, 1.0 if j == 2 else 0.0
+        x, y, z = unit(j)
         x, y, z = rotate(ux, uy, uz, ce, se, x, y, z)
         x, y, z = apply(m, ORIGIN, x, y, z)
         put_column(m, BENT, j, x, y, z)
@@ -156,10 +157,6 @@ def swing(form, g, c, s):
     row = ROTATED + g
     for i in range(9):
         m[row, i] = parts[g, i] + c * parts[g, 9 + i] + s * parts[g, 18 + i]
-
-
-# ------------------------------------------------------------------------------------------
-# Joint angles of a limb's shoulder and wrist: three hinges that meet, or a ball, for one rotation.
 
 
 # Sine below which axes 1 and 3 are nearly in line, and the formulas take more care of digits.
