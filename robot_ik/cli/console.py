@@ -15,10 +15,10 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
@@ -82,12 +82,7 @@ def prepare_streams() -> bool:
 DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 #: Errors that mean "tried, not achieved"; every other error of this package is wrong input or environment.
-NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
-    NotConvergedError,
-    MarkerNotFoundError,
-    TrajectoryError,
-    MotorFaultError,
-)
+NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
 PIPE_WIDTH = 240
@@ -119,7 +114,10 @@ def width_of(stream: Any) -> int:
 
 
 class _Console(Console):
-    """A console that leaves a closed pipe to ``main`` instead of ending the process with exit code 1."""
+    """Shows text as it is, never as markup; a closed pipe is left to ``main``, which knows the exit code."""
+
+    def __init__(self, stream: Any, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, width=width_of(stream), highlight=False, markup=False, emoji=False)
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
@@ -127,22 +125,29 @@ class _Console(Console):
 
 def out() -> Console:
     """Console for results, on stdout."""
-    return _Console(width=width_of(sys.stdout), highlight=False, soft_wrap=False)
+    return _Console(sys.stdout)
 
 
 def stderr_console() -> Console:
     """Console for everything that is not a result, on stderr."""
-    return _Console(stderr=True, width=width_of(sys.stderr), highlight=False)
+    return _Console(sys.stderr, stderr=True)
 
 
 def say(text: str, style: str = "") -> None:
-    """One line on stderr; never folded, never read as markup."""
+    """One line on stderr; never folded."""
     stderr_console().print(Text(text, style=style), soft_wrap=True)
 
 
-def result(text: str) -> None:
-    """One line of result on stdout; never folded, never read as markup."""
-    out().print(Text(text), soft_wrap=True)
+def result(text: str, style: str = "") -> None:
+    """One line of result on stdout; never folded."""
+    out().print(Text(text, style=style), soft_wrap=True)
+
+
+def show(*results: RenderableType) -> None:
+    """Tables and text on stdout, one below the other; an empty text is a blank line."""
+    screen = out()
+    for one in results:
+        screen.print(one)
 
 
 def refused(problem: str, hint: str = "") -> int:
@@ -195,34 +200,39 @@ class _FoldedTable(Table):
     def _rows_as_lists(self) -> Iterator[Table]:
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
-            made = facts()
-            made.add_row(Text(_plain(row[0]), style="bold"), "")
-            for name, cell in zip(names[1:], row[1:], strict=True):
-                if _plain(cell):
-                    made.add_row(f"  {name}", cell)
-            yield made
+            rest = ((f"  {name}", cell) for name, cell in zip(names[1:], row[1:], strict=True))
+            yield facts((Text(_plain(row[0]), style="bold"), ""), *(pair for pair in rest if _plain(pair[1])))
 
 
 def _plain(cell: object) -> str:
     return cell.plain if isinstance(cell, Text) else str(cell)
 
 
-def table(*columns: str, title: str | None = None) -> Table:
-    """An empty table in the one style of all commands; the first column is never broken."""
-    made = _FoldedTable(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
-    made.pad_edge = False
+def table(*columns: str, rows: Iterable[Sequence[object]] = (), title: str | None = None) -> Table:
+    """A table in the one style of all commands: cells are ``Text``, or shown by ``str``.
+
+    The first column is never broken.
+    """
+    made = _FoldedTable(
+        title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False
+    )
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")
+    for row in rows:
+        made.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return made
 
 
-def facts(*rows: tuple[str, str]) -> Table:
+def facts(*rows: tuple[object, object]) -> Table:
     """Rows of a name and its value, without a header."""
-    made = table("", "")
+    made = table("", "", rows=rows)
     made.show_header = False
-    for name, value in rows:
-        made.add_row(name, value)
     return made
+
+
+def verdict_mark(passed: bool) -> Text:
+    """Of a row that is as wanted, or not."""
+    return Text("yes", style="green") if passed else Text("NO", style="bold red")
 
 
 def progress() -> Progress:
@@ -240,12 +250,7 @@ def progress() -> Progress:
 
 
 def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], None]:
-    """The ``progress`` of a job: its phase, and the share of it that is done, on a bar.
-
-    Args:
-        bar: Shown already.
-        before: What goes on before the first phase.
-    """
+    """The ``progress`` of a job, its phase and the share of it that is done; ``before`` the first phase."""
     task = bar.add_task(before, total=1.0, note="")
     return lambda phase, share: bar.update(task, description=phase, completed=share)
 
@@ -264,11 +269,9 @@ def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
 
 @contextlib.contextmanager
 def busy(what: str, seconds: float | None = None) -> Iterator[None]:
-    """Shows that something goes on inside: a bar on a terminal, elsewhere a line after ``SILENCE``.
+    """Shows that something goes on inside, for ``seconds`` if that is known.
 
-    Args:
-        what: What goes on.
-        seconds: How long it will take, where that is known.
+    On a terminal by a bar, elsewhere by a line after ``SILENCE``.
     """
     console = stderr_console()
     if not console.is_terminal:
@@ -330,9 +333,7 @@ def print_json_line(value: Mapping[str, Any]) -> None:
 
 def exit_code(error: BaseException) -> int:
     """The exit code that belongs to an error."""
-    if isinstance(error, NOT_ACHIEVED_ERRORS):
-        return NOT_ACHIEVED
-    return WRONG_INPUT
+    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
 
 
 def _first_lines(text: str, count: int) -> str:
@@ -362,10 +363,8 @@ def describe_error(error: BaseException) -> tuple[str, str]:
             message = message.removesuffix("\n" + error.hint) if error.hint else message
         return message, error.hint
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("robot_ik"):
-        return (
-            f"the Python package {error.name!r} is missing",
-            "install what robot_ik needs: pip install robot_ik",
-        )
+        hint = "install what robot_ik needs: pip install robot_ik"
+        return f"the Python package {error.name!r} is missing", hint
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
         return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"
     if isinstance(error, MemoryError):
@@ -386,10 +385,7 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     message, hint = describe_error(error)
     hint = _first_lines(hint, 6)
     message = _first_lines(message, ERROR_LINES - hint.count("\n") - 1)
-    text = Text("error: ", style="bold red")
-    text.append(message, style="default")
-    if hint:
-        text.append("\n" + hint, style="cyan")
+    text = Text.assemble(("error: ", "bold red"), message, ("\n" + hint if hint else "", "cyan"))
     stderr_console().print(text, soft_wrap=True)
 
 

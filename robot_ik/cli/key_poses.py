@@ -11,7 +11,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import Json, require, several, single, wrong
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import OutputError, TrajectoryError, close_matches
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 _RobotName = Annotated[str, arg(metavar="NAME|PATH")]
+_BookName = Annotated[str, single(None, "the file beside the robot's model", "Key poses, TOML.")]
 
 
 @dataclass(frozen=True)
@@ -35,14 +36,10 @@ class PosesListOptions:
     Exit code 0: shown. 2: wrong input.
     """
 
-    file: Annotated[
-        Positional[str], arg(help_behavior_hint="(default: the file beside the robot's model)")
-    ] = ""
-    """Key poses, TOML."""
+    file: Positional[_BookName] = ""
     robot: _RobotName = "humanoid"
     """Whose poses."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
 
 @dataclass(frozen=True)
@@ -64,9 +61,9 @@ class PosesRecordOptions:
     """What the pose is called."""
     robot: _RobotName = "humanoid"
     """Whose pose."""
-    begin: Annotated[str, arg(metavar="POSE", help_behavior_hint="(default: home)")] = ""
+    begin: Annotated[str, single("POSE", "home")] = ""
     """A pose of the file or a keyframe of the model."""
-    frames: Annotated[str, arg(metavar="FRAMES.csv", help_behavior_hint="")] = ""
+    frames: Annotated[str, single("FRAMES.csv")] = ""
     """Start from a frame of a recorded motion instead."""
     at: Annotated[float, arg(metavar="S")] = 0.0
     """Of --frames: at which time."""
@@ -84,8 +81,7 @@ class _MotionOptions:
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A motion or pose of the file, or a file of frames (.csv)."""
-    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
-    """Key poses, TOML."""
+    file: _BookName = ""
     robot: _RobotName = "humanoid"
     """Whose motion."""
     speed: float = 1.0
@@ -137,9 +133,9 @@ class PosesImportOptions:
     """FILE.csv: frames of the figure."""
     robot: _RobotName = "humanoid"
     """Who shall move."""
-    map: Annotated[str, arg(help_behavior_hint="(default: bvh.toml beside the robot's model)")] = ""
+    map: Annotated[str, single(None, "bvh.toml beside the robot's model")] = ""
     """Which joint of the file is which part of the figure."""
-    rate: Annotated[float, arg(metavar="HZ", help_behavior_hint="(default: the file's)")] = 0.0
+    rate: Annotated[float, single("HZ", "the file's")] = 0.0
     """Frames a second; frames are left out, none are made up."""
     up: Annotated[str, arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
@@ -160,10 +156,11 @@ def run_list(options: PosesListOptions) -> int:
         poses = {name: q.tolist() for name, q in book.poses.items()}
         console.print_json({"schema": SCHEMA, "robot": robot.name, "poses": poses, "motions": shown})
         return console.DONE
-    rows = console.table("motion", "seconds", "loop", "poses")
-    for name, (motion, made) in motions.items():
-        rows.add_row(name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
-    console.out().print(rows)
+    rows = [
+        (name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
+        for name, (motion, made) in motions.items()
+    ]
+    console.show(console.table("motion", "seconds", "loop", "poses", rows=rows))
     console.result(f"poses: {', '.join(book.poses)}")
     return console.DONE
 
@@ -195,8 +192,7 @@ def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
     robot = _load(options.robot)
     motion = _motion(robot, options)
-    if options.times < 1:
-        raise wrong("--times", f"{options.times}", "1 or more")
+    require(options.times >= 1, "--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
     from robot_ik.testbed.frontends.window import WindowSink
 
@@ -233,8 +229,7 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
     out = _writable(options.out, (".csv",), options.overwrite)
-    if options.up not in ("y", "z"):
-        raise wrong("--up", repr(options.up), "y or z")
+    require(options.up in ("y", "z"), "--up", repr(options.up), "y or z")
     robot = _load(options.robot)
     joints = SkeletonMap.load(options.map) if options.map else None
     bvh = Bvh.load(options.bvh)
@@ -264,10 +259,8 @@ def _book(robot: Robot, file: str) -> KeyPoses:
     from robot_ik.motion import KeyPoses
 
     path = Path(file) if file else robot.folder / "poses.toml"
-    if not file and not path.is_file():
-        raise wrong(
-            "--file", f"no key poses ship with {robot.name!r}", "a file", "robot-ik poses record makes one"
-        )
+    none = f"no key poses ship with {robot.name!r}"
+    require(bool(file) or path.is_file(), "--file", none, "a file", "robot-ik poses record makes one")
     return KeyPoses.load(path, robot)
 
 
@@ -279,9 +272,8 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
         return Keyframes.load_csv(name, robot)
     book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
-    if name not in known:
-        allowed = f"{', '.join(known[:20])}, or a .csv file"
-        raise wrong("motion", f"there is no {name!r}", allowed, _close(name, known))
+    allowed = f"{', '.join(known[:20])}, or a .csv file"
+    require(name in known, "motion", f"there is no {name!r}", allowed, _close(name, known))
     return book.motion(name, speed=options.speed)
 
 
@@ -294,12 +286,9 @@ def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
         return Keyframes.load_csv(options.frames, robot).at(options.at)
     if not options.begin:
         return np.array(robot.home)
-    known = named_poses(robot, book)
-    if options.begin not in known:
-        raise wrong(
-            "--begin", f"there is no pose {options.begin!r}", ", ".join(known), _close(options.begin, known)
-        )
-    return known[options.begin]
+    known, name = named_poses(robot, book), options.begin
+    require(name in known, "--begin", f"there is no pose {name!r}", ", ".join(known), _close(name, known))
+    return known[name]
 
 
 def _close(name: str, known: Iterable[str]) -> str:
@@ -341,8 +330,7 @@ def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
 
 def _writable(name: str, endings: Sequence[str], overwrite: bool) -> Path:
     path = Path(name)
-    if path.suffix not in endings:
-        raise wrong("out", f"{name!r} is not right", " or ".join(endings))
+    require(path.suffix in endings, "out", f"{name!r} is not right", " or ".join(endings))
     if path.exists() and not overwrite:
         raise OutputError(
             f"{path} exists, and stays as it is", hint="choose another name, or give --overwrite"

@@ -54,11 +54,9 @@ ROWS: dict[str, tuple[str, str]] = {
         "bench_camera", "the camera instead of the methods: errors on pictures whose truth is known"
     ),
     "bench figure": (
-        "bench_figure", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
+        "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
     ),
-    "bench page": (
-        "bench_page", "the testbed's page instead of the methods: its loop, its drawing, its start"
-    ),
+    "bench page": ("bench", "the testbed's page instead of the methods: its loop, its drawing, its start"),
     "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
@@ -81,7 +79,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "servo backup": ("servo_bus", "save the control tables as JSON"),
     "servo restore": ("servo_bus", "put the EEPROM back as a backup has it"),
     "teleop": ("teleop", "lead an arm by another one, or by the keys of this terminal"),
-    "stop": ("stop", "make an arm that another program drives stop and hold"),
+    "stop": ("servo_motion", "make an arm that another program drives stop and hold"),
     "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
     "figure": ("figure", "a humanoid sees a ball, decides, and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
@@ -92,8 +90,8 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
-    "video": ("video", "a film of the testbed without a screen, from its command log"),
-    "doctor": ("doctor", "what this machine can do, and what to do about the rest"),
+    "video": ("view", "a film of the testbed without a screen, from its command log"),
+    "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
 # They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
 _WITHOUT_MUJOCO = ("sim-bus", "servo", "stop", "camera", "doctor")
@@ -122,14 +120,11 @@ COMMANDS = {name: _row(name, *row) for name, row in ROWS.items() if " " not in n
 def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
     """The row that a command line means, as deep as its arguments lead.
 
-    Args:
-        arguments: Command line without ``robot-ik``; the first argument is a name of ``COMMANDS``.
-
     Returns:
         Its name ("servo scan"), its row, and the arguments that are left for it.
 
     Raises:
-        KeyError: There is no such command.
+        KeyError: The first argument is no name of ``COMMANDS``.
     """
     name, command, rest = arguments[0], COMMANDS[arguments[0]], list(arguments[1:])
     while rest and rest[0] in command.subcommands:
@@ -147,14 +142,7 @@ class Terminated(BaseException):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command line.
-
-    Args:
-        argv: Arguments without the program's name; ``None`` takes those of the process.
-
-    Returns:
-        The exit code: 0 done; 1 tried, not achieved; 2 wrong input or environment; 130 interrupted.
-    """
+    """Runs one command line (of the process if ``None``) and returns its exit code, see ``console``."""
     # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -214,14 +202,14 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
         _print_group(name, command)
         return 0
     what = f"subcommand of {name}"
-    asked = next((argument for argument in rest if not argument.startswith("-")), "") if rest else ""
     inner = next((argument for argument in rest if argument in command.subcommands), None)
     if not rest:
         text = f"which {what}? There are: {', '.join(command.subcommands)}."
     elif inner:
         text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
     else:
-        text = unknown_name_text(what, asked or rest[0], list(command.subcommands))
+        asked = next((argument for argument in rest if not argument.startswith("-")), rest[0])
+        text = unknown_name_text(what, asked, list(command.subcommands))
     return _report_wrong(text, f"robot-ik {name} --help")
 
 
@@ -270,9 +258,8 @@ def _unknown(name: str) -> int:
         text = unknown_name_text("command", name, list(COMMANDS))
     else:
         close = close_matches(name, ["--help", "--version", "--debug"])
-        text = f"unknown option {name!r} before the command" + (
-            f"; did you mean {close[0]!r}?" if close else ""
-        )
+        meant = f"; did you mean {close[0]!r}?" if close else ""
+        text = f"unknown option {name!r} before the command{meant}"
     return _report_wrong(text, "robot-ik --help")
 
 
@@ -287,45 +274,38 @@ def _report_wrong(text: str, see: str) -> int:
 def _print_group(name: str, command: CommandRow) -> None:
     from robot_ik.cli import console
 
-    screen = console.out()
-    screen.print(f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]", markup=False)
-    screen.print(f"\n{command.about[0].upper()}{command.about[1:]}.\n", markup=False)
-    rows = console.table("subcommand", "what it does")
-    for subcommand, row in command.subcommands.items():
-        rows.add_row(subcommand, row.about)
-    screen.print(rows)
-    first = next(iter(command.subcommands))
-    screen.print(f"\nEach explains itself:  robot-ik {name} {first} --help", markup=False)
+    rows = [(subcommand, row.about) for subcommand, row in command.subcommands.items()]
+    console.show(
+        f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]",
+        f"\n{command.about[0].upper()}{command.about[1:]}.\n",
+        console.table("subcommand", "what it does", rows=rows),
+        f"\nEach explains itself:  robot-ik {name} {rows[0][0]} --help",
+    )
 
 
 def _print_help() -> None:
     from robot_ik.cli import console
 
-    screen = console.out()
-    screen.print("usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help", markup=False)
-    screen.print("From a robot model and a goal to joint angles, on simulated or real servos.\n")
-    rows = console.table("command", "what it does")
-    for name, command in COMMANDS.items():
-        rows.add_row(name, command.about)
-    screen.print(rows)
-    others = console.facts(
-        ("--version", "versions of robot_ik and of what it stands on"),
-        ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
+    rows = [(name, command.about) for name, command in COMMANDS.items()]
+    console.show(
+        "usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help",
+        "From a robot model and a goal to joint angles, on simulated or real servos.\n",
+        console.table("command", "what it does", rows=rows),
+        console.facts(
+            ("--version", "versions of robot_ik and of what it stands on"),
+            ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
+        ),
+        "Start with:  robot-ik reach, or robot-ik view",
+        "Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment",
     )
-    screen.print(others)
-    screen.print("Start with:  robot-ik reach, or robot-ik view", markup=False)
-    screen.print("Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment", markup=False)
 
 
 def _print_versions() -> None:
     from robot_ik.cli import console
     from robot_ik.environment import installed_versions
 
-    rows = console.table("package", "version")
-    for name, version in installed_versions().items():
-        rows.add_row(name, version or "not installed")
-    rows.add_row("python", sys.version.split()[0])
-    console.out().print(rows)
+    rows = [(name, version or "not installed") for name, version in installed_versions().items()]
+    console.show(console.table("package", "version", rows=[*rows, ("python", sys.version.split()[0])]))
 
 
 if __name__ == "__main__":
