@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,11 @@ from robot_ik.figure.figure import RATE, Figure
 from robot_ik.kernels import whole_body
 from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.whole_body import HARD
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Work that is done a little at a time yields between its parts and returns its result.
 _Result = TypeVar("_Result")
+_Given = ParamSpec("_Given")
 Slices = Generator[None, None, _Result]
 SLICE, _STEPS = 60, 8
 """Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
@@ -31,6 +31,11 @@ def finished(slices: Slices[_Result]) -> _Result:
             next(slices)
         except StopIteration as end:
             return cast(_Result, end.value)
+
+
+def at_once(work: Callable[_Given, Slices[_Result]]) -> Callable[_Given, _Result]:
+    """Work in slices as a function that does all of it."""
+    return lambda *given, **options: finished(work(*given, **options))
 
 
 class FrameRows:
@@ -90,18 +95,18 @@ class FrameRows:
         """No angular momentum about the centre of mass between a frame and the one before."""
         self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
 
-    def feet(self, positions: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
+    def feet(self, poses: Mapping[str, tuple[Array, Array]], weight: ArrayLike = HARD) -> None:
         """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
         for side, foot in self.figure.feet.items():
-            self.position(foot.frame, positions[side])
-            self.orientation(foot.frame, matrices[side])
+            self.position(foot.frame, poses[side][0], weight)
+            self.orientation(foot.frame, poses[side][1], weight)
 
-    def solve(
+    def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
         steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Frames:  # fmt: skip
-        """The frames.
+    ) -> Slices[Frames]:  # fmt: skip
+        """The frames, some at a time.
 
         Args:
             posture: (nq,) or (n, nq) wanted where the rows leave freedom.
@@ -115,19 +120,6 @@ class FrameRows:
             rest: A step shorter than this (rad, m) was the last …
             close: … if hard rows are this close.
         """
-        return finished(
-            self.slices(
-                posture, stiffness, start, second, limits=limits, speeds=speeds, dt=dt, steps=steps,
-                rest=rest, close=close,
-            )
-        )  # fmt: skip
-
-    def slices(
-        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Slices[Frames]:  # fmt: skip
-        """As ``solve``, some frames at a time: the same bits."""
         each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
         ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
         n, nq = self.frames, self.figure.robot.nq
@@ -143,6 +135,8 @@ class FrameRows:
             if b < n and b % some == 0:
                 yield
         return found
+
+    solve = at_once(slices)
 
     def prepare(
         self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import (
     Motion,
-    in_stance_frame,
     join,
     rest_of,
     rest_slices,
@@ -30,15 +29,13 @@ from robot_ik.figure.actions import (
     walk_motion,
 )
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, Figure
-from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.figure import RATE, Figure, in_stance_frame
+from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints, wrapped
 from robot_ik.figure.frames import SLICE, Slices
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
-from robot_ik.ports import JointSink
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array, JointSink
 
 
 @dataclass(frozen=True)
@@ -300,7 +297,8 @@ class FigureSession:
             return
         start, walked, gait = self._walk
         self._walk, self._waypoints, self._after = None, [], None
-        if len(walked.frames.q) - self._index < 1.2 * _settled(walked, self.dt):
+        settled = len(walked.frames.q) - int(walked.strikes[-1] / self.dt)  # frames after the last strike
+        if len(walked.frames.q) - self._index < 1.2 * settled:
             return
         slices = stop_walk(self.figure, start, walked, self._index - 1 + _LOOKAHEAD, gait, self.dt)
         each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _LOOKAHEAD)))
@@ -391,26 +389,23 @@ class FigureSession:
         figure, q = self.figure, self._q
         here, goal = figure.stance(q), np.array(self._waypoints[0])
         offset = goal[:2] - here[:2]
-        distance = float(np.linalg.norm(offset))
-        course = float(np.arctan2(offset[1], offset[0]))
+        distance, course = float(np.linalg.norm(offset)), float(np.arctan2(offset[1], offset[0]))
         gait, prints = SHUFFLE, prints_of(figure, q)
         if distance < _NEAR:
             self._waypoints.pop(0)
-            if distance < _AT_STAND and abs(_heading_change(here[2], goal[2])) < 0.02:
+            if distance < _AT_STAND and abs(wrapped(goal[2] - here[2])) < 0.02:
                 self._end()
                 return
             steps = shuffle_prints(figure, prints, goal)
-        elif abs(_heading_change(here[2], course)) > _TURN_IN_PLACE:
+        elif abs(wrapped(course - here[2])) > _TURN_IN_PLACE:
             steps = shuffle_prints(figure, prints, np.array([here[0], here[1], course]))
         else:
             gait = WALK
-            aligned = abs(_heading_change(course, goal[2])) <= _TURN_IN_PLACE
+            aligned = abs(wrapped(goal[2] - course)) <= _TURN_IN_PLACE
             if aligned:
                 self._waypoints.pop(0)
             end = goal if aligned else np.array([goal[0], goal[1], course])
             steps = walk_prints(figure, prints, end, gait)
-            if not aligned:
-                self._waypoints[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
         slices = walk_slices(figure, q, steps, gait, dt=self.dt)
         self._planning, self._motion = _Planning(slices, start=q, gait=gait), None
 
@@ -425,12 +420,3 @@ class FigureSession:
         self._motion, self._walk, self._planning = None, None, None
         if walked and not self._waypoints:
             self._served = None
-
-
-def _heading_change(a: float, b: float) -> float:
-    return float((b - a + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _settled(walked: Walk, dt: float) -> int:
-    """Frames from the last strike to the end of a walk."""
-    return len(walked.frames.q) - int(walked.strikes[-1] / dt)

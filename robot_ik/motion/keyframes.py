@@ -431,7 +431,7 @@ class Keyframes:
     def _slopes(self, speeds: Array, gaps: Array) -> Array:
         """(n, nv) speed at every key: none at the ends, and where a degree of freedom turns back."""
         slopes = np.zeros((len(gaps) + 1, self.robot.nv))
-        slopes[1:-1] = _harmonic(speeds[:-1], speeds[1:], gaps[:-1], gaps[1:])
+        slopes[1:-1] = monotone_slope(speeds[:-1], speeds[1:], gaps[:-1, None], gaps[1:, None])
         if self.loop and len(gaps):
             before = speeds[-1].copy()
             v, rotation = None, np.eye(2)
@@ -440,7 +440,7 @@ class Keyframes:
                 c, s = math.cos(self._base[1].heading), math.sin(self._base[1].heading)
                 rotation = np.array([[c, -s], [s, c]])
                 before[v : v + 2] = rotation.T @ before[v : v + 2]
-            slopes[0] = slopes[-1] = _harmonic(before, speeds[0], gaps[-1], gaps[0])
+            slopes[0] = slopes[-1] = monotone_slope(before, speeds[0], gaps[-1], gaps[0])
             if v is not None:
                 slopes[-1, v : v + 2] = rotation @ slopes[0, v : v + 2]
         return slopes
@@ -540,11 +540,11 @@ def _closed(robot: Robot, first: Array, last: Array) -> bool:
     return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < _SLACK)
 
 
-def _harmonic(one: Array, two: Array, before: Array | float, after: Array | float) -> Array:
-    """The speed at a key between speeds ``one`` and ``two``: 0 where they differ in sign."""
-    before, after = np.asarray(before), np.asarray(after)
-    if np.ndim(one) == 2:
-        before, after = before[:, None], after[:, None]
+def monotone_slope(one: Array, two: Array, before: Array, after: Array) -> Array:
+    """The slope at a key between slopes ``one`` and ``two`` of the gaps ``before`` and ``after`` it.
+
+    Their weighted harmonic mean, 0 where they differ in sign (Fritsch & Butland, as above).
+    """
     left, right = 2.0 * after + before, after + 2.0 * before
     # Next to no speed on one side: their harmonic mean is none.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
