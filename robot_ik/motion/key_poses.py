@@ -118,13 +118,9 @@ class KeyPoses:
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
+        durations, loop = wanted.durations or 0.0, wanted.loop
         return Keyframes.through(
-            self.robot,
-            keys,
-            durations=wanted.durations or 0.0,
-            speed=speed,
-            velocity=velocity,
-            loop=wanted.loop,
+            self.robot, keys, durations=durations, speed=speed, velocity=velocity, loop=loop
         )
 
     def save(self, path: Path | str) -> None:
@@ -136,12 +132,9 @@ class KeyPoses:
         lines = ["schema = 1", f"robot = {_quoted(self.robot.name)}"]
         for name, q in self.poses.items():
             lines += ["", f"[poses.{_quoted(name)}]  # rad, m; quaternions w x y z"]
-            for joint, values in _by_joint(self.robot, q):
-                lines.append(
-                    f"{_quoted(joint)} = {values[0]!r}"
-                    if len(values) == 1
-                    else f"{_quoted(joint)} = {values!r}"
-                )
+            for joint, numbers in _numbers_of_joints(self.robot).items():
+                values = q[numbers].tolist()
+                lines.append(f"{_quoted(joint)} = {values[0] if len(values) == 1 else values!r}")
         for name, motion in self.motions.items():
             lines += ["", f"[motions.{_quoted(name)}]"]
             lines.append(f"poses = [{', '.join(map(_quoted, motion.poses))}]")
@@ -207,20 +200,20 @@ def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file
             close = close_matches(joint, robot.joints)
             problem = "unknown joint" + (f" (did you mean {close[0]!r}?)" if close else "")
             raise ConfigError(problem, file=file, key=key, allowed=f"a joint of {robot.name!r}")
-        k = robot.joints.index(joint)
-        width, first = Q_WIDTH[int(robot.tree.kind[k])], int(robot.tree.qadr[k])
+        numbers = _numbers_of_joints(robot)[joint]
+        width = numbers.stop - numbers.start
         values = [value] if isinstance(value, int | float) else list(value)
         if len(values) != width:
             allowed = "a number, rad or m" if width == 1 else f"{width} numbers"
             raise ConfigError(f"{shown(value)} is not right", file=file, key=key, allowed=allowed)
-        q[first : first + width] = values
+        q[numbers] = values
     return q
 
 
-def _by_joint(robot: Robot, q: Array) -> Iterator[tuple[str, list[float]]]:
-    """The numbers of every joint."""
-    for joint, kind, first in zip(robot.joints, robot.tree.kind, robot.tree.qadr, strict=True):
-        yield joint, q[int(first) : int(first) + Q_WIDTH[int(kind)]].tolist()
+def _numbers_of_joints(robot: Robot) -> dict[str, slice]:
+    """Where every joint's numbers stand in q."""
+    starts = zip(robot.joints, robot.tree.kind.tolist(), robot.tree.qadr.tolist(), strict=True)
+    return {joint: slice(first, first + Q_WIDTH[kind]) for joint, kind, first in starts}
 
 
 def _quoted(name: str) -> str:

@@ -56,9 +56,8 @@ from robot_ik.testbed.setup import (
     Ready,
     Setup,
     branches_of,
+    completed,
     first_ball,
-    usual_extras,
-    usual_kind,
 )
 
 if TYPE_CHECKING:
@@ -248,14 +247,13 @@ class Session:
         if self._drag is not None:
             self._follow_drag(self._drag, ready)
         else:
-            for one in self.instances[0 if self._figure is None else 1 :]:
+            for one in self.instances[int(self._figure is not None) :]:
                 one.solve(ready.goals, self._ball)
         if self._figure is not None:
             first, q = self.instances[0], self._figure.step(self._ball.position)
             first.stand(q, self._figure.view().action, ready.goals, self._ball)
-        slow = self._tick % _SLOW_TICKS == 0
         for one in self.instances:
-            if slow:
+            if self._tick % _SLOW_TICKS == 0:
                 one.measure_manipulability()
             if self._tick % round(self.start.rate) == 0:
                 one.measure_statistics(ready.goals, self._ball)
@@ -274,7 +272,8 @@ class Session:
 
     def view(self) -> View:
         """What is seen now."""
-        setup = self._ready.setup if self._ready is not None else None
+        setup = completed(Setup(self.name) if self._ready is None else self._ready.setup, self.robot)
+        assert setup.kind is not None and setup.extras is not None
         text, until = self._message
         return View(
             tick=self._tick,
@@ -284,10 +283,10 @@ class Session:
             running=self._running,
             speed=self._speed,
             ball=self._ball,
-            kind=usual_kind(self.robot) if setup is None or setup.kind is None else setup.kind,
-            extras=usual_extras(self.robot) if setup is None or setup.extras is None else setup.extras,
-            limits=setup is None or setup.limits,
-            show_branches=setup is not None and setup.branches,
+            kind=setup.kind,
+            extras=setup.extras,
+            limits=setup.limits,
+            show_branches=setup.branches,
             dragged=self._drag.body if self._drag is not None else "",
             instances=tuple(one.view() for one in self.instances),
             branches=self._branches,
@@ -323,12 +322,11 @@ class Session:
             return
         if command.rebuilds:
             self._preparer.ask(command)
-            return
-        if isinstance(command, DragLink) and not self._preparer.can_drag:
+        elif isinstance(command, DragLink) and not self._preparer.can_drag:
             self._say("parts can be dragged in a moment: what that needs is being compiled")
-            return
-        self._log.append((self._tick, command))
-        self._apply(command)
+        else:
+            self._log.append((self._tick, command))
+            self._apply(command)
 
     def _apply(self, command: Command) -> None:
         match command:
@@ -345,12 +343,7 @@ class Session:
             case DragLink():
                 self._grab(command)
             case Release():
-                if self._drag is not None:
-                    if self._running and self._ready is not None:
-                        # A slow browser's drag may come with its end in one tick: where it ended counts.
-                        self._follow_drag(self._drag, self._ready)
-                    self._ball = self.instances[min(self._drag.instance, len(self.instances) - 1)].tool_pose()
-                    self._drag, self._motion = None, "hand"
+                self._release()
             case Reset():
                 self._phase, self._motion, self._running, self._drag = 0.0, "curve", True, None
                 self._begin_random()
@@ -369,20 +362,26 @@ class Session:
                     self.instances[0].move_to(self._branches[index].q)
                 else:
                     self._say("there is no branch of that number")
-            case SetArm():
-                self._set_arm(command)
+            case SetArm(state):
+                if self.arm is None:
+                    self._say("there is no arm: start with --bus sim, pty or a port")
+                else:
+                    self.arm.ask(state)
 
-    def _set_arm(self, command: SetArm) -> None:
-        if self.arm is None:
-            self._say("there is no arm: start with --bus sim, pty or a port")
-        else:
-            self.arm.ask(command.state)
+    def _release(self) -> None:
+        """The ball goes to where the tool of the dragged robot is."""
+        drag = self._drag
+        if drag is not None:
+            if self._running and self._ready is not None:
+                # A slow browser's drag may come with its end in one tick: where it ended counts.
+                self._follow_drag(drag, self._ready)
+            self._ball = self.instances[min(drag.instance, len(self.instances) - 1)].tool_pose()
+            self._drag, self._motion = None, "hand"
 
     def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
         """By hand from now on; never farther than a robot of this size could use."""
         self._motion = "hand"
-        radius = _REACH * float(self.robot.model.stat.extent)
-        middle = np.array(self.robot.model.stat.center)
+        radius, middle = _REACH * float(self.robot.model.stat.extent), self.robot.model.stat.center
         away = position - middle
         distance = float(np.linalg.norm(away))
         position = position if distance <= radius else middle + away * (radius / distance)
@@ -391,14 +390,12 @@ class Session:
             self._ball = Pose(position, orientation / np.linalg.norm(orientation))
 
     def _grab(self, command: DragLink) -> None:
-        body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)
-        if body <= 0:
+        if mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body) <= 0:
             self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
-            return
-        if self._figure is not None:
+        elif self._figure is not None:
             self._say("the figure decides by itself: drag the ball")
-            return
-        self._drag = command
+        else:
+            self._drag = command
 
     def _adopt(self, found: SetupDone) -> None:
         """What was prepared takes effect now."""
@@ -506,14 +503,8 @@ def run(
 ) -> None:
     """The only loop of a front end: ticks in real time, and draws each ``every``-th view.
 
-    It runs on absolute deadlines; after a stall it goes on from there and does not hurry.
-
-    Args:
-        session: Ticks at its own rate.
-        draw: Shows a view.
-        stop: Ends the loop.
-        every: Ticks for each view that is drawn.
-        now: The clock, seconds.
+    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set; after a stall it goes
+    on from there and does not hurry.
     """
     step, due, count = 1.0 / session.start.rate, now(), 0
     with short_switch_interval():

@@ -163,22 +163,14 @@ class Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
 
     def _with_extra(self, command: SetExtraGoal) -> Setup:
-        extras = self.extras or ()
-        names = [extra.name for extra in extras]
-        if command.name not in names:
+        extras = {extra.name: extra for extra in self.extras or ()}
+        if command.name not in extras:
             raise ConfigError(
                 f"there is no goal {command.name!r}",
-                file="command", key="name", allowed=", ".join(names) or "none with this robot",
+                file="command", key="name", allowed=", ".join(extras) or "none with this robot",
             )  # fmt: skip
-        return replace(
-            self,
-            extras=tuple(
-                replace(extra, on=command.on, priority=command.priority)
-                if extra.name == command.name
-                else extra
-                for extra in extras
-            ),
-        )
+        changed = replace(extras[command.name], on=command.on, priority=command.priority)
+        return replace(self, extras=tuple((extras | {command.name: changed}).values()))
 
 
 class RobotGoals:
@@ -324,12 +316,8 @@ def completed(setup: Setup, robot: Robot) -> Setup:
     """The setup with what suits the robot where nothing was chosen."""
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
     choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
-    return replace(
-        setup,
-        choices=choices,
-        kind=setup.kind or usual_kind(robot),
-        extras=usual_extras(robot) if setup.extras is None else setup.extras,
-    )
+    extras = usual_extras(robot) if setup.extras is None else setup.extras
+    return replace(setup, choices=choices, kind=setup.kind or usual_kind(robot), extras=extras)
 
 
 def prepare(
@@ -374,8 +362,7 @@ def prepare(
         curve = reachable_curve(used, goals, able[0] if able else MethodChoice(_CURVE_METHOD).solver())
     abilities = None
     if setup.figure != "off":
-        kept = before is not None and before.loaded is loaded
-        abilities = before.abilities if before is not None and kept else None
+        abilities = before.abilities if before is not None and before.loaded is loaded else None
         abilities = abilities or _abilities(loaded, say)
     return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
 
@@ -388,11 +375,10 @@ def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
     """
     figure = load_figure(robot)
     say("reading what the figure can do …")
-
-    def progress(done: int, whole: int) -> None:
-        say(f"finding out what the figure can do: {100 * done // max(whole, 1)} % …")
-
-    return load_abilities(figure, progress=progress)
+    finding = "finding out what the figure can do"
+    return load_abilities(
+        figure, progress=lambda done, whole: say(f"{finding}: {100 * done // max(whole, 1)} % …")
+    )
 
 
 def warm_drag(robot: Robot) -> None:
@@ -403,17 +389,14 @@ def warm_drag(robot: Robot) -> None:
 def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
     try:
-        _try(robot, goals.all(ball, solver), solver)
+        wanted = goals.all(ball, solver)
+        problem = Problem(robot, wanted, budget=BUDGET)
+        solver.load(problem)
+        retarget(problem, wanted)
+        solver.solve(problem, robot.home)
     except RobotIkError as error:
         return str(error).splitlines()[0]
     return ""
-
-
-def _try(robot: Robot, goals: list[Goal], solver: Solver) -> None:
-    problem = Problem(robot, goals, budget=BUDGET)
-    solver.load(problem)
-    retarget(problem, goals)
-    solver.solve(problem, robot.home)
 
 
 def retarget(problem: Problem, goals: list[Goal]) -> None:
@@ -473,7 +456,7 @@ def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource
     q, problem = robot.home, None
     for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):
         wanted = goals.all(curve.poll(float(t)).target, solver)
-        problem = Problem(robot, wanted, budget=BUDGET) if problem is None else problem
+        problem = problem or Problem(robot, wanted, budget=BUDGET)
         try:
             retarget(problem, wanted)
             solution = solver.solve(problem, q)

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import html
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -24,6 +24,7 @@ from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadec
 from robot_ik.testbed.commands import (
     COUNTS,
     GOAL_KINDS,
+    KEYMAP,
     MOTIONS,
     Act,
     PickBranch,
@@ -42,25 +43,27 @@ from robot_ik.testbed.commands import (
     SetSpeed,
     ShowBranches,
 )
-from robot_ik.testbed.frontends.widgets import Control, Send, is_usual, label_of, option_widget, page, pressed
-from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.frontends.widgets import (
+    Control,
+    Send,
+    is_usual,
+    label_of,
+    option_widget,
+    page,
+    pressed,
+    update,
+)
 from robot_ik.testbed.session import View
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.health import ServoState
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
 _COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
 _MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
-_KIND_LABELS = dict(
-    zip(
-        ("pose", "position", "aim at the ball", "on a line", "on a plane"),
-        GOAL_KINDS,
-        strict=True,
-    )
-)
+_KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
+_KIND_LABELS = dict(zip(_KINDS, GOAL_KINDS, strict=True))
 _MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
@@ -119,9 +122,7 @@ class RunPanel:
             dot, label = "#f58220", "getting ready"
         line = html.escape(view.busy or view.message or HINT)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
-        content = self._large + page(text)
-        if self._state.content != content:
-            self._state.content = content
+        update(self._state, content=self._large + page(text))
         self._motion.follow(label_of(_MOTION_LABELS, view.motion))
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
@@ -135,16 +136,12 @@ class MethodPanel:
     """A folder for each instance: its method, and that method's options made from the solver's fields."""
 
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
-        self._gui, self._send = gui, send
         self._limits = Control(
             gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
             lambda value: send(SetLimits(value)),
         )
         # Made once for four and hidden: widgets that come and go trouble a slow browser.
-        self._folders = [self._folder(k) for k in range(4)]
-
-    def _folder(self, k: int) -> _MethodFolder:
-        return _MethodFolder(self._gui, self._send, k)
+        self._folders = [_MethodFolder(gui, send, k) for k in range(4)]
 
     def show(self, view: View) -> None:
         """Follows the session."""
@@ -169,19 +166,16 @@ class _MethodFolder:
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
-        visible = one is not None and one.method != ""
-        if self._folder.visible != visible:
-            self._folder.visible = visible
-        if one is None:
+        update(self._folder, visible=one is not None and one.method != "")
+        if one is None or not one.method:
             return
-        if self._colour.visible != (count > 1):
-            colour = hexadecimal(INSTANCE_COLOURS[self._k])
-            self._colour.content = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
-            self._colour.visible = count > 1
-        if one.method and self._shown != one.method:
+        colour = hexadecimal(INSTANCE_COLOURS[self._k])
+        bar = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
+        update(self._colour, content=bar, visible=count > 1)
+        if self._shown != one.method:
             self._shown = one.method
             self._rebuild(one)
-        if one.method and not busy:
+        if not busy:
             self._menu.follow(one.method)
         for name, value in one.options:
             if name in self._widgets:
@@ -250,8 +244,7 @@ class GoalsPanel:
         self._kind.follow(label_of(_KIND_LABELS, view.kind))
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
-        if self._pick.handle.visible != view.show_branches:
-            self._pick.handle.visible = view.show_branches
+        update(self._pick.handle, visible=view.show_branches)
         if self._pick.handle.options != names:
             self._pick.handle.options = names
             self._pick.handle.value = "–"
@@ -264,20 +257,11 @@ class GoalsPanel:
                 if box is not None:
                     box.follow(extra.on)
                 rank.follow(extra.priority)
-        content = page(self._missed(view))
-        if self._misses.content != content:
-            self._misses.content = content
-
-    @staticmethod
-    def _missed(view: View) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{1e3 * metres:.2f}</td>"
-            f"<td>{math.degrees(angle):.2f}</td></tr>"
+        rows = [
+            (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
-        )
-        return (
-            f"<table><tr><th>robot 1 is off by</th><th>mm</th><th>°</th></tr>{rows}</table>" if rows else ""
-        )
+        ]
+        update(self._misses, content=page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else ""))
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):
@@ -319,16 +303,11 @@ class FigurePanel:
     def show(self, view: View) -> None:
         """Decision, reason, and what it does now."""
         acting = view.figure
-        if self._mode.handle.visible != view.can_act:
-            self._mode.handle.visible = view.can_act
+        update(self._mode.handle, visible=view.can_act)
         if not view.busy:
             self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
-        is_passive = acting is not None and acting.mode == "passive"
-        if self._act.visible != is_passive:
-            self._act.visible = is_passive
-        content = page(self._figure_text(view))
-        if self._text.content != content:
-            self._text.content = content
+        update(self._act, visible=acting is not None and acting.mode == "passive")
+        update(self._text, content=page(self._figure_text(view)))
 
     @staticmethod
     def _figure_text(view: View) -> str:
@@ -336,9 +315,8 @@ class FigurePanel:
         if not view.can_act:
             return "<small>this robot is no figure: choose humanoid under Robot</small>"
         if acting is None:
-            return (
-                "<small>the figure reaches, bends, jumps or walks to the ball by itself, if it is let</small>"
-            )
+            does = "the figure reaches, bends, jumps or walks to the ball by itself, if it is let"
+            return f"<small>{does}</small>"
         if acting.waiting:
             return "<b>waits</b><br><small>drag the ball, then press Act now</small>"
         arm = f" with the {html.escape(acting.arm)} hand" if acting.arm else ""
@@ -361,11 +339,7 @@ class ArmPanel:
         self._text, there = gui.add_html(""), view.arm is not None
         for label, labels, hint in (
             ("Arm", _MODE_LABELS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
-            (
-                "By hand",
-                _TEACH_LABELS,
-                "Teach: torque off, and a hand's motion is recorded; Replay repeats it",
-            ),
+            ("By hand", _TEACH_LABELS, "Teach: torque off, and a hand is recorded; Replay repeats it"),
         ):
             group = gui.add_button_group(label, tuple(labels.values()), visible=there, hint=hint)
             pressed(group, functools.partial(self._pressed, send, labels))
@@ -398,8 +372,7 @@ class ArmPanel:
         arm = view.arm
         if arm is None:
             line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
-            if not self._text.content:
-                self._text.content = page(line)
+            update(self._text, content=page(line))
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
@@ -407,25 +380,24 @@ class ArmPanel:
             f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
             f"recorded: {arm.recorded:.1f} s</small>{said}"
         )
-        rows = "".join(
-            f"<tr><td>{html.escape(s.joint)}</td><td>{_position_text(s)}</td>"
-            f"<td>{'on' if s.torque else 'off'}</td>"
-            f"<td>{_cell(s.current_ma)}</td><td>{_cell(s.temperature)}</td>"
-            f"<td>{html.escape(', '.join(s.errors))}</td></tr>"
-            for s in arm.servos
-        )
-        head = "".join(f"<th>{label}</th>" for label in ("joint", "at", "torque", "mA", "°C", "errors"))
-        self._table.content = page(f"<table><tr>{head}</tr>{rows}</table>")
+        rows = []
+        for s in arm.servos:
+            at = _cell(s.position_deg, 1, "°") if s.position_mm is None else _cell(s.position_mm, 1, " mm")
+            torque, errors = "on" if s.torque else "off", html.escape(", ".join(s.errors))
+            cells = (at, torque, _cell(s.current_ma), _cell(s.temperature), errors)
+            rows.append((html.escape(s.joint), *cells))
+        self._table.content = page(_table(("joint", "at", "torque", "mA", "°C", "errors"), rows))
 
 
-def _position_text(servo: ServoState) -> str:
-    if servo.position_mm is not None:
-        return f"{servo.position_mm:.1f} mm"
-    return "–" if servo.position_deg is None else f"{servo.position_deg:.1f}°"
+def _cell(value: float | None, digits: int = 0, unit: str = "") -> str:
+    return "–" if value is None else f"{value:.{digits}f}{unit}"
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.0f}"
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Of cells that are HTML already."""
+    head = "".join(f"<th>{label}</th>" for label in heads)
+    cells = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
+    return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
 
 class MeasuredPanel:
@@ -468,9 +440,8 @@ class MeasuredPanel:
         counts = [one.statistics.count for one in view.instances[acting:]]
         note = "the figure decides by itself: no method is measured"
         if counts:
-            note = (
-                f"in this page, the last {min(counts)} solves of each; for comparable times: robot-ik bench"
-            )
+            last = f"the last {min(counts)} solves of each"
+            note = f"in this page, {last}; for comparable times: robot-ik bench"
         self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
 
     @staticmethod
@@ -494,8 +465,7 @@ class MeasuredPanel:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
             visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
-            if plot.visible != visible:
-                plot.visible = visible
+            update(plot, visible=visible)
             if visible:
                 self._fill(plot, view, name)
         self._joints.content = page(joint_bars(view, robot))
@@ -523,7 +493,6 @@ def joint_bars(view: View, robot: Robot) -> str:
     model = robot.model
     active = [model.joint(name).id for name in robot.joints]
     ids = [i for i in active if model.jnt_limited[i] and model.jnt_type[i] in (_HINGE, _SLIDE)]
-    rows = ""
     if not ids:
         return "<small>no joint has limits</small>"
     low, high = model.jnt_range[ids].T
@@ -532,6 +501,7 @@ def joint_bars(view: View, robot: Robot) -> str:
     order: Sequence[int] = range(len(ids))
     if len(ids) > _JOINTS_SHOWN:
         order = np.argsort(np.minimum(shares, 1.0 - shares).min(axis=0))[:_JOINTS_SHOWN].tolist()
+    rows = ""
     for i in order:
         marks = "".join(_mark(k, share) for k, share in enumerate(shares[:, i].tolist()))
         angle = model.jnt_type[ids[i]] == _HINGE
@@ -553,9 +523,5 @@ def _mark(k: int, share: float) -> str:
 
 def key_table() -> str:
     """The page's keys, from ``KEYMAP``."""
-    rows: Iterator[str] = (
-        f"<tr><td><kbd>{key.browser}</kbd></td><td>{html.escape(key.about)}</td></tr>"
-        for key in KEYMAP
-        if key.browser
-    )
-    return page(f"<table>{''.join(rows)}</table>")
+    rows = [(f"<kbd>{key.browser}</kbd>", html.escape(key.about)) for key in KEYMAP if key.browser]
+    return page(_table((), rows))
