@@ -78,11 +78,7 @@ RecordFile = Annotated[
 ]
 Lens = Annotated[
     str,
-    arg(
-        metavar="FILE",
-        help="Calibration of a real camera: OpenCV or ROS YAML.",
-        help_behavior_hint=NEEDED,
-    ),
+    arg(metavar="FILE", help="Calibration of a real camera: OpenCV or ROS YAML.", help_behavior_hint=NEEDED),
 ]
 Dictionary = Annotated[str, single("NAME", "DICT_5X5_50", "Of the board's markers.")]
 BoardName = Annotated[str, arg(metavar="BOARD", help=_BOARD)]

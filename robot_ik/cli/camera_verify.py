@@ -24,13 +24,7 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
-from robot_ik.cli.arm_camera import (
-    ArmCameraOptions,
-    arm_camera_values,
-    measured,
-    numbers_of_seen,
-    show_plan,
-)
+from robot_ik.cli.arm_camera import ArmCameraOptions, arm_camera_values, measured, numbers_of_seen, show_plan
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 

@@ -199,10 +199,7 @@ def run_play(options: PosesPlayOptions) -> int:
     seconds = options.times * motion.duration if motion.loop else None
     frames = motion.sampled(options.rate, seconds)
     start, instead = np.array(frames.q[0]), "write its frames into a file: robot-ik poses export"
-    with (
-        WindowSink(robot, start=start, instead=instead) as window,
-        console.busy("playing", frames.duration),
-    ):
+    with WindowSink(robot, start=start, instead=instead) as window, console.busy("playing", frames.duration):
         execute(frames, [window])
         window.wait()
     return console.DONE

@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import (
-    GRAVITY,
-    RATE,
-    SIDES,
-    Figure,
-    in_stance_frame,
-    minimum_jerk,
-    rotation,
-)
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, minimum_jerk, rotation
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, pinned, touches_itself

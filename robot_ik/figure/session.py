@@ -19,15 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import (
-    Motion,
-    join,
-    rest_of,
-    rest_slices,
-    stop_walk,
-    take_slices,
-    walk_motion,
-)
+from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, Figure, in_stance_frame
 from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints, wrapped

@@ -27,38 +27,10 @@ from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, short_switch_interval
 from robot_ik.robot import Robot, load_robot
-from robot_ik.testbed.commands import (
-    Act,
-    Command,
-    CommandLog,
-    Count,
-    DragLink,
-    GoalKind,
-    Motion,
-    MoveGoal,
-    Nudge,
-    PickBranch,
-    Release,
-    Reset,
-    SetArm,
-    SetMotion,
-    SetRobot,
-    SetRunning,
-    SetSpeed,
-    Start,
-    checked_command,
-    checked_start,
-)
+from robot_ik.testbed import commands
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
-from robot_ik.testbed.setup import (
-    ExtraGoal,
-    Ready,
-    Setup,
-    branches_of,
-    completed,
-    first_ball,
-)
+from robot_ik.testbed.setup import ExtraGoal, Ready, Setup, branches_of, completed, first_ball
 
 if TYPE_CHECKING:
     from robot_ik.testbed.arm import ArmLink, ArmView
@@ -108,11 +80,11 @@ class View:
     tick: int
     now: float
     robot: str
-    motion: Motion
+    motion: commands.Motion
     running: bool
     speed: float
     ball: Pose
-    kind: GoalKind
+    kind: commands.GoalKind
     extras: tuple[ExtraGoal, ...]
     limits: bool
     show_branches: bool
@@ -126,7 +98,7 @@ class View:
     can_act: bool
 
     @property
-    def count(self) -> Count:
+    def count(self) -> commands.Count:
         """Instances side by side."""
         return len(self.instances)  # type: ignore[return-value]
 
@@ -162,20 +134,20 @@ class Session:
     """
 
     def __init__(
-        self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
+        self, start: commands.Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
     ) -> None:
-        self.start = checked_start(Start() if start is None else start)
+        self.start = commands.checked_start(commands.Start() if start is None else start)
         setup = Setup.of(self.start)
         for choice in setup.choices:
             choice.solver()
-        self._queue: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._log: list[tuple[int, Command]] = []
+        self._queue: queue.SimpleQueue[commands.Command] = queue.SimpleQueue()
+        self._log: list[tuple[int, commands.Command]] = []
         self._period = 1.0 / self.start.rate
         self._tick, self._phase = 0, 0.0
-        self._motion: Motion = "curve"
+        self._motion: commands.Motion = "curve"
         self._running, self._speed = True, 1.0
         self._message: tuple[str, int] = ("", 0)
-        self._drag: DragLink | None = None
+        self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
         self._figure: ActingFigure | None = None
@@ -191,7 +163,7 @@ class Session:
 
     # --------------------------------------------------------------------------------- from any thread
 
-    def send(self, command: Command) -> None:
+    def send(self, command: commands.Command) -> None:
         """Takes a command from any thread; it takes effect with the next tick, or when it is prepared."""
         self._queue.put(command)
 
@@ -260,7 +232,7 @@ class Session:
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
 
-    def _follow_drag(self, drag: DragLink, ready: Ready) -> None:
+    def _follow_drag(self, drag: commands.DragLink, ready: Ready) -> None:
         for one in self.instances:
             one.drag(drag, ready.goals, self._ball)
 
@@ -297,9 +269,9 @@ class Session:
             can_act=self.robot.file.figure is not None,
         )
 
-    def log(self) -> CommandLog:
+    def log(self) -> commands.CommandLog:
         """All that took effect up to now, and the digest of the present view."""
-        return CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
+        return commands.CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
 
     def ball_path(self) -> Array:
         """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
@@ -310,41 +282,41 @@ class Session:
 
     # ---------------------------------------------------------------------------------------- commands
 
-    def _take(self, command: Command) -> None:
+    def _take(self, command: commands.Command) -> None:
         """Does what was asked; what cannot be done is said in the view, never raised."""
         if isinstance(command, SetupDone):
             self._adopt(command)
             return
         try:
-            command = checked_command(command)
+            command = commands.checked_command(command)
         except RobotIkError as error:
             self._say(str(error).splitlines()[0])
             return
         if command.rebuilds:
             self._preparer.ask(command)
-        elif isinstance(command, DragLink) and not self._preparer.can_drag:
+        elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
             self._say("parts can be dragged in a moment: what that needs is being compiled")
         else:
             self._log.append((self._tick, command))
             self._apply(command)
 
-    def _apply(self, command: Command) -> None:
+    def _apply(self, command: commands.Command) -> None:
         match command:
-            case SetMotion(motion):
+            case commands.SetMotion(motion):
                 self._motion = motion
-            case SetRunning(running):
+            case commands.SetRunning(running):
                 self._running = running
-            case SetSpeed(speed):
+            case commands.SetSpeed(speed):
                 self._speed = speed
-            case MoveGoal(position, wxyz):
+            case commands.MoveGoal(position, wxyz):
                 self._move_ball(np.array(position), wxyz)
-            case Nudge(step):
+            case commands.Nudge(step):
                 self._move_ball(np.array(self._ball.position) + step, None)
-            case DragLink():
+            case commands.DragLink():
                 self._grab(command)
-            case Release():
+            case commands.Release():
                 self._release()
-            case Reset():
+            case commands.Reset():
                 self._phase, self._motion, self._running, self._drag = 0.0, "curve", True, None
                 self._begin_random()
                 for one in self.instances:
@@ -352,17 +324,17 @@ class Session:
                 if self._figure is not None:
                     self._figure.reset()
                     self._motion = "hand"
-            case Act():
+            case commands.Act():
                 if self._figure is None:
                     self._say("no figure decides: switch it on in the tab Figure")
                 else:
                     self._figure.act()
-            case PickBranch(index):
+            case commands.PickBranch(index):
                 if index < len(self._branches):
                     self.instances[0].move_to(self._branches[index].q)
                 else:
                     self._say("there is no branch of that number")
-            case SetArm(state):
+            case commands.SetArm(state):
                 if self.arm is None:
                     self._say("there is no arm: start with --bus sim, pty or a port")
                 else:
@@ -389,7 +361,7 @@ class Session:
         if np.linalg.norm(orientation) > 1e-6:
             self._ball = Pose(position, orientation / np.linalg.norm(orientation))
 
-    def _grab(self, command: DragLink) -> None:
+    def _grab(self, command: commands.DragLink) -> None:
         if mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body) <= 0:
             self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
         elif self._figure is not None:
@@ -406,7 +378,7 @@ class Session:
             self._log.append((self._tick, found.command))
         before, self._ready = self._ready, found.ready
         ready = found.ready
-        if isinstance(found.command, SetRobot) or ready.setup.robot != self.name:
+        if isinstance(found.command, commands.SetRobot) or ready.setup.robot != self.name:
             self.name = ready.setup.robot
             self._phase, self._motion, self._drag = 0.0, "curve", None
             self._stand(ready.robot, ready.setup.count)
@@ -469,7 +441,7 @@ class Session:
         self._message = text, self._tick + round(MESSAGE_SECONDS * self.start.rate)
 
 
-def replayed(log: CommandLog) -> Iterator[Session]:
+def replayed(log: commands.CommandLog) -> Iterator[Session]:
     """The session of a log, tick by tick; the last one is over all its commands.
 
     Raises:
@@ -485,7 +457,7 @@ def replayed(log: CommandLog) -> Iterator[Session]:
             yield session
 
 
-def last_view(log: CommandLog) -> View:
+def last_view(log: commands.CommandLog) -> View:
     """The view at the end of a log; of an empty one, after one tick."""
     log = log if log.ticks or log.commands else dataclasses.replace(log, ticks=1)
     for session in replayed(log):

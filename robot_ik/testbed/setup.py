@@ -38,21 +38,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import Solver
-from robot_ik.testbed.commands import (
-    Command,
-    Count,
-    GoalKind,
-    SetCount,
-    SetExtraGoal,
-    SetFigure,
-    SetGoalKind,
-    SetLimits,
-    SetMethod,
-    SetOption,
-    SetRobot,
-    ShowBranches,
-    Start,
-)
+from robot_ik.testbed import commands
 
 BUDGET = Budget(iterations=200)
 """Of one solve: steps and not seconds, so that a replay gives the same bits."""
@@ -117,52 +103,52 @@ class Setup:
     """
 
     robot: str
-    count: Count = 1
+    count: commands.Count = 1
     choices: tuple[MethodChoice, ...] = ()
-    kind: GoalKind | None = None
+    kind: commands.GoalKind | None = None
     extras: tuple[ExtraGoal, ...] | None = None
     limits: bool = True
     branches: bool = False
     figure: Literal["off", "active", "passive"] = "off"
 
     @classmethod
-    def of(cls, start: Start) -> Setup:
+    def of(cls, start: commands.Start) -> Setup:
         """What a session begins with."""
         return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
 
-    def after(self, command: Command) -> Setup:
+    def after(self, command: commands.Command) -> Setup:
         """What is solved after a command that rebuilds.
 
         Raises:
             ConfigError: It names a goal that there is not.
         """
         match command:
-            case SetRobot(name):
+            case commands.SetRobot(name):
                 return Setup(name, self.count, self.choices)
-            case SetCount(count):
+            case commands.SetCount(count):
                 return replace(self, count=count)
-            case SetMethod(k, method):
+            case commands.SetMethod(k, method):
                 return self._with_choice(k, MethodChoice(method))
-            case SetOption(k, name, value):
+            case commands.SetOption(k, name, value):
                 old = self.choices[k]
                 options = tuple(sorted((dict(old.options) | {name: value}).items()))
                 return self._with_choice(k, MethodChoice(old.method, options))
-            case SetGoalKind(kind):
+            case commands.SetGoalKind(kind):
                 return replace(self, kind=kind)
-            case SetLimits(on):
+            case commands.SetLimits(on):
                 return replace(self, limits=on)
-            case ShowBranches(on):
+            case commands.ShowBranches(on):
                 return replace(self, branches=on)
-            case SetExtraGoal():
+            case commands.SetExtraGoal():
                 return self._with_extra(command)
-            case SetFigure(mode):
+            case commands.SetFigure(mode):
                 return replace(self, figure=mode)
         raise TypeError(f"{command!r} rebuilds nothing")
 
     def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
 
-    def _with_extra(self, command: SetExtraGoal) -> Setup:
+    def _with_extra(self, command: commands.SetExtraGoal) -> Setup:
         extras = {extra.name: extra for extra in self.extras or ()}
         if command.name not in extras:
             raise ConfigError(
@@ -181,7 +167,7 @@ class RobotGoals:
         balanced: Whether the centre of mass stays over its position.
     """
 
-    def __init__(self, robot: Robot, kind: GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
+    def __init__(self, robot: Robot, kind: commands.GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
         self.robot, self.kind = robot, kind
         self.priority = next(extra.priority for extra in extras if extra.name == "ball")
         self._extras = [
@@ -261,7 +247,7 @@ def is_figure(robot: Robot) -> bool:
     return robot.nq > robot.nv and bool(robot.file.gallery and robot.file.gallery.keep)
 
 
-def usual_kind(robot: Robot) -> GoalKind:
+def usual_kind(robot: Robot) -> commands.GoalKind:
     """A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet."""
     return "position" if is_figure(robot) or robot.nv < 6 else "pose"
 

@@ -20,29 +20,8 @@ from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
 from robot_ik.robot import Robot
+from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
-from robot_ik.testbed.commands import (
-    COUNTS,
-    GOAL_KINDS,
-    KEYMAP,
-    MOTIONS,
-    Act,
-    PickBranch,
-    Reset,
-    SetArm,
-    SetCount,
-    SetExtraGoal,
-    SetFigure,
-    SetGoalKind,
-    SetLimits,
-    SetMethod,
-    SetMotion,
-    SetOption,
-    SetRobot,
-    SetRunning,
-    SetSpeed,
-    ShowBranches,
-)
 from robot_ik.testbed.frontends.widgets import (
     Control,
     Send,
@@ -60,10 +39,10 @@ if TYPE_CHECKING:
     from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
-_COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
-_MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
+_COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
+_MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
 _KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
-_KIND_LABELS = dict(zip(_KINDS, GOAL_KINDS, strict=True))
+_KIND_LABELS = dict(zip(_KINDS, commands.GOAL_KINDS, strict=True))
 _MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
@@ -79,7 +58,7 @@ class RunPanel:
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._state = gui.add_html(page(HINT))
         stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP, hint="Everything holds still")
-        pressed(stop, lambda _: send(SetRunning(False)))
+        pressed(stop, lambda _: send(commands.SetRunning(False)))
         self.stop_uuid: str = stop._impl.uuid
         size = f"height:{_STOP_HEIGHT}px!important;font:700 20px system-ui;letter-spacing:.12em"
         button = f'[id="{self.stop_uuid}"]'
@@ -87,30 +66,34 @@ class RunPanel:
         run = gui.add_button_group(
             "Run", ("Start", "Pause", "Reset"), hint="Space starts and pauses; R resets"
         )
-        actions = {"Start": SetRunning(True), "Pause": SetRunning(False), "Reset": Reset()}
+        actions = {
+            "Start": commands.SetRunning(True),
+            "Pause": commands.SetRunning(False),
+            "Reset": commands.Reset(),
+        }
         pressed(run, lambda event: send(actions[event.target.value]))
         names = tuple(dict.fromkeys((*catalogue(), view.robot)))
         self._robot = Control(
             gui.add_dropdown("Robot", names, initial_value=view.robot, hint="Any robot that ships"),
-            lambda value: send(SetRobot(value)),
+            lambda value: send(commands.SetRobot(value)),
         )
         with gui.add_folder("A model of your own", expand_by_default=False):
             path = gui.add_text(
                 "Path", "", hint="An MJCF or URDF file, on the machine where this program runs"
             )
             load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN, hint="In place of the robot")
-        pressed(load, lambda _: send(SetRobot(path.value.strip())))
+        pressed(load, lambda _: send(commands.SetRobot(path.value.strip())))
         self._count = Control(
             gui.add_dropdown("Compare", tuple(_COUNT_LABELS), hint="Side by side (keys 1, 2, 4)"),
-            lambda value: send(SetCount(_COUNT_LABELS[value])),
+            lambda value: send(commands.SetCount(_COUNT_LABELS[value])),
         )
         self._motion = Control(
             gui.add_dropdown("Ball", tuple(_MOTION_LABELS), hint="How the ball moves (I)"),
-            lambda value: send(SetMotion(_MOTION_LABELS[value])),
+            lambda value: send(commands.SetMotion(_MOTION_LABELS[value])),
         )
         self._speed = Control(
             gui.add_slider("Speed", 0.0, 3.0, 0.05, view.speed, hint="Of the ball; 1 is real time"),
-            lambda value: send(SetSpeed(float(value))),
+            lambda value: send(commands.SetSpeed(float(value))),
         )
 
     def show(self, view: View) -> None:
@@ -138,7 +121,7 @@ class MethodPanel:
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._limits = Control(
             gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
-            lambda value: send(SetLimits(value)),
+            lambda value: send(commands.SetLimits(value)),
         )
         # Made once for four and hidden: widgets that come and go trouble a slow browser.
         self._folders = [_MethodFolder(gui, send, k) for k in range(4)]
@@ -162,7 +145,7 @@ class _MethodFolder:
             self._colour = gui.add_html("", visible=False)
             menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
             self._options = gui.add_folder("Options", expand_by_default=k == 0)
-        self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
+        self._menu = Control(menu, lambda value: send(commands.SetMethod(k, value)))
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
@@ -205,7 +188,7 @@ class _MethodFolder:
         def changed(chosen: Any) -> None:
             if isinstance(chosen, float) and low is not None:
                 chosen = max(chosen, low)  # a slider from 0, where 0 itself is not allowed
-            self._send(SetOption(self._k, field.name, chosen))
+            self._send(commands.SetOption(self._k, field.name, chosen))
 
         self._widgets[field.name] = Control(widget, changed)
 
@@ -219,15 +202,14 @@ class GoalsPanel:
         self._gui, self._send = gui, send
         self._kind = Control(
             gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
-            lambda value: send(SetGoalKind(_KIND_LABELS[value])),
+            lambda value: send(commands.SetGoalKind(_KIND_LABELS[value])),
         )
         self._branches = Control(
             gui.add_checkbox("Branches", False, hint="All ways of a closed form, as ghosts (B)"),
-            lambda value: send(ShowBranches(value)),
+            lambda value: send(commands.ShowBranches(value)),
         )
         self._pick = Control(
-            gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"),
-            self._picked,
+            gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"), self._picked
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._names: tuple[str, ...] = ()
@@ -237,7 +219,7 @@ class GoalsPanel:
 
     def _picked(self, value: str) -> None:
         if value in self._pick.handle.options[1:]:
-            self._send(PickBranch(self._pick.handle.options.index(value) - 1))
+            self._send(commands.PickBranch(self._pick.handle.options.index(value) - 1))
 
     def show(self, view: View) -> None:
         """Follows the session."""
@@ -280,7 +262,7 @@ class GoalsPanel:
 
     def _changed(self, name: str, value: object) -> None:
         box, rank = self._rows[name]
-        self._send(SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
+        self._send(commands.SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
 
 
 class FigurePanel:
@@ -292,12 +274,12 @@ class FigurePanel:
                 "Moved by", tuple(_FIGURE_LABELS), visible=view.can_act,
                 hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
-            lambda label: send(SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
+            lambda label: send(commands.SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
         )  # fmt: skip
         self._act = gui.add_button(
             "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
         )
-        pressed(self._act, lambda _: send(Act()))
+        pressed(self._act, lambda _: send(commands.Act()))
         self._text = gui.add_html("")
 
     def show(self, view: View) -> None:
@@ -353,7 +335,7 @@ class ArmPanel:
     @staticmethod
     def _pressed(send: Send, labels: Mapping[str, str], event: Any) -> None:
         mode = next(mode for mode, label in labels.items() if label == event.target.value)
-        send(SetArm(mode))  # type: ignore[arg-type]
+        send(commands.SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -403,16 +385,13 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 class MeasuredPanel:
     """Statistics, one plot with a menu, joints against their limits."""
 
-    _PLOTS: Mapping[str, tuple[int, str]] = {
-        "distance to the goal, mm": (0, "mm"),
-        "manipulability": (1, ""),
-    }
+    _PLOTS: Mapping[str, tuple[int, str]] = {"distance to the goal, mm": (0, "mm"), "manipulability": (1, "")}
 
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._table = gui.add_html("")
         self._menu = gui.add_dropdown("Plot", tuple(self._PLOTS), hint="Over the last 5 seconds")
         # Made once for every number of robots and hidden, as the folders of the methods.
-        self._plots = {(n, name): self._plot(gui, n, name) for n in COUNTS for name in self._PLOTS}
+        self._plots = {(n, name): self._plot(gui, n, name) for n in commands.COUNTS for name in self._PLOTS}
         self._joints = gui.add_html("")
 
     def _plot(self, gui: viser.GuiApi, n: int, name: str) -> Any:
@@ -523,5 +502,5 @@ def _mark(k: int, share: float) -> str:
 
 def key_table() -> str:
     """The page's keys, from ``KEYMAP``."""
-    rows = [(f"<kbd>{key.browser}</kbd>", html.escape(key.about)) for key in KEYMAP if key.browser]
+    rows = [(f"<kbd>{key.browser}</kbd>", html.escape(key.about)) for key in commands.KEYMAP if key.browser]
     return page(_table((), rows))
