@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from tyro.conf import arg
 
@@ -34,10 +34,11 @@ from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.jobs.arm_camera.handeye import HandEyeReport, HandEyeRequest
+    from robot_ik.jobs.arm_camera.measuring import SampleSet
     from robot_ik.ports import Array
 
 
-Report = TypeVar("Report", covariant=True)
+Report = TypeVar("Report")
 
 #: Fewer views determine nothing, so there is nothing to go on with.
 LEAST_VIEWS = 4
@@ -95,33 +96,17 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     }
 
 
-class SavedSamples(Protocol):
-    """Samples that can be written."""
-
-    def __len__(self) -> int: ...
-
-    def save(self, path: Path) -> None: ...
-
-
-class Job(Protocol[Report]):
-    """Moves an arm and takes samples."""
-
-    def __call__(
-        self, *, keep: Callable[[SavedSamples], None], progress: Callable[[str, float], None]
-    ) -> Report: ...
-
-
-def measured(job: Job[Report], file: Path, command: str) -> Report | None:
+def measured(job: Callable[..., Report], file: Path, command: str) -> Report | None:
     """Runs a job with its progress shown; None when it was interrupted, and how to go on is said.
 
     Args:
-        job: Hands over all its samples after each station.
+        job: Takes ``progress``, and ``keep``, to which it hands all its samples after each station.
         file: Where they are kept.
         command: That goes on with them: ``camera verify``.
     """
     views = 0
 
-    def keep(samples: SavedSamples) -> None:
+    def keep(samples: SampleSet) -> None:
         nonlocal views
         samples.save(file)
         views = len(samples)
@@ -179,32 +164,21 @@ class CameraHandeyeOptions(ArmCameraOptions):
 def run_handeye(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a pose was found."""
     import_mujoco()
-    from robot_ik.jobs.arm_camera.handeye import samples_path
-
-    request = None if options.samples else make_request(options)
-    results = [] if options.dry_run else [options.out]
-    if request is not None and not options.dry_run:
-        results.append(samples_path(options.out))
-    with claimed(*results, overwrite=options.overwrite):
-        return _measure_and_solve(options, request)
-
-
-def _measure_and_solve(options: CameraHandeyeOptions, request: HandEyeRequest | None) -> int:
     from robot_ik.jobs.arm_camera import handeye
 
-    if request is None:
-        report = _again(options)
-    else:
-        made = measured(
-            partial(handeye.run_handeye, request, dry_run=options.dry_run),
-            handeye.samples_path(options.out),
-            "camera handeye",
-        )
-        if made is None:
+    request = None if options.samples else make_request(options)
+    kept = handeye.samples_path(options.out)
+    results = () if options.dry_run else (options.out, None if request is None else kept)
+    with claimed(*results, overwrite=options.overwrite):
+        if request is None:
+            report: HandEyeReport | None = _again(options)
+        else:
+            job = partial(handeye.run_handeye, request, dry_run=options.dry_run)
+            report = measured(job, kept, "camera handeye")
+        if report is None:
             return console.INTERRUPTED
-        report = made
-    if report.result is not None:
-        report.extrinsics().save(options.out)
+        if report.result is not None:
+            report.extrinsics().save(options.out)
     if options.json:
         console.print_json(_as_json(report, options))
     else:

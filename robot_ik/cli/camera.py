@@ -133,23 +133,19 @@ def run_detect(options: CameraDetectOptions) -> int:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
-    if options.draw is None:
+    folder = options.draw
+    if folder is None:
         return _detect(options, intrinsics, None)
     from robot_ik.jobs.pictures import DrawingFolder
 
-    _refuse_own_pictures(options.images, options.draw)
-    with claimed_folder(options.draw, "*.png", overwrite=options.overwrite):
-        return _detect(options, intrinsics, DrawingFolder(options.draw))
-
-
-def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
-    """Drawings have the names of their pictures, so they must not go where those are."""
-    for path in map(Path, names):
+    for path in map(Path, options.images):  # drawings have the names of their pictures
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
             raise OutputError(
                 f"the drawings would take the names of the pictures in {folder}",
                 hint="give another folder: --draw drawn",
             )
+    with claimed_folder(folder, "*.png", overwrite=options.overwrite):
+        return _detect(options, intrinsics, DrawingFolder(folder))
 
 
 def _detect(

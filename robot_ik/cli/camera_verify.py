@@ -88,16 +88,15 @@ def run(options: CameraVerifyOptions) -> int:
 
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
-    from robot_ik.jobs.arm_camera.verify import error_picture, run_verify
+    from robot_ik.jobs.arm_camera.measuring import VerifySamples
+    from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:
-        report = _again(options, request)
+        known = VerifySamples.load(Path(options.samples))
+        report = verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
     else:
-        made = measured(
-            partial(run_verify, request, dry_run=options.dry_run),
-            options.out,
-            "camera verify --fit" if options.fit else "camera verify",
-        )
+        job = partial(run_verify, request, dry_run=options.dry_run)
+        made = measured(job, options.out, "camera verify --fit" if options.fit else "camera verify")
         if made is None:
             return console.INTERRUPTED
         report = made
@@ -118,14 +117,6 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
         verdict = {"allowed_mm": options.allowed_mm, "passed": passed, "written": written}
         console.print_json(as_json(report, verdict))
     return console.DONE if passed else console.NOT_ACHIEVED
-
-
-def _again(options: CameraVerifyOptions, request: VerifyRequest) -> VerifyReport:
-    from robot_ik.jobs.arm_camera.measuring import VerifySamples
-    from robot_ik.jobs.arm_camera.verify import verify_from_samples
-
-    known = VerifySamples.load(Path(options.samples))
-    return verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
 
 
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.table import Table
@@ -19,9 +19,6 @@ if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
     from robot_ik.bench.theses.s12 import ArmCase, S12Report
     from robot_ik.bench.theses.tracking import Track
-
-    Report = A00Report | S12Report
-    Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -56,51 +53,32 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
+    from robot_ik.bench.theses import a00, results, s12
     from robot_ik.jobs.results import results_folder
 
-    report, work, save, show = (_a00 if options.experiment == "a00" else _s12)(options)
+    report: Any
+    work: Any
+    save: Any
+    show: Any
+    if options.experiment == "a00":
+        report = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
+        work, save, show = a00.run_a00, results.save_a00, print_a00
+    else:
+        if options.plot:
+            s12.require_plots()
+        report = s12.S12Report(options.frames or s12.FRAMES, options.seed)
+        work, save, show = s12.run_s12, partial(results.save_s12, plot=options.plot), print_s12
     own = [f"{options.experiment}.{kind}" for kind in ("json", "csv", "png")]
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
             with console.progress() as bar:
-                work(console.shares_on(bar, options.experiment))
+                work(report, console.shares_on(bar, options.experiment))
         finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and reported
-            files = save(folder)
-            show()
+            files = save(report, folder)
+            show(report)
             names = "  ".join(file.name for file in files)
             console.result(f"files in {folder}: {names}")
     return console.DONE if report.passed else console.NOT_ACHIEVED
-
-
-_Prepared = tuple["Report", "Callable[[Progress], Any]", "Callable[[Path], list[Path]]", "Callable[[], None]"]
-
-
-def _a00(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.bench.theses.a00 import ask_a00, run_a00
-    from robot_ik.bench.theses.results import save_a00
-
-    report = ask_a00(options.tests, options.solvers, options.frames, options.seed)
-    return (
-        report,
-        lambda progress: run_a00(report, progress),
-        lambda folder: save_a00(report, folder),
-        lambda: print_a00(report),
-    )
-
-
-def _s12(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.bench.theses.results import save_s12
-    from robot_ik.bench.theses.s12 import FRAMES, S12Report, require_plots, run_s12
-
-    if options.plot:
-        require_plots()
-    report = S12Report(options.frames or FRAMES, options.seed)
-    return (
-        report,
-        lambda progress: run_s12(report, progress),
-        lambda folder: save_s12(report, folder, plot=options.plot),
-        lambda: print_s12(report),
-    )
 
 
 def _check(options: ExperimentsOptions) -> None:

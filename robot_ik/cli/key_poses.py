@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional, arg
@@ -13,7 +13,8 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import OutputError, TrajectoryError, close_matches
+from robot_ik.errors import TrajectoryError, close_matches
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.motion import Keyframes, KeyPoses
@@ -209,13 +210,13 @@ def run_export(options: PosesExportOptions) -> int:
     """Writes it."""
     from robot_ik.motion.bvh_robot import export_bvh
 
-    out = _writable(options.out, (".csv", ".bvh"), options.overwrite)
-    robot = _load(options.robot)
-    motion = _motion(robot, options)
-    if out.suffix == ".bvh":
-        export_bvh(motion, options.rate).save(out)
-    else:
-        motion.sampled(options.rate).save_csv(out)
+    out = _out(options.out, ".csv", ".bvh")
+    with claimed(out, overwrite=options.overwrite):
+        motion = _motion(_load(options.robot), options)
+        if out.suffix == ".bvh":
+            export_bvh(motion, options.rate).save(out)
+        else:
+            motion.sampled(options.rate).save_csv(out)
     console.say(f"{out}: {motion.duration:.2f} s at {options.rate:g} Hz")
     return console.DONE
 
@@ -225,14 +226,16 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.bvh import Bvh
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
-    out = _writable(options.out, (".csv",), options.overwrite)
+    out = _out(options.out, ".csv")
     require(options.up in ("y", "z"), "--up", repr(options.up), "y or z")
-    robot = _load(options.robot)
-    joints = SkeletonMap.load(options.map) if options.map else None
-    bvh = Bvh.load(options.bvh)
-    with console.busy(f"taking over {len(bvh.values)} frames"):
-        found = retarget(bvh, robot, joints, rate=options.rate or None, up="y" if options.up == "y" else "z")
-    found.motion.save_csv(out)
+    up: Literal["y", "z"] = "y" if options.up == "y" else "z"
+    with claimed(out, overwrite=options.overwrite):
+        robot = _load(options.robot)
+        joints = SkeletonMap.load(options.map) if options.map else None
+        bvh = Bvh.load(options.bvh)
+        with console.busy(f"taking over {len(bvh.values)} frames"):
+            found = retarget(bvh, robot, joints, rate=options.rate or None, up=up)
+        found.motion.save_csv(out)
     hands = 1e3 * np.quantile(found.hand_miss, (0.5, 0.99))
     console.say(
         f"{out}: {len(found.motion)} frames; hands off {hands[0]:.1f} mm (median), {hands[1]:.1f} mm (99 %); "
@@ -325,11 +328,7 @@ def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
     return q
 
 
-def _writable(name: str, endings: Sequence[str], overwrite: bool) -> Path:
+def _out(name: str, *endings: str) -> Path:
     path = Path(name)
     require(path.suffix in endings, "out", f"{name!r} is not right", " or ".join(endings))
-    if path.exists() and not overwrite:
-        raise OutputError(
-            f"{path} exists, and stays as it is", hint="choose another name, or give --overwrite"
-        )
     return path

@@ -161,10 +161,7 @@ class Abilities:
         return remembered(self.figure.workspace, f"summit {arm}", highest)
 
     def _highest(self, arm: str, xy: Array) -> Array:
-        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered.
-
-        All stand points from which a figure would jump see a ball at the same point.
-        """
+        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered."""
         known = self.figure.workspace.setdefault(f"highest {arm}", {})
         if xy.tobytes() not in known:
             known.clear()
@@ -192,11 +189,7 @@ class Abilities:
         return None
 
     def _palms(self, arm: str, over: Array, least: float, shoulder: Array) -> Iterator[Array]:
-        """Points of the palm over the centre of mass, one of which a ball may need.
-
-        As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
-        the shoulder, and as low as a jump allows.
-        """
+        """Points of the palm over the centre of mass, one of which a ball may need, the likeliest first."""
         palm = self._highest(arm, over[:2])
         low = palm[2] >= over[2] - _HOP  # no jump would do; a small one does
         yield palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP) if low else palm

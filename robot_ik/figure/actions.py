@@ -165,19 +165,12 @@ def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Try:
-    """Frames and what is wrong with them.
-
-    Attributes:
-        frames: Found.
-        inside: How far inside the soles the zero-moment point stays, m.
-        change: Largest change of a joint's speed in a frame, rad/s.
-        touching: Whether the body touches itself on the way.
-    """
+    """Frames and what is wrong with them."""
 
     frames: Frames
-    inside: float
-    change: float
-    touching: bool
+    inside: float  # how far inside the soles the zero-moment point stays, m
+    change: float  # largest change of a joint's speed in a frame, rad/s
+    touching: bool  # the body touches itself on the way
 
     @property
     def unsteady(self) -> bool:

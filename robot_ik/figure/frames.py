@@ -43,13 +43,8 @@ class FrameRows:
 
     def __init__(self, figure: Figure, frames: int) -> None:
         self.figure, self.frames = figure, frames
-        self._kind: list[int] = []
-        self._node: list[int] = []
-        self._local: list[Array] = []
-        self._axes: list[int] = []
-        self._share: list[Array] = []
-        self._target: list[Array] = []
-        self._weight: list[Array] = []
+        # Of each row its kind, node, local, axes and share, as the kernel has them, its targets and weights.
+        self._rows: list[tuple[int, int, Array, int, Array, Array, Array]] = []
 
     def _add(
         self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
@@ -62,13 +57,9 @@ class FrameRows:
             share[[self.figure.addresses(joint)[1] for joint in joints]] = 1.0
         row = np.zeros((self.frames, 12))
         row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
-        self._kind.append(kind)
-        self._node.append(node)
-        self._local.append(local)
-        self._axes.append(sum(1 << "xyz".index(axis) for axis in axes))
-        self._share.append(share)
-        self._target.append(row)
-        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=float), self.frames))
+        bits = sum(1 << "xyz".index(axis) for axis in axes)
+        weights = np.broadcast_to(np.asarray(weight, dtype=float), self.frames)
+        self._rows.append((kind, node, local, bits, share, row, weights))
 
     def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
         """A frame's origin at (3,) or (n, 3)."""
@@ -145,10 +136,11 @@ class FrameRows:
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
         robot = self.figure.robot
         stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
+        *_, targets, weights = zip(*self._rows, strict=True)
         ready = PreparedRows(
             robot.tree.handle,
-            np.ascontiguousarray(np.stack(self._target, axis=1)),
-            np.ascontiguousarray(np.stack(self._weight, axis=1)),
+            np.ascontiguousarray(np.stack(targets, axis=1)),
+            np.ascontiguousarray(np.stack(weights, axis=1)),
             np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
             np.array(stiffness),
         )
@@ -158,15 +150,16 @@ class FrameRows:
     def _table(
         self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
     ) -> NDArray[np.int64]:
-        robot, groups = self.figure.robot, len(self._kind)
+        robot, groups = self.figure.robot, len(self._rows)
+        kind, node, local, axes, share, *_ = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, nv, hard = robot.tree.size, robot.nv, 3 * groups
         arrays: dict[str, NDArray[Any]] = {
-            "kind": np.array(self._kind, dtype=np.int64),
-            "node": np.array(self._node, dtype=np.int64),
-            "local": np.array(self._local).reshape(groups, 12),
-            "axes": np.array(self._axes, dtype=np.int64),
-            "share": np.array(self._share),
+            "kind": np.array(kind, dtype=np.int64),
+            "node": np.array(node, dtype=np.int64),
+            "local": np.array(local).reshape(groups, 12),
+            "axes": np.array(axes, dtype=np.int64),
+            "share": np.array(share),
             "inertia": self.figure.inertia,
             "stiffness": np.ascontiguousarray(stiffness),
             "lower": lower,

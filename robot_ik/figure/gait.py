@@ -162,11 +162,7 @@ class _Plan:
         self.contact[side] = np.select([air, pitch < -1e-4, pitch > 1e-4], [AIR, HEEL, TOE], FLAT)
 
     def _eased(self, falls: Sequence[_Footfall], up: Array) -> Array:
-        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt.
-
-        A level sole that turns on stands on its other end at once: on the floor it must, in the air the knee
-        need not follow.
-        """
+        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt."""
         soft, share = smooth(up, _EASE / (self.times[1] - self.times[0])), np.zeros(len(up))
         for fall, after in itertools.pairwise(falls):
             if np.isfinite(fall.off):
@@ -196,10 +192,8 @@ class _Plan:
         phase = 0.5 * (np.arange(len(strikes)) - self.prints[2].side)
         knots = np.concatenate([[strikes[0] - span], strikes, [strikes[-1] + span]])
         lin = np.interp(self.times, knots, np.concatenate([[phase[0] - 2], phase, [phase[-1] + 2]]))
-        go = minimum_jerk((self.times - _LEAN + 0.2) / 0.7) * (
-            1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7)
-        )
-        return lin, go
+        going = minimum_jerk((self.times - _LEAN + 0.2) / 0.7)
+        return lin, going * (1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7))
 
     def trunk(self) -> tuple[Array, Array, Array]:
         """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""

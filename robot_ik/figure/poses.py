@@ -210,9 +210,9 @@ def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
 class _Polish:
     """From a pose nearby to a ball, with no posture of its own: damped steps that each come nearer.
 
-    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3): a step
-    that comes no nearer is taken back and tried shorter.  The centre of mass is free while it is far enough
-    inside the soles, and held at the border else; so is what goes under the floor, where that is asked for.
+    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3).  The
+    centre of mass is free while it is far enough inside the soles, and held at the border else; so is what
+    goes under the floor, where that is asked for.
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:

@@ -1,12 +1,7 @@
-"""A figure that runs: commands in, frames and the decision out; no front end, camera or bus is known here.
-
-    session = FigureSession(load_abilities(load_figure()))
-    session.send(SetBall((1.5, 0.4, 1.2)))
-    frame = session.step()            # 60 times a second
+"""A figure that runs: commands in (``send``), frames and the decision out (``step``, 60 times a second).
 
 *Active*: it follows the ball while it moves.  *Passive*: ``StartPassive`` freezes the ball and the figure
-acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).  ``send`` only queues;
-``step`` acts.
+acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).
 """
 
 from __future__ import annotations
@@ -119,21 +114,13 @@ _NEAR, _TURN_IN_PLACE = 1.0, np.radians(50.0)
 
 @dataclass(eq=False)
 class _Planning:
-    """A motion that is being planned.
-
-    Attributes:
-        slices: The work.
-        each: Slices in a frame.
-        start: (nq,) where a walk begins.
-        gait: How it walks.
-        replaces: It is the end of the walk under way.
-    """
+    """A motion that is being planned."""
 
     slices: Slices[Motion] | Slices[Walk]
-    each: int = _SLICES
-    start: Array | None = None
+    each: int = _SLICES  # in a frame
+    start: Array | None = None  # (nq,) where a walk begins
     gait: Gait = WALK
-    replaces: bool = False
+    replaces: bool = False  # it is the end of the walk under way
 
 
 _WAITING = Decision("nothing", None, "nothing has been asked yet")

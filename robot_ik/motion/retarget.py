@@ -1,11 +1,9 @@
 """Motion capture onto a figure of other proportions: by inverse kinematics, never by copying angles.
 
 Lengths are taken from the two skeletons: the root's path and steps scale with the legs, the trunk with the
-trunk, arms with the arms.  So the figure's units and size do not matter, and neither does the height of
-the recording's floor: the lowest ankle of the take stands on ours.  Feet are needed goals; a foot that rests
-in the take is pinned where it rests.  Hands, elbows, pelvis and head are soft goals: the nearest that the
-feet allow.  How the rest pose of the file is drawn counts for rotations of feet, pelvis and head only: they
-are those against the rest pose, in which the figure is taken to stand upright, toes forward.
+trunk, arms with the arms; the lowest ankle of the take stands on our floor.  Feet are needed goals, pinned
+where they rest in the take; hands, elbows, pelvis and head are soft ones.  Rotations are those against the
+rest pose, in which the figure is taken to stand upright, toes forward.
 """
 
 from __future__ import annotations
@@ -25,6 +23,7 @@ from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.bvh_robot import data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -165,9 +164,7 @@ class _Measures:
     """The figure's own lengths and frames, upright at qpos0."""
 
     def __init__(self, robot: Robot, bodies: Mapping[str, str]) -> None:
-        data = mujoco.MjData(robot.model)
-        data.qpos[:] = robot.model.qpos0
-        mujoco.mj_kinematics(robot.model, data)
+        data = data_at_rest(robot.model)
         names = {robot.model.body(b).name: b for b in range(robot.model.nbody)}
         for role, body in bodies.items():
             if body not in names:

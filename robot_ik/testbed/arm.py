@@ -1,10 +1,7 @@
-"""A servo arm that follows the first instance of the testbed.
+"""A servo arm that follows the first instance of the testbed, or repeats what a hand has shown it.
 
 One thread drives the arm, at the arm's own rate; the session only leaves the newest joint angles for it.
 So a slow page never makes a late bus cycle, and a session that stops leaving angles makes the arm hold.
-The limiter of the arm stands between: a ball that jumps makes the arm walk.
-
-The same thread records what a hand shows the limp arm, and repeats it.
 """
 
 from __future__ import annotations

@@ -16,8 +16,9 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -121,7 +122,7 @@ class View:
         return seen.hexdigest()[:32]
 
 
-class Session:
+class Session(AbstractContextManager["Session"]):
     """One model, one ball, one to four instances that follow it.
 
     Args:
@@ -182,9 +183,6 @@ class Session:
         self._preparer.close()
         if self.arm is not None:
             self.arm.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

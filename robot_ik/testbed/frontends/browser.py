@@ -12,8 +12,9 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -48,7 +49,7 @@ _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
 
 
-class Page:
+class Page(AbstractContextManager["Page"]):
     """The front end ``browser``; a context manager.
 
     Args:
@@ -95,9 +96,6 @@ class Page:
         if self._camera is not None:
             self._camera.close()
         self._page_server.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

@@ -139,13 +139,6 @@ def _launch(
     return window, [thread for thread in threading.enumerate() if thread not in before]
 
 
-def _close(window: Any, threads: list[threading.Thread]) -> None:
-    window.close()
-    for thread in threads:
-        if thread is not threading.current_thread():
-            thread.join(CLOSE_LIMIT)
-
-
 def _point_camera(camera: Any, position: Array, target: Array) -> None:
     """Puts MuJoCo's camera at a position (3,), looking at a target (3,)."""
     direction = target - position
@@ -178,7 +171,27 @@ def _add_connector(scene: Any, kind: int, rgba: Sequence[float], width: float, a
         import_mujoco().mjv_connector(geom, kind, width, a, b)
 
 
-class WindowSink:
+class _Window:
+    """A window of MuJoCo's viewer: a context manager that closes it."""
+
+    _viewer: Any
+    _threads: list[threading.Thread]
+
+    def close(self) -> None:
+        """Closes the window and waits for its drawing thread; may be called twice."""
+        self._viewer.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(CLOSE_LIMIT)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class WindowSink(_Window):
     """Mirrors joint angles into a window: a ``JointSink`` and a context manager.
 
     The window gets its own copy of the model, since its user may change it there.
@@ -306,19 +319,9 @@ class WindowSink:
             while self.is_running():
                 time.sleep(_POLL)
 
-    def close(self) -> None:
-        """Closes the window and waits for its drawing thread; may be called twice."""
-        _close(self._viewer, self._threads)
-
     def _lock(self) -> AbstractContextManager[Any]:
         lock: AbstractContextManager[Any] = self._viewer.lock()
         return lock
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 # ------------------------------------------------------------------------------ the testbed's session
@@ -329,7 +332,7 @@ _TEXT_ROWS = 12
 _SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}  # GLFW's numbers
 
 
-class SessionWindow:
+class SessionWindow(_Window):
     """The front end ``window``: a testbed session in MuJoCo's passive viewer.
 
     The ball is selected from the start: Ctrl and the right mouse button move it.  Keys are those of the first
@@ -481,16 +484,6 @@ class SessionWindow:
         about = "\n".join(key.about for key in KEYMAP if key.window)
         font = mujoco.mjtFontScale.mjFONTSCALE_100
         return [(font, corner.mjGRID_TOPLEFT, left, right), (font, corner.mjGRID_BOTTOMLEFT, keys, about)]
-
-    def close(self) -> None:
-        """Closes the window and waits for its drawing thread; may be called twice."""
-        _close(self._viewer, self._threads)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def _with_ball(mujoco: Any, robot: Robot, extent: float) -> tuple[Any, int]:
