@@ -42,29 +42,17 @@ BLEND = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Frames of an action.
+    """Frames of an action."""
 
-    Attributes:
-        action: ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``.
-        q: (n, nq).
-        contact: (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
-        miss: (n,) largest miss of what must hold, m or rad.
-        zmp: (n, 2) planned zero-moment point.
-        free: (n,) whether the motion may be left after this frame.
-        arm: The hand that acts.
-        target: (3,) what it acts on.
-        speeds: Set of joint speed limits that it holds.
-    """
-
-    action: str
-    q: Array
-    contact: NDArray[np.int64]
-    miss: Array
-    zmp: Array
-    free: NDArray[np.bool_]
-    arm: str | None = None
-    target: Array | None = None
-    speeds: str = "daily"
+    action: str  # ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``
+    q: Array  # (n, nq)
+    contact: NDArray[np.int64]  # (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
+    miss: Array  # (n,) largest miss of what must hold, m or rad
+    zmp: Array  # (n, 2) planned zero-moment point
+    free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
+    arm: str | None = None  # the hand that acts
+    target: Array | None = None  # (3,) what it acts on
+    speeds: str = "daily"  # set of joint speed limits that it holds
 
     def __len__(self) -> int:
         return len(self.q)

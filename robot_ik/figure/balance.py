@@ -21,21 +21,14 @@ from robot_ik.ports import Array
 
 @dataclass(frozen=True)
 class CenterPlan:
-    """The centre of mass over a piecewise linear zero-moment point.
+    """The centre of mass over a piecewise linear zero-moment point."""
 
-    Attributes:
-        times: (k + 1,) where the pieces begin, and the end.
-        start, slope: (k, 2) zero-moment point at the beginning of each piece, and its speed.
-        growing, shrinking: (k, 2) factors of e^{ωu} and e^{−ωu}.
-        omega: ω, 1/s.
-    """
-
-    times: Array
-    start: Array
+    times: Array  # (k + 1,) where the pieces begin, and the end
+    start: Array  # (k, 2) zero-moment point at the beginning of each piece, and its speed
     slope: Array
-    growing: Array
+    growing: Array  # (k, 2) factors of e^{ωu} and e^{−ωu}
     shrinking: Array
-    omega: float
+    omega: float  # ω, 1/s
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """(n, 2) centre of mass and (n, 2) zero-moment point at times (n,)."""

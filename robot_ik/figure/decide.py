@@ -42,17 +42,11 @@ _TRIES, _SOLVES, _FEW = 6, 3, 3
 
 @dataclass(frozen=True)
 class Box:
-    """An obstacle: a box on or above the floor.
+    """An obstacle: a box on or above the floor."""
 
-    Attributes:
-        center: (3,) m.
-        half: (3,) half its edges.
-        heading_deg: Turned about the vertical.
-    """
-
-    center: tuple[float, float, float]
-    half: tuple[float, float, float]
-    heading_deg: float = 0.0
+    center: tuple[float, float, float]  # (3,) m
+    half: tuple[float, float, float]  # (3,) half its edges
+    heading_deg: float = 0.0  # turned about the vertical
 
     def distance(self, xy: Array) -> Array:
         """(n,) distances of points on the floor, 0 inside; inf where the figure passes under or over it."""

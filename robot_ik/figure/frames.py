@@ -182,21 +182,13 @@ class FrameRows:
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with their tables.  All but the tables may change between solves, in place.
+    """Rows with their tables.  All but the tables may change between solves, in place."""
 
-    Attributes:
-        tree, body: Tables of the kernel.
-        target: (frames, groups, 12), in the order in which the rows were added.
-        weight: (frames, groups).
-        posture: (frames, nq).
-        stiffness: (nv,).
-    """
-
-    tree: NDArray[np.int64]
-    target: Array
-    weight: Array
-    posture: Array
-    stiffness: Array
+    tree: NDArray[np.int64]  # tables of the kernel
+    target: Array  # (frames, groups, 12), in the order in which the rows were added
+    weight: Array  # (frames, groups)
+    posture: Array  # (frames, nq)
+    stiffness: Array  # (nv,)
     body: NDArray[np.int64] = field(init=False, repr=False)
 
     def table(self, name: str) -> NDArray[Any]:
@@ -215,14 +207,8 @@ class PreparedRows:
 
 @dataclass(frozen=True)
 class Frames:
-    """What ``FrameRows.solve`` found.
+    """What ``FrameRows.solve`` found."""
 
-    Attributes:
-        q: (n, nq).
-        miss: (n,) largest miss of a hard row in each frame, m or rad.
-        steps: (n,) steps taken.
-    """
-
-    q: Array
-    miss: Array
-    steps: NDArray[np.int64]
+    q: Array  # (n, nq)
+    miss: Array  # (n,) largest miss of a hard row in each frame, m or rad
+    steps: NDArray[np.int64]  # (n,) steps taken

@@ -40,15 +40,10 @@ _FRAME = Budget(iterations=60, restarts=0)
 
 @dataclass(frozen=True)
 class PawDecision:
-    """Which paw reaches.
+    """Which paw reaches."""
 
-    Attributes:
-        paw: Its frame; None: the ball is in the reach set of none.
-        reason: A sentence.
-    """
-
-    paw: str | None
-    reason: str
+    paw: str | None  # its frame; None: the ball is in the reach set of none
+    reason: str  # a sentence
 
 
 def is_lion(robot: Robot) -> bool:

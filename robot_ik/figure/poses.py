@@ -92,17 +92,11 @@ def depth(figure: Figure, ball: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FigurePose:
-    """How a figure would take a ball.
+    """How a figure would take a ball."""
 
-    Attributes:
-        q: (nq,) at home in its own frame.
-        miss: Distance of palm and ball, m.
-        flaw: Why it is not admissible, as text; empty where it is.
-    """
-
-    q: Array
-    miss: float
-    flaw: str
+    q: Array  # (nq,) at home in its own frame
+    miss: float  # distance of palm and ball, m
+    flaw: str  # why it is not admissible, as text; empty where it is
 
 
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> FigurePose:

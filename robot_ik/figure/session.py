@@ -70,29 +70,17 @@ Command = SetBall | SetMode | StartPassive | ResetFigure | PlaceFigure | SetObst
 
 @dataclass(frozen=True, eq=False)
 class FigureFrame:
-    """One frame.
+    """One frame."""
 
-    Attributes:
-        t: Time since the session began, s.
-        q: (nq,).
-        action: What it does: ``stand``, ``reach``, ``bend``, ``jump``, ``walk``, ``rest``.
-        phase: 0 to 1 within the action.
-        contact: (2,) of the feet: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
-        zmp: (2,) planned zero-moment point, or NaN.
-        ball: (3,) what it acts on, or NaN.
-        decision: The latest.
-        speeds: Set of joint speed limits that holds.
-    """
-
-    t: float
-    q: Array
-    action: str
-    phase: float
-    contact: NDArray[np.int64]
-    zmp: Array
-    ball: Array
-    decision: Decision
-    speeds: str = "daily"
+    t: float  # time since the session began, s
+    q: Array  # (nq,)
+    action: str  # what it does: ``stand``, ``reach``, ``bend``, ``jump``, ``walk``, ``rest``
+    phase: float  # 0 to 1 within the action
+    contact: NDArray[np.int64]  # (2,) of the feet: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
+    zmp: Array  # (2,) planned zero-moment point, or NaN
+    ball: Array  # (3,) what it acts on, or NaN
+    decision: Decision  # the latest
+    speeds: str = "daily"  # set of joint speed limits that holds
 
 
 # A ball that moved by less than this is where it was, m; a motion is not replaced more often than this,

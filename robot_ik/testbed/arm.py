@@ -35,30 +35,18 @@ _CLOSE_LIMIT = 10.0
 
 @dataclass(frozen=True, eq=False)
 class ArmView:
-    """What is seen of the arm.
+    """What is seen of the arm."""
 
-    Attributes:
-        state: Of the arm's life cycle, as text.
-        mode: What was asked for last.
-        port: Where it is.
-        q: (nq,) measured joint angles, in the robot's order; None before the first reading.
-        xpos, xquat: Bodies' poses at the measured angles; None when not known.
-        apart: Largest distance of a joint from what the session commands, rad or m.
-        servos: Currents, temperatures, errors.
-        recorded: Seconds that a hand has shown; 0: nothing.
-        message: What went wrong, in one sentence; empty: nothing.
-    """
-
-    state: str
-    mode: ArmMode
-    port: str
-    q: Array | None
-    xpos: Array | None
+    state: str  # of the arm's life cycle, as text
+    mode: ArmMode  # what was asked for last
+    port: str  # where it is
+    q: Array | None  # (nq,) measured joint angles, in the robot's order; None before the first reading
+    xpos: Array | None  # bodies' poses at the measured angles; None when not known
     xquat: Array | None
-    apart: float
-    servos: tuple[ServoState, ...]
-    recorded: float
-    message: str
+    apart: float  # largest distance of a joint from what the session commands, rad or m
+    servos: tuple[ServoState, ...]  # currents, temperatures, errors
+    recorded: float  # seconds that a hand has shown; 0: nothing
+    message: str  # what went wrong, in one sentence; empty: nothing
 
 
 class ArmLink:

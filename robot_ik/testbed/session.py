@@ -58,45 +58,27 @@ class BranchView:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A session at one tick; nothing in it changes any more.
+    """A session at one tick; nothing in it changes any more."""
 
-    Attributes:
-        tick, now: Ticks taken, and their time in seconds.
-        robot: Name or path as it was asked for.
-        motion, running, speed: How the ball moves.
-        ball: Its pose, world.
-        kind: What it asks of the tool.
-        extras: Goals beside it.
-        limits, show_branches: Whether they are on.
-        dragged: Body that is dragged; empty: none.
-        instances: One to four.
-        branches: Of the first instance, where they are asked for.
-        busy: What is prepared beside the loop, as text; empty: nothing.
-        message: An error in one sentence, for some seconds.
-        arm: The servo arm that the first instance drives; None without.
-        figure: The first instance, where it is a figure that decides by itself.
-        can_act: Whether this robot is a figure that can.
-    """
-
-    tick: int
+    tick: int  # ticks taken, and their time in seconds
     now: float
-    robot: str
-    motion: commands.Motion
+    robot: str  # name or path as it was asked for
+    motion: commands.Motion  # how the ball moves
     running: bool
     speed: float
-    ball: Pose
-    kind: commands.GoalKind
-    extras: tuple[ExtraGoal, ...]
-    limits: bool
+    ball: Pose  # its pose, world
+    kind: commands.GoalKind  # what it asks of the tool
+    extras: tuple[ExtraGoal, ...]  # goals beside it
+    limits: bool  # whether they are on
     show_branches: bool
-    dragged: str
-    instances: tuple[InstanceView, ...]
-    branches: tuple[BranchView, ...]
-    busy: str
-    message: str
-    arm: ArmView | None
-    figure: FigureView | None
-    can_act: bool
+    dragged: str  # body that is dragged; empty: none
+    instances: tuple[InstanceView, ...]  # one to four
+    branches: tuple[BranchView, ...]  # of the first instance, where they are asked for
+    busy: str  # what is prepared beside the loop, as text; empty: nothing
+    message: str  # an error in one sentence, for some seconds
+    arm: ArmView | None  # the servo arm that the first instance drives; None without
+    figure: FigureView | None  # the first instance, where it is a figure that decides by itself
+    can_act: bool  # whether this robot is a figure that can
 
     @property
     def count(self) -> commands.Count:
