@@ -7,13 +7,12 @@ import importlib
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from robot_ik.cli.console import prepare_streams
+from robot_ik.cli import console
 from robot_ik.errors import OutputError, close_matches, unknown_name_text
 
 # ------------------------------------------------------------------------------------------
@@ -151,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.remove("--debug")
         debug = True
     try:
-        if not prepare_streams():
+        if not console.prepare_streams():
             raise OutputError("standard output is closed, so results have nowhere to go")
         code = _dispatch(arguments, debug=debug)
         sys.stdout.flush()
@@ -162,15 +161,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE if hasattr(signal, "SIGPIPE") else 1
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else (0 if stop.code is None else 2)
-    except (KeyboardInterrupt, Terminated) as stop:
-        from robot_ik.cli import console
-
-        interrupted = isinstance(stop, KeyboardInterrupt)
-        console.say("interrupted" if interrupted else "terminated", "yellow")
-        return console.INTERRUPTED if interrupted else console.TERMINATED
+    except KeyboardInterrupt:
+        console.say("interrupted", "yellow")
+        return console.INTERRUPTED
+    except Terminated:
+        console.say("terminated", "yellow")
+        return console.TERMINATED
     except Exception as error:  # the last place where an error can become an exit code
-        from robot_ik.cli import console
-
         console.show_error(error, debug=debug)
         return console.exit_code(error)
 
@@ -214,7 +211,6 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
 
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
-    from robot_ik.cli import console
     from robot_ik.cli.arguments import parse
 
     asks_help = any(flag in arguments for flag in _HELP_FLAGS)
@@ -224,26 +220,13 @@ def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -
         import_mujoco()  # with this variable the import itself can fail: say so before anything else does
     module = importlib.import_module(command.module)
     options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
-    with console.logs_shown(debug=debug), _terminable():
+    with console.logs_shown(debug=debug), console.on_signals(_terminate, signal.SIGTERM):
         code: int = getattr(module, command.run)(options)
     return code
 
 
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Makes SIGTERM unwind the stack as Ctrl-C does, while inside."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
 
 
 def _silence_stdout() -> None:
@@ -264,16 +247,12 @@ def _unknown(name: str) -> int:
 
 
 def _report_wrong(text: str, see: str) -> int:
-    from robot_ik.cli import console
-
     console.say(f"error: {text}", "bold red")
     console.say(f"see all commands with: {see}", "cyan")
     return console.WRONG_INPUT
 
 
 def _print_group(name: str, command: CommandRow) -> None:
-    from robot_ik.cli import console
-
     rows = [(subcommand, row.about) for subcommand, row in command.subcommands.items()]
     console.show(
         f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]",
@@ -284,8 +263,6 @@ def _print_group(name: str, command: CommandRow) -> None:
 
 
 def _print_help() -> None:
-    from robot_ik.cli import console
-
     rows = [(name, command.about) for name, command in COMMANDS.items()]
     console.show(
         "usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help",
@@ -301,7 +278,6 @@ def _print_help() -> None:
 
 
 def _print_versions() -> None:
-    from robot_ik.cli import console
     from robot_ik.environment import installed_versions
 
     rows = [(name, version or "not installed") for name, version in installed_versions().items()]

@@ -6,11 +6,8 @@ import os
 import shlex
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
@@ -103,7 +100,8 @@ def run(options: SimBusOptions) -> int:
     bus.inject(*(file.faults if file else ()))
     match, baud, late = options.match_baud, options.wire_baud, options.latency_ms
     served = PtyPort(bus, options.link, match_baud=match, wire_baud=baud, latency_ms=late)
-    with _ended_by_signal() as ended, served as port:
+    ended = threading.Event()
+    with console.on_signals(lambda number, frame: ended.set(), *ENDING), served as port:
         _announce(options.arm, config, port)
         ended.wait()
     console.say("closed", "dim")
@@ -137,25 +135,6 @@ def _check(options: SimBusOptions) -> None:
         problem = f"{link} is the name of another port, {os.readlink(link)}"
         hint = "is another robot-ik sim-bus running? If not, remove the link"
         raise wrong("--link", problem, "a name that is free", hint)
-
-
-@contextmanager
-def _ended_by_signal() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and a closed terminal set, instead of what they do otherwise."""
-    ended = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:
-        ended.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield ended
-        return
-    before = {number: signal.signal(number, end) for number in ENDING}
-    try:
-        yield ended
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:

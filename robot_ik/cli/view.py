@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -203,16 +204,14 @@ def _opened(
 
 def _camera(session: Session) -> Callable[[], tuple[NDArray[np.uint8], str] | None]:
     """The camera's tab, which loads what it needs with the first picture that is asked for."""
-    tabs: list[CameraTab] = []
 
-    def read() -> tuple[NDArray[np.uint8], str] | None:
-        if not tabs:
-            from robot_ik.jobs.testbed import CameraTab
+    @functools.cache
+    def tab() -> CameraTab:
+        from robot_ik.jobs.testbed import CameraTab
 
-            tabs.append(CameraTab(session))
-        return tabs[0]()
+        return CameraTab(session)
 
-    return read
+    return lambda: tab()()
 
 
 def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) -> None:

@@ -61,17 +61,11 @@ _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball.
+    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball."""
 
-    Attributes:
-        origin: (3,) first point of the grid.
-        miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
-        poses: (n, nq) of the points in reach, in the order of the grid: where to begin for a ball nearby.
-    """
-
-    origin: Array
-    miss: NDArray[np.float32]
-    poses: Array
+    origin: Array  # (3,) first point of the grid
+    miss: NDArray[np.float32]  # (i, j, k) m; -1 where the hand comes there, but in no admissible pose
+    poses: Array  # (n, nq) of the points in reach, in the order of the grid
 
     @cached_property
     def points(self) -> Array:
@@ -118,19 +112,12 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class Abilities:
-    """Maps of a figure, by kind and arm.
-
-    Attributes:
-        figure: Whose.
-        maps: ``(kind, arm)`` to its map.
-        take_off_forward: How far before its middle the centre of mass takes off, m.
-        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
-            stretched arm.
-    """
+    """Maps of a figure, by kind and arm."""
 
     figure: Figure
     maps: dict[tuple[str, str], Map]
-    take_off_forward: float
+    take_off_forward: float  # how far before its middle the centre of mass takes off, m
+    # By arm: shoulder over the centre of mass (3,), and how far the palm is from it with a stretched arm.
     raised: dict[str, tuple[Array, float]] = field(repr=False)
 
     @cached_property

@@ -74,25 +74,15 @@ Obstacle = Box | HalfSpace
 
 @dataclass(frozen=True)
 class Decision:
-    """What a figure does, and why.
+    """What a figure does, and why."""
 
-    Attributes:
-        action: ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``.
-        arm: The arm that acts, after the walk if it walks.
-        reason: A sentence for the user.
-        stand_point: (x, y, heading) to walk to.
-        waypoints: Stand points to walk through, the last is ``stand_point``.
-        then: What it will do there.
-        speed: At take-off of a jump, at least, m/s.
-    """
-
-    action: str
-    arm: str | None
-    reason: str
-    stand_point: tuple[float, float, float] | None = None
-    waypoints: tuple[tuple[float, float, float], ...] = ()
-    then: str | None = None
-    speed: float | None = None
+    action: str  # ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``
+    arm: str | None  # that acts, after the walk if it walks
+    reason: str  # a sentence for the user
+    stand_point: tuple[float, float, float] | None = None  # (x, y, heading) to walk to
+    waypoints: tuple[tuple[float, float, float], ...] = ()  # to walk through, the last is ``stand_point``
+    then: str | None = None  # what it will do there
+    speed: float | None = None  # at take-off of a jump, at least, m/s
 
 
 class Decider:

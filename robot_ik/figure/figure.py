@@ -113,21 +113,13 @@ def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[A
 
 @dataclass(frozen=True)
 class Sole:
-    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point.
+    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point."""
 
-    Attributes:
-        pitch: (a,) toes down positive.
-        height: (a,) of the foot's frame over the floor.
-        rolled: (a,) how far the frame has come forward from flat: the integral of the height, for a
-            point that rolls without slip moves by dx = h dθ.
-        front, rear: (x, half width) of the flat part where the weight may stand, in the foot's frame.
-    """
-
-    pitch: Array
-    height: Array
-    rolled: Array
-    front: float
-    rear: float
+    pitch: Array  # (a,) toes down positive
+    height: Array  # (a,) of the foot's frame over the floor
+    rolled: Array  # (a,) forward from flat: rolling without slip moves it by dx = h dθ
+    front: float  # x of the end of the flat part where the weight may stand, in the foot's frame
+    rear: float  # likewise
 
     def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
         """(forward, height) of the foot's frame at ``pitch``."""
@@ -137,59 +129,37 @@ class Sole:
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it.
-
-    Attributes:
-        frame: Name of the frame on the sole under the ankle, x to the toes, z up.
-        parts: Body and collision geoms of each rigid part: the foot, then its toes.
-        toes: Index in q and in dq of the hinge of the toes, if there is one.
-        sole: How it rolls.
-        thigh, shank: Lengths, m.
-        ankle: (3,) the ankle seen from the frame.
-        hip: (3,) the hip seen from the frame ``pelvis``.
-    """
+    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it."""
 
     side: str
-    frame: str
-    parts: tuple[tuple[int, tuple[int, ...]], ...]
-    toes: tuple[int, int] | None
-    sole: Sole
-    thigh: float
-    shank: float
-    ankle: Array
-    hip: Array
+    frame: str  # on the sole under the ankle, x to the toes, z up
+    parts: tuple[tuple[int, tuple[int, ...]], ...]  # body and collision geoms of foot and toes
+    toes: tuple[int, int] | None  # index in q and in dq of their hinge, if there is one
+    sole: Sole  # how it rolls
+    thigh: float  # m
+    shank: float  # m
+    ankle: Array  # (3,) seen from the frame
+    hip: Array  # (3,) seen from the frame ``pelvis``
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """What a figure is.  Made by ``load_figure``; never changes.
+    """What a figure is.  Made by ``load_figure``; never changes."""
 
-    Attributes:
-        robot: Its model, all joints active.
-        hands: Frame of each hand by side; empty for a figure without arms.
-        feet: ``Foot`` by side, left and right.
-        gaze, neck: Frame whose x axis looks, and the joints that may serve it.
-        pelvis, trunk: Frames.
-        home, bent: (nq,) standing at ease and deeply bent.
-        speeds: (nv,) joint speed limits, rad/s, by name of the set.
-        stance: (3,) x, y, heading of the middle between the feet at home.
-        apart: Half the distance of the feet at home.
-        workspace: Tables that solves fill in, by name: one thread uses a figure at a time.
-    """
-
-    robot: Robot
-    hands: Mapping[str, str]
-    feet: Mapping[str, Foot]
-    gaze: str | None
-    neck: tuple[str, ...]
-    pelvis: str
-    trunk: str
-    home: Array
-    bent: Array
-    speeds: Mapping[str, Array]
-    apart: float
+    robot: Robot  # all joints active
+    hands: Mapping[str, str]  # frame of each by side; empty for a figure without arms
+    feet: Mapping[str, Foot]  # by side, left and right
+    gaze: str | None  # frame whose x axis looks
+    neck: tuple[str, ...]  # joints that may serve it
+    pelvis: str  # frame
+    trunk: str  # frame
+    home: Array  # (nq,) standing at ease
+    bent: Array  # (nq,) deeply bent
+    speeds: Mapping[str, Array]  # (nv,) joint speed limits, rad/s, by name of the set
+    apart: float  # half the distance of the feet at home
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
+    # Tables that solves fill in, by name: one thread uses a figure at a time.
     workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property

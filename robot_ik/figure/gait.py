@@ -256,24 +256,15 @@ def _arc(s: Array, rising: float, falling: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk from rest to rest.
+    """A walk from rest to rest."""
 
-    Attributes:
-        frames: Its frames and how well their hard rows hold.
-        contact: (n, 2) AIR, HEEL, FLAT or TOE of each foot.
-        center, zmp: (n, 2) planned centre of mass and zero-moment point.
-        prints: Where the feet come to stand, the first two where they stood.
-        strikes: Times of the heel strikes, s.
-        falls: (print, strike, off) of every footfall by side: what a judge of the gait needs.
-    """
-
-    frames: Frames
-    contact: NDArray[np.int64]
-    center: Array
-    zmp: Array
-    prints: tuple[Footprint, ...]
-    strikes: tuple[float, ...]
-    falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]
+    frames: Frames  # and how well their hard rows hold
+    contact: NDArray[np.int64]  # (n, 2) AIR, HEEL, FLAT or TOE of each foot
+    center: Array  # (n, 2) planned centre of mass
+    zmp: Array  # (n, 2) planned zero-moment point
+    prints: tuple[Footprint, ...]  # the first two where the feet stood
+    strikes: tuple[float, ...]  # times of the heel strikes, s
+    falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]  # print, strike, off, by side
 
 
 # The spine's two pitches are all but the same axis: against each other they rotate far for a little roll.

@@ -61,30 +61,20 @@ crouch."""
 
 @dataclass(frozen=True, eq=False)
 class JumpPlan:
-    """Times and heights of a jump, all in closed form.
-
-    Attributes:
-        speed: Of the centre of mass at take-off, m/s.
-        low, high, landed: Height of the centre in the crouch, at take-off and when the landing is
-            absorbed, m.
-        ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
-        rising: From when on before take-off the heels rise, s.
-        palm: (3,) the ball seen from the centre of mass at the apex.
-        abduction: Of the other arm from the trunk in flight, rad.
-    """
+    """Times and heights of a jump, all in closed form."""
 
     figure: Figure = field(repr=False)
     ready: Array = field(repr=False)
     ball: Array
     arm: str
-    speed: float
-    wait: float
-    low: float
-    high: float
-    landed: float
-    ends: Array
-    rising: float
-    abduction: float = 0.0
+    speed: float  # of the centre of mass at take-off, m/s
+    wait: float  # height of the centre at first, m
+    low: float  # in the crouch
+    high: float  # at take-off
+    landed: float  # when the landing is absorbed
+    ends: Array  # of waiting, crouch, push, flight, absorption and rising, s
+    rising: float  # from when on before take-off the heels rise, s
+    abduction: float = 0.0  # of the other arm from the trunk in flight, rad
 
     @property
     def flight(self) -> float:

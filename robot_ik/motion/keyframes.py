@@ -24,9 +24,9 @@ from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.motion.trajectory import Trajectory, csv_table, require_positive
+from robot_ik.motion.trajectory import Trajectory, csv_numbers, csv_table, require_positive
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv, shown
+from robot_ik.reading import read_csv
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -374,7 +374,8 @@ class Keyframes:
                 file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
             )  # fmt: skip
         columns = [0, *(head.index(name) for name in wanted)]
-        table = np.array([_row(row, columns, len(head), file, line) for line, row in rows[1:]])
+        width = len(head)
+        table = np.array([csv_numbers(row, columns, width, file, k, _LARGEST) for k, row in rows[1:]])
         return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
 
     # --------------------------------------------------------------------------- fitting
@@ -544,17 +545,3 @@ def _inverse_right_jacobian(rotation_vector: Array, rate: Array) -> Array:
         k = np.where(square < 1e-6, 1.0 / 12.0, (1.0 - half / np.tan(half)) / square)
     once = np.cross(rotation_vector, rate)
     return np.asarray(rate + 0.5 * once + k * np.cross(rotation_vector, once))
-
-
-def _row(row: list[str], columns: Sequence[int], width: int, file: Path, line: int) -> list[float]:
-    try:
-        if len(row) != width:
-            raise ValueError
-        numbers = [float(row[k]) for k in columns]
-        if not all(abs(number) <= _LARGEST for number in numbers):  # NaN neither
-            raise ValueError
-        return numbers
-    except ValueError:
-        allowed = f"{width} cells, joints as numbers up to {_LARGEST:g}"
-        got = f"got {shown(','.join(row), str)}"
-        raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed) from None

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
@@ -17,7 +18,7 @@ from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError,
 from robot_ik.files import write_atomically
 from robot_ik.motion.timing import PROFILES, minimum_jerk
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv
+from robot_ik.reading import read_csv, shown
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -234,7 +235,8 @@ class Trajectory:
         head = rows[0] if rows else []
         if head[:1] != [_TIME_COLUMN] or len(head) < 2:
             raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
-        samples = [_numbers(row, len(head), source, line) for line, row in enumerate(rows[1:], start=2)]
+        columns = range(len(head))
+        samples = [csv_numbers(row, columns, len(head), source, k) for k, row in enumerate(rows[1:], 2)]
         if not samples:
             raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
         table = np.array(samples)
@@ -253,16 +255,17 @@ def csv_table(head: list[str], rows: Array) -> str:
     return stream.getvalue()
 
 
-def _numbers(row: list[str], count: int, file: Path, line: int) -> list[float]:
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise ConfigError(
-            f"got {','.join(row)[:60]!r}", file=file, key=f"line {line}", allowed=f"{count} numbers"
-        )
-    return values
+def csv_numbers(
+    row: list[str], columns: Sequence[int], width: int, file: Path, line: int, most: float | None = None
+) -> list[float]:
+    """The numbers (up to ``most``) in columns of a row that shall be so wide, or ``ConfigError``."""
+    with contextlib.suppress(ValueError):
+        numbers = [float(row[k]) for k in columns] if len(row) == width else None
+        if numbers and (most is None or all(abs(number) <= most for number in numbers)):  # NaN neither
+            return numbers
+    allowed = f"{width} numbers" if most is None else f"{width} cells, joints as numbers up to {most:g}"
+    got = f"got {shown(','.join(row), str)}"
+    raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed)
 
 
 # ------------------------------------------------------------------------------ joint move

@@ -249,21 +249,14 @@ def checked_command(command: Command) -> Command:
 
 @dataclass(frozen=True)
 class Start:
-    """What a session begins with.
+    """What a session begins with."""
 
-    Attributes:
-        robot: A name of the catalogue or the path of a model.
-        count: Instances side by side.
-        methods: One for each of four instances; of fewer the first count.  Empty: the robot's usual ones.
-        seed: Of the random positions of the ball.
-        rate: Ticks a second, Hz.
-    """
-
-    robot: str = "puma560"
-    count: Count = 1
+    robot: str = "puma560"  # a name of the catalogue or the path of a model
+    count: Count = 1  # instances side by side
+    # One for each instance; empty: the usual ones.
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
-    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
-    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0
+    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1  # of the ball's random positions
+    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0  # ticks a second, Hz
 
 
 def checked_start(start: Start) -> Start:
@@ -274,19 +267,12 @@ def checked_start(start: Start) -> Start:
 
 @dataclass(frozen=True)
 class CommandLog:
-    """Everything that decides what a session does.
+    """Everything that decides what a session does."""
 
-    Attributes:
-        start: What it began with.
-        commands: (tick, command): which took effect before which tick, in order.
-        ticks: How many ticks it ran; 0 when the file does not say.
-        digest: Of its last view; empty when the file does not say.
-    """
-
-    start: Start
-    commands: tuple[tuple[int, Command], ...]
-    ticks: int = 0
-    digest: str = ""
+    start: Start  # what it began with
+    commands: tuple[tuple[int, Command], ...]  # which took effect before which tick, in order
+    ticks: int = 0  # how many it ran; 0 when the file does not say
+    digest: str = ""  # of its last view; empty when the file does not say
 
     def save(self, path: Path) -> None:
         """Writes the file, or raises ``OutputError``; what was there is replaced."""
@@ -357,18 +343,12 @@ class Key:
 
     The window has the keys of the first thesis.  The page cannot: its 3D view moves the camera with
     W A S D Q E and the arrows, and has no switch for that.
-
-    Attributes:
-        about: What it does, as text.
-        browser: The key on the page; empty: none, because a control is there.
-        window: The key in MuJoCo's window; empty: none.
-        command: What it asks for, in this state; None: the front end shows or hides its overlay.
     """
 
-    about: str
-    browser: str
-    window: str
-    command: Callable[[View], Command] | None
+    about: str  # what it does, as text
+    browser: str  # the key on the page; empty: none, because a control is there
+    window: str  # the key in MuJoCo's window; empty: none
+    command: Callable[[View], Command] | None  # in this state; None: shows or hides the overlay
 
 
 def _next(values: tuple[_Value, ...], value: object) -> _Value:

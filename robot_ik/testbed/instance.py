@@ -39,21 +39,15 @@ WINDOW = 1000
 
 @dataclass(frozen=True)
 class Statistics:
-    """Of the last ``count`` solves, at most ``WINDOW``.
+    """Of the last ``count`` solves, at most ``WINDOW``."""
 
-    Attributes:
-        count: How many solves these numbers cover.
-        mean, p99: Seconds of processor time of a solve, without those in which its thread waited for others;
-            a page's times are no benchmark.
-        iterations: Mean steps of a solve.
-        solved: Share of solves that met the ball's goal, from 0 to 1; goals beside it do not count.
-    """
-
-    count: int = 0
-    mean: float = 0.0
+    count: int = 0  # how many solves these numbers cover
+    mean: float = (
+        0.0  # s of processor time of a solve, without waiting for others; a page's times are no benchmark
+    )
     p99: float = 0.0
-    iterations: float = 0.0
-    solved: float = 0.0
+    iterations: float = 0.0  # mean steps of a solve
+    solved: float = 0.0  # share of solves that met the ball's goal, 0 to 1; goals beside it do not count
 
 
 class Window:
@@ -110,40 +104,24 @@ class History:
 
 @dataclass(frozen=True, eq=False)
 class InstanceView:
-    """What is seen of an instance; arrays are copies.
+    """What is seen of an instance; arrays are copies."""
 
-    Attributes:
-        method, options: Name of its method; (name, value) of each of its options.
-        q: (nq,) joint angles, rad or m.
-        xpos, xquat: (nbody, 3) and (nbody, 4) poses of MuJoCo's bodies, world, wxyz.
-        status: How the last solve ended, as text; why it cannot be solved, where it cannot.
-        able: Whether its method can serve what is asked.
-        note: What it does otherwise than the others, as text.
-        miss, angle: Metres and radians of the tool off what the ball asks, by MuJoCo's kinematics.
-        iterations: Steps of the last solve.
-        manipulability: Product of the singular values of the tool's Jacobian.
-        statistics: Of the last second.
-        goals: (name, metres, radians) that each goal was missed by at the last full second, by MuJoCo.
-        trail: (n, 3) where the tool was, oldest first.
-        errors: (n, 2) history: miss in metres, manipulability.
-    """
-
-    method: str
-    options: tuple[tuple[str, Any], ...]
-    q: Array
-    xpos: Array
-    xquat: Array
-    status: str
-    able: bool
-    note: str
-    miss: float
-    angle: float
-    iterations: int
-    manipulability: float
-    statistics: Statistics
-    goals: tuple[tuple[str, float, float], ...]
-    trail: Array
-    errors: Array
+    method: str  # its name
+    options: tuple[tuple[str, Any], ...]  # (name, value) of each of the method's options
+    q: Array  # (nq,) joint angles, rad or m
+    xpos: Array  # (nbody, 3) positions of MuJoCo's bodies, world
+    xquat: Array  # (nbody, 4) their orientations, wxyz
+    status: str  # how the last solve ended, or why nothing can be solved, as text
+    able: bool  # whether its method can serve what is asked
+    note: str  # what it does otherwise than the others, as text
+    miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
+    angle: float  # rad, likewise
+    iterations: int  # steps of the last solve
+    manipulability: float  # product of the singular values of the tool's Jacobian
+    statistics: Statistics  # of the last second
+    goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
+    trail: Array  # (n, 3) where the tool was, oldest first
+    errors: Array  # (n, 2) history: miss in m, manipulability
 
 
 class Instance:
@@ -329,25 +307,16 @@ FigureMode = Literal["active", "passive"]
 
 @dataclass(frozen=True)
 class FigureView:
-    """What is seen of a figure that decides.
+    """What is seen of a figure that decides."""
 
-    Attributes:
-        mode: ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command.
-        action, phase: What it does now, and how far it has come, from 0 to 1.
-        decision, arm: What it decided to do, and with which arm; empty: none.
-        reason: Why, in one sentence.
-        then: What it does where it walks to; empty: it does not walk.
-        waiting: Passive, and not asked to act yet.
-    """
-
-    mode: FigureMode
-    action: str
-    phase: float
-    decision: str
-    arm: str
-    reason: str
-    then: str
-    waiting: bool
+    mode: FigureMode  # it follows the ball, or acts on the ball as it was at the command
+    action: str  # what it does now
+    phase: float  # how far that has come, 0 to 1
+    decision: str  # what it decided to do
+    arm: str  # with which arm; empty: none
+    reason: str  # why, in one sentence
+    then: str  # what it does where it walks to; empty: it does not walk
+    waiting: bool  # passive, and not asked to act yet
 
 
 class ActingFigure:

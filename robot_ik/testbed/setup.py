@@ -89,27 +89,16 @@ class ExtraGoal:
 
 @dataclass(frozen=True)
 class Setup:
-    """What is solved.
+    """What is solved."""
 
-    Attributes:
-        robot: A name of the catalogue or the path of a model.
-        count: Instances side by side.
-        choices: Of four instances; the first ``count`` are used.
-        kind: What the ball asks of the tool; None: what suits the robot.
-        extras: Goals beside the ball's, whose own priority is that of ``ball``; None: what suits the robot.
-        limits: Whether joint limits hold.
-        branches: Whether all branches of a closed form are looked for.
-        figure: ``off``; else the first instance decides by itself, in that mode.
-    """
-
-    robot: str
-    count: commands.Count = 1
-    choices: tuple[MethodChoice, ...] = ()
-    kind: commands.GoalKind | None = None
-    extras: tuple[ExtraGoal, ...] | None = None
-    limits: bool = True
-    branches: bool = False
-    figure: Literal["off", "active", "passive"] = "off"
+    robot: str  # a name of the catalogue or the path of a model
+    count: commands.Count = 1  # instances side by side
+    choices: tuple[MethodChoice, ...] = ()  # of four instances; the first ``count`` are used
+    kind: commands.GoalKind | None = None  # what the ball asks; None: what suits the robot
+    extras: tuple[ExtraGoal, ...] | None = None  # the ball's own priority is that of ``ball``; None: as suits
+    limits: bool = True  # whether joint limits hold
+    branches: bool = False  # whether all branches of a closed form are looked for
+    figure: Literal["off", "active", "passive"] = "off"  # the first instance decides by itself
 
     @classmethod
     def of(cls, start: commands.Start) -> Setup:
@@ -275,27 +264,16 @@ def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """A setup that the loop can solve at once.
+    """A setup that the loop can solve at once."""
 
-    Attributes:
-        setup: With what suits the robot filled in.
-        robot: Within its limits; the robot of every instance.
-        goals: What is asked.
-        solvers: One for each instance.
-        loaded: The robot within the limits of its model.
-        curve: The ball's path; the tool can follow it.
-        refused: For each instance why its method cannot serve these goals; empty where it can.
-        abilities: Of a figure that decides by itself; None: it does not.
-    """
-
-    setup: Setup
-    robot: Robot
-    goals: RobotGoals
-    solvers: tuple[Solver, ...]
-    loaded: Robot
-    curve: CurveSource
-    refused: tuple[str, ...]
-    abilities: Abilities | None
+    setup: Setup  # with what suits the robot filled in
+    robot: Robot  # within its limits; the robot of every instance
+    goals: RobotGoals  # what is asked
+    solvers: tuple[Solver, ...]  # one for each instance
+    loaded: Robot  # the robot within the limits of its model
+    curve: CurveSource  # the ball's path; the tool can follow it
+    refused: tuple[str, ...]  # why each instance's method cannot serve these goals; empty where it can
+    abilities: Abilities | None  # of a figure that decides by itself; None: it does not
 
 
 def completed(setup: Setup, robot: Robot) -> Setup:

@@ -111,7 +111,7 @@ def _light(model: Any) -> None:
 def _launch(
     model: Any, data: Any, limit: float, instead: str, **options: Any
 ) -> tuple[Any, list[threading.Thread]]:
-    """MuJoCo's passive viewer and its threads; without its side panels unless ``options`` say otherwise.
+    """MuJoCo's passive viewer without its side panels, and its threads.
 
     ``instead`` says what to run where there can be no window.
 
@@ -133,7 +133,7 @@ def _launch(
             )
     else:
         _require_display(limit, instead)
-    options = {"show_left_ui": False, "show_right_ui": False, **options}
+    options |= {"show_left_ui": False, "show_right_ui": False}
     before = set(threading.enumerate())
     window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
     return window, [thread for thread in threading.enumerate() if thread not in before]
@@ -199,7 +199,6 @@ class WindowSink(_Window):
     Args:
         robot: What to show.
         start: (nq,) first joint angles, rad or m; the robot's home if ``None``.
-        panels: Show MuJoCo's side panels.
         limit: Seconds the window may take to appear.
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
@@ -220,7 +219,6 @@ class WindowSink(_Window):
         robot: Robot,
         *,
         start: Array | None = None,
-        panels: bool = False,
         limit: float = OPEN_LIMIT,
         solids: Sequence[Solid] = (),
         see: Array | None = None,
@@ -234,9 +232,7 @@ class WindowSink(_Window):
         _light(self._model)
         self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
-        self._viewer, self._threads = _launch(
-            self._model, self.data, limit, instead, show_left_ui=panels, show_right_ui=panels
-        )
+        self._viewer, self._threads = _launch(self._model, self.data, limit, instead)
         with self._lock():
             self._aim_camera(see, viewpoint)
             for solid in solids:
