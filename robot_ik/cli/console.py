@@ -14,14 +14,14 @@ import os
 import signal
 import sys
 import threading
-import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from types import FrameType
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -237,12 +237,21 @@ def verdict_mark(passed: bool) -> Text:
     return Text("yes", style="green") if passed else Text("NO", style="bold red")
 
 
-def progress() -> Progress:
+class _ClockColumn(BarColumn):
+    """A bar that fills with the time."""
+
+    def render(self, task: Task) -> ProgressBar:
+        if task.total is not None:
+            task.completed = min(task.elapsed or 0.0, task.total)
+        return super().render(task)
+
+
+def progress(column: type[BarColumn] = BarColumn) -> Progress:
     """A progress bar on stderr that shows nothing unless stderr is a terminal."""
     console = stderr_console()
     return Progress(
         TextColumn("{task.description}"),
-        BarColumn(),
+        column(),
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
         console=console,
@@ -275,32 +284,17 @@ def busy(what: str, seconds: float | None = None) -> Iterator[None]:
 
     On a terminal by a bar, elsewhere by a line after ``SILENCE``.
     """
-    console = stderr_console()
-    if not console.is_terminal:
-        takes = "" if seconds is None else f", about {seconds:.0f} s"
-        timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
-        timer.daemon = True
+    takes = "" if seconds is None else f", about {seconds:.0f} s"
+    timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
+    timer.daemon = True
+    if not stderr_console().is_terminal:
         timer.start()
-        try:
+    try:
+        with progress(_ClockColumn) as bar:
+            bar.add_task(what, total=seconds, note="")
             yield
-        finally:
-            timer.cancel()
-        return
-    with progress() as bar:
-        task = bar.add_task(what, total=seconds, note="")
-        done, begin = threading.Event(), time.monotonic()
-
-        def advance() -> None:
-            while seconds is not None and not done.wait(0.1):
-                bar.update(task, completed=min(time.monotonic() - begin, seconds))
-
-        thread = threading.Thread(target=advance, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+    finally:
+        timer.cancel()
 
 
 def json_text(value: Any, indent: str = "") -> str:
