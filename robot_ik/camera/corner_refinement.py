@@ -171,7 +171,7 @@ def move_corners(corners, rough, shift, sides, step):
     """Moves the corners; False when that takes them far from where the detector saw them."""
     # Half steps settle the rare fit that jumps to and fro (sharpened pictures).
     part = 1.0 if step < _LEAST_PASSES else 0.5
-    shortest = min(sides[0, LENGTH], sides[1, LENGTH], sides[2, LENGTH], sides[3, LENGTH])
+    shortest = min(min(sides[0, LENGTH], sides[1, LENGTH]), min(sides[2, LENGTH], sides[3, LENGTH]))
     fine = True
     for k in range(4):
         for i in range(2):

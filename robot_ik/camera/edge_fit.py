@@ -344,7 +344,7 @@ def cross_columns(curve, side, most, table):
         position = np.rint(first + column * length / (most - 1))
         # Columns at the ends, and pixels at the border of the band, fade in over one pixel: with a hard
         # border the fit can jump between two sets of pixels for ever.
-        use = min(position - low, high - position, 1.0)
+        use = min(min(position - low, high - position), 1.0)
         if not (position > previous and use > 0.0):
             continue
         previous = position

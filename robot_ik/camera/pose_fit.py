@@ -29,7 +29,7 @@ from robot_ik.kernels.jit import announce, kernel, outlined
 # matrix ("block") for each group of corners whose errors are correlated: the four of a marker.
 
 
-_STEPS = 30
+_TRIALS = 31
 # Relative gain below which the fit is finished.
 _DONE = 1e-10
 # Behind the camera there is no picture: a large residual turns the fit back.
@@ -66,27 +66,35 @@ def whiten(normalized, covariance, lens, blocks, to_pixels):
 
 
 @kernel
-def fit_poses(points, normalized, blocks, poses, costs):
-    """Fits from several starts.
+def fit_poses(
+    points, normalized, to_pixels, blocks, trials, work, poses, residuals, jacobians, pixels, costs
+):
+    """Fits from several starts; how well each result fits.
 
     Args:
         points: (n, 3) in the body's frame, metres.
         normalized: (n, 2) where they were seen.
+        to_pixels: (n, 2, 2) pixels by normalized coordinates.
         blocks: (m, b, b) with m b = 2 n.
+        trials: At most so many poses are tried from each start, itself among them; 0: it is the result.
+        work: (2n + 16, 7) work space.
         poses: (k, 7) position and quaternion wxyz: starts in, results out.
-        costs: (k,) sums of squares out.
+        residuals: (k, 2n) out, standard deviations.
+        jacobians: (k, 2n, 6) out: their derivatives by translation and rotation along the camera's axes.
+        pixels: (k, m) out: RMS distance in px of each block's corners.
+        costs: (k, m) out: sum of squares of each block.
     """
-    rows = 2 * len(points)
-    residual, jacobian = np.empty(rows), np.empty((rows, _DOF))
-    raw, slope = np.empty(rows), np.empty((rows, _DOF))
-    normal, damped, step, trial = np.empty((7, 6)), np.empty((7, 6)), np.zeros(_DOF), np.empty(7)
+    slope, normal, damped, step, trial = work[16:], work[:7], work[7:14], work[14, :_DOF], work[15]
+    size, rows = blocks.shape[1], 2 * len(points)
     for k in range(len(poses)):
-        pose = poses[k]
+        pose, residual, jacobian = poses[k], residuals[k], jacobians[k]
         cost, damping, growth = math.inf, 1e-3, 2.0
         for i in range(7):
             trial[i] = pose[i]
-        for _ in range(_STEPS + 1):  # the first one is the start
-            trial_cost = whitened(points, normalized, blocks, trial, raw, slope, residual, jacobian)
+        for i in range(_DOF):
+            step[i] = 0.0
+        for _ in range(trials):
+            trial_cost = whitened(points, normalized, blocks, trial, slope, residual, jacobian)
             if trial_cost < cost:
                 done = cost - trial_cost < _DONE * (1.0 + trial_cost)
                 for i in range(7):
@@ -102,41 +110,25 @@ def fit_poses(points, normalized, blocks, poses, costs):
             if done or not lm_step(normal, damping, damped, step):
                 break
             moved(pose, step, trial)
-        costs[k] = cost
-
-
-@kernel
-def evaluate(points, normalized, to_pixels, blocks, pose, residual, jacobian, pixels, costs):
-    """How well one pose (7,) fits.
-
-    Args:
-        points: (n, 3) in the body's frame, metres.
-        normalized: (n, 2) where they were seen.
-        to_pixels: (n, 2, 2) pixels by normalized coordinates.
-        blocks: (m, b, b) with m b = 2 n.
-        pose: (7,).
-        residual: (2n,) out, standard deviations.
-        jacobian: (2n, 6) out: its derivative by translation and rotation along the camera's axes.
-        pixels: (m,) out: RMS distance in px of each block's corners.
-        costs: (m,) out: sum of squares of each block.
-    """
-    raw, slope = np.empty(len(residual)), np.empty((len(residual), _DOF))
-    whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian)
-    size = blocks.shape[1]
-    for m in range(len(blocks)):
-        square, cost = 0.0, 0.0
-        for i in range(m * size, (m + 1) * size, 2):
-            p = i // 2
-            dx = to_pixels[p, 0, 0] * raw[i] + to_pixels[p, 0, 1] * raw[i + 1]
-            dy = to_pixels[p, 1, 0] * raw[i] + to_pixels[p, 1, 1] * raw[i + 1]
-            square += dx * dx + dy * dy
-            cost += residual[i] * residual[i] + residual[i + 1] * residual[i + 1]
-        pixels[m], costs[m] = math.sqrt(2.0 * square / size), cost
+        whitened(points, normalized, blocks, pose, slope, residual, jacobian)
+        for m in range(len(blocks)):
+            pixels[k, m], costs[k, m] = 0.0, 0.0
+        for i in range(0, rows, 2):
+            p, m = i // 2, i // size
+            dx = to_pixels[p, 0, 0] * slope[i, _DOF] + to_pixels[p, 0, 1] * slope[i + 1, _DOF]
+            dy = to_pixels[p, 1, 0] * slope[i, _DOF] + to_pixels[p, 1, 1] * slope[i + 1, _DOF]
+            pixels[k, m] += 2.0 * (dx * dx + dy * dy) / size
+            costs[k, m] += residual[i] * residual[i] + residual[i + 1] * residual[i + 1]
+        for m in range(len(blocks)):
+            pixels[k, m] = math.sqrt(pixels[k, m])
 
 
 @outlined
-def whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian):
-    """Residuals (2n,) and derivatives (2n, 6), as they are and in standard deviations; the sum of squares."""
+def whitened(points, normalized, blocks, pose, slope, residual, jacobian):
+    """Residuals (2n,) and derivatives (2n, 6) in standard deviations; the sum of squares.
+
+    As they are, (2n, 7), they are in ``slope``: residuals in its last column.
+    """
     w, x, y, z = pose[3], pose[4], pose[5], pose[6]
     for p in range(len(points)):
         a, b, c = points[p, 0], points[p, 1], points[p, 2]
@@ -145,8 +137,8 @@ def whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian):
         tz = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
         depth = max(tz + pose[2], _LEAST_DEPTH)
         u, v, inverse = (tx + pose[0]) / depth, (ty + pose[1]) / depth, 1.0 / depth
-        raw[2 * p], raw[2 * p + 1] = u - normalized[p, 0], v - normalized[p, 1]
         r, s = slope[2 * p], slope[2 * p + 1]
+        r[_DOF], s[_DOF] = u - normalized[p, 0], v - normalized[p, 1]
         # d(exp(w) r) / dw = -[r]x
         r[0], r[1], r[2] = inverse, 0.0, -u * inverse
         r[3], r[4], r[5] = -u * ty * inverse, (tz + u * tx) * inverse, -ty * inverse
@@ -161,7 +153,7 @@ def whitened(points, normalized, blocks, pose, raw, slope, residual, jacobian):
                 jacobian[row, k] = 0.0
             for j in range(size):
                 value = blocks[m, i, j]
-                residual[row] += value * raw[m * size + j]
+                residual[row] += value * slope[m * size + j, _DOF]
                 for k in range(_DOF):
                     jacobian[row, k] += value * slope[m * size + j, k]
             cost += residual[row] * residual[row]
@@ -244,6 +236,16 @@ class FittedPose:
     pixels: Array
     costs: Array
 
+    @property
+    def cost(self) -> float:
+        """Sum of squares in standard deviations."""
+        return float(self.costs.sum())
+
+    @property
+    def pixel_error(self) -> float:
+        """RMS distance of all corners, px."""
+        return math.sqrt(float(self.pixels @ self.pixels) / len(self.pixels))
+
 
 @dataclass(frozen=True, eq=False)
 class CornerData:
@@ -292,43 +294,22 @@ class CornerData:
         points, normalized, to_pixels = (a[part].reshape(-1, *a.shape[2:]) for a in of_points)
         return CornerData(points, normalized, blocks, to_pixels)
 
-    @property
-    def white(self) -> Array:
-        """(2n, 2n) the blocks as one matrix."""
-        m, b, _ = self.blocks.shape
-        whole = np.zeros((m * b, m * b))
-        for i in range(m):
-            whole[i * b : (i + 1) * b, i * b : (i + 1) * b] = self.blocks[i]
-        return whole
-
-    def residual(self, pose: Pose) -> Array:
-        """(n, 2) undistorted normalised coordinates: predicted minus seen."""
-        p = pose.apply(self.points)
-        # Behind the camera there is no picture: a large residual turns the fit back.
-        z = np.where(p[:, 2:] > 1e-6, p[:, 2:], 1e-6)
-        return np.asarray(p[:, :2] / z - self.normalized)
-
     def fit(self, pose: Pose) -> FittedPose:
         """How well ``pose`` fits."""
-        m, b, _ = self.blocks.shape
-        result = FittedPose(np.empty(m * b), np.empty((m * b, 6)), np.empty(m), np.empty(m))
-        evaluate(
-            self.points, self.normalized, self.to_pixels, self.blocks, pose_row(pose),
-            result.residual, result.jacobian, result.pixels, result.costs,
-        )  # fmt: skip
-        return result
+        return self.fit_from(pose_row(pose)[None], 0)[1][0]
 
-    def pixel_error(self, pose: Pose) -> float:
-        """RMS distance of the corners in pixels."""
-        return float(np.sqrt(np.mean(self.fit(pose).pixels ** 2)))
+    def fit_from(self, starts: Array, trials: int = _TRIALS) -> tuple[Array, list[FittedPose]]:
+        """Levenberg-Marquardt from each start (k, 7): poses (k, 7) and how they fit, NaN where it failed.
 
-    def cost(self, pose: Pose) -> float:
-        """Sum of squares in standard deviations."""
-        return float(self.fit(pose).costs.sum())
-
-    def jacobian(self, pose: Pose) -> Array:
-        """(2n, 6) of the whitened residual by translation and rotation along the camera's axes."""
-        return self.fit(pose).jacobian
+        Args:
+            starts: Rows of ``pose_row``.
+            trials: Poses tried from each at most; 0: the starts are only judged.
+        """
+        poses, k, (m, b, _) = starts.copy(), len(starts), self.blocks.shape
+        results = np.empty((k, m * b)), np.empty((k, m * b, _DOF)), np.empty((k, m)), np.empty((k, m))
+        work = np.empty((m * b + 16, 7))
+        fit_poses(self.points, self.normalized, self.to_pixels, self.blocks, trials, work, poses, *results)
+        return poses, [FittedPose(*arrays) for arrays in zip(*results, strict=True)]
 
 
 def pose_row(pose: Pose) -> Array:
@@ -336,24 +317,12 @@ def pose_row(pose: Pose) -> Array:
     return np.concatenate([pose.position, pose.wxyz])
 
 
-def fit_rows(corners: CornerData, starts: Array) -> tuple[Array, Array]:
-    """Levenberg-Marquardt from each start (k, 7): poses (k, 7) and costs (k,), not finite where it failed."""
-    poses, costs = starts.copy(), np.empty(len(starts))
-    fit_poses(corners.points, corners.normalized, corners.blocks, poses, costs)
-    return poses, costs
-
-
 def fit_pose(corners: CornerData, start: Pose) -> tuple[Pose, float]:
     """Levenberg-Marquardt from ``start``: pose and cost; the start with infinite cost when there is none."""
-    (row,), (cost,) = fit_rows(corners, pose_row(start)[None])
-    if not (np.isfinite(cost) and np.isfinite(row).all()):
+    (row,), (fit,) = corners.fit_from(pose_row(start)[None])
+    if not (np.isfinite(fit.cost) and np.isfinite(row).all()):
         return start, float("inf")
-    return Pose(row[:3], row[3:]), float(cost)
-
-
-def pose_covariance(corners: CornerData, pose: Pose, cost: float) -> Array:
-    """(J^T J)^-1, widened when the residuals are larger than the corners' covariance explains."""
-    return covariance_of(corners.jacobian(pose), cost)
+    return Pose(row[:3], row[3:]), fit.cost
 
 
 def covariance_of(jacobian: Array, cost: float) -> Array:
@@ -413,8 +382,7 @@ class Branches:
 
     def pixel_error(self, chosen: int = 0) -> float:
         """RMS distance of the corners, px."""
-        pixels = self.fits[chosen].pixels
-        return math.sqrt(float(pixels @ pixels) / len(pixels))
+        return self.fits[chosen].pixel_error
 
     @cached_property
     def covariances(self) -> tuple[Array, ...]:
@@ -428,10 +396,9 @@ class Branches:
 
 def fitted(data: CornerData, starts: Array) -> Branches | None:
     """Fits from each start (k, 7) and keeps what differs, in front of the camera; None when nothing fits."""
-    rows, costs = fit_rows(data, starts)
-    found = sorted(
-        (cost, k) for k, cost in enumerate(costs.tolist()) if _in_front(data.points, rows[k], cost)
-    )
+    rows, fits = data.fit_from(starts)
+    costs = [fit.cost for fit in fits]
+    found = sorted((cost, k) for k, cost in enumerate(costs) if _in_front(data.points, rows[k], cost))
     if not found:
         return None
     kept = found[:1]

@@ -70,10 +70,12 @@ class _TunedCompiler(event.Listener):
 
         numba_tuning.tune()
         numba_tuning.garbage_collection.pause()
+        numba_tuning.optimization.begin(event.data["dispatcher"].py_func.__module__)
 
     def on_end(self, event: Any) -> None:
         from robot_ik.kernels import numba_tuning
 
+        numba_tuning.optimization.end()
         numba_tuning.garbage_collection.resume()
 
 
@@ -213,6 +215,10 @@ class _InnerCompiler(Compiler):
 
 
 class _InnerCacheImpl(CompileResultCacheImpl):
+    def reduce(self, result: Any) -> Any:
+        # Without the listing of its types, which takes longer to write than all else.
+        return super().reduce(result._replace(type_annotation=""))
+
     def rebuild(self, target_context: Any, payload: Any) -> Any:
         return CompileResult._rebuild(_InnerContext(target_context), *payload)
 

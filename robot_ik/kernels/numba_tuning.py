@@ -1,7 +1,7 @@
-"""What makes numba compile faster, with the same machine code.
+"""What makes numba compile faster, with the same machine code (the camera's aside: a level of LLVM less).
 
 Three quarters of a first compile are numba's own Python.  Much of that is spent on finding again what it
-found for the operation before: which of thirty implementations an addition of two numbers takes.
+found before: which of thirty implementations an addition of two numbers takes, where each variable lives.
 ``jit`` calls ``tune()`` when something is about to be compiled.  It reaches into numba, whose versions
 pyproject.toml bounds, and so concerns all that the process compiles from then on.
 """
@@ -11,16 +11,21 @@ from __future__ import annotations
 import functools
 import gc
 import threading
+import types as python_types
 from typing import Any
 
-from numba.core import ir, types
+from llvmlite import binding as llvm  # type: ignore[import-untyped]
+from numba.core import base, config, ir, types
 from numba.core.base import BaseContext
 from numba.core.codegen import CPUCodeLibrary
+from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.targetconfig import ConfigStack, TargetConfig
+from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
 
 # As numba has them.
 find_call_type, variables_of = BaseFunction.get_call_type, ir.Inst._rec_list_vars
+run_post_processor = PostProcessor.run
 
 
 @functools.cache
@@ -29,8 +34,12 @@ def tune() -> None:
     _remember_call_types()
     _compare_options_quickly()
     _list_variables_quickly()
+    _analyse_lifetimes_when_asked()
     _optimize_definitions_only()
     _remember_plain_arrays()
+    _refresh_when_something_is_new()
+    _remember_small_answers()
+    _leave_out_lock_events()
 
 
 def _remember_call_types() -> None:
@@ -85,23 +94,53 @@ def _compare_options_quickly() -> None:
 
 
 def _list_variables_quickly() -> None:
-    """Lets an instruction list its variables without a call for each of its texts and places."""
-    leaves = {str, int, bool, float, type(None), ir.Loc}
+    """Lets an instruction list its variables without a call for each of its texts, places and functions."""
+    leaves = {
+        str, int, bool, float, type(None), ir.Loc, ir.Const, ir.Global, ir.FreeVar, ir.Arg,
+        python_types.BuiltinFunctionType, python_types.FunctionType,
+    }  # fmt: skip
+
+    def collect(values: Any, found: list[Any]) -> None:
+        for item in values:
+            kind = type(item)
+            if kind is ir.Var:
+                found.append(item)
+            elif kind is ir.Expr:
+                collect(item._kws.values(), found)
+            elif kind is tuple or kind is list:
+                collect(item, found)
+            elif kind not in leaves:
+                found += variables_of(instruction, item)
 
     def list_variables(self: Any, value: Any) -> list[Any]:
-        if isinstance(value, dict):
-            value = value.values()
-        elif not isinstance(value, (list, tuple)):
-            return variables_of(self, value)
         found: list[Any] = []
-        for item in value:
-            if type(item) is ir.Var:
-                found.append(item)
-            elif type(item) not in leaves:
-                found += list_variables(self, item)
+        collect(value.values() if type(value) is dict else (value,), found)
         return found
 
+    instruction = ir.Inst()
     setattr(ir.Inst, "_rec_list_vars", list_variables)  # noqa: B010 (mypy: a class's method)
+
+
+def _analyse_lifetimes_when_asked() -> None:
+    """Lets it be found out where variables live where that is asked for, not after each pass."""
+    entry_variables = ir.FunctionIR.get_block_entry_vars
+
+    def run_lazily(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:
+        function = self.func_ir
+        if emit_dels or function.is_generator:
+            run_post_processor(self, emit_dels, extend_lifetimes)
+            return
+        function.blocks = canonicalize_cfg(function.blocks)
+        function.variable_lifetime, function.generator_info = VariableLifetime(function.blocks), None
+        function.block_entry_vars.clear()
+
+    def get_block_entry_vars(self: Any, block: Any) -> Any:
+        if block not in self.block_entry_vars:  # of Python's object mode alone
+            run_post_processor(PostProcessor(self))
+        return entry_variables(self, block)
+
+    setattr(PostProcessor, "run", run_lazily)  # noqa: B010
+    setattr(ir.FunctionIR, "get_block_entry_vars", get_block_entry_vars)  # noqa: B010
 
 
 def _optimize_definitions_only() -> None:
@@ -135,6 +174,49 @@ def _remember_plain_arrays() -> None:
     setattr(BaseContext, "get_function", get_function)  # noqa: B010
 
 
+def _refresh_when_something_is_new() -> None:
+    """Lets a context look for new implementations only after one was registered."""
+    refresh = BaseContext.refresh
+    seen: dict[Any, int] = {}
+    lists = "functions", "getattrs", "setattrs", "casts", "constants", "attributes", "globals"
+
+    def registered(self: Any) -> int:
+        """How many there are, in all registries that the context knows."""
+        registries = [*self._registries, *self.typing_context._registries]
+        return sum(len(getattr(registry, name, ())) for registry in registries for name in lists)
+
+    def refresh_if_new(self: Any) -> None:
+        if seen.get(self) != registered(self):
+            refresh(self)
+            seen[self] = registered(self)
+
+    setattr(BaseContext, "refresh", refresh_if_new)  # noqa: B010
+
+
+def _remember_small_answers() -> None:
+    """Lets a type's size and a function's parameters be found once: numba parses a module, a signature."""
+    setattr(base, "_has_loc", functools.cache(base._has_loc))  # noqa: B010
+    find_size = BaseContext.get_abi_sizeof
+    sizes: dict[Any, int] = {}
+
+    def get_abi_sizeof(self: Any, kind: Any) -> Any:
+        key = self, str(kind)
+        if "%" in key[1]:  # a type with a name, which says nothing of its size
+            return find_size(self, kind)
+        if key not in sizes:
+            sizes[key] = find_size(self, kind)
+        return sizes[key]
+
+    setattr(BaseContext, "get_abi_sizeof", get_abi_sizeof)  # noqa: B010
+
+
+def _leave_out_lock_events() -> None:
+    """Lets calls of LLVM be no events of numba, of which its own timers alone would know."""
+    for acquired, released in list(llvm.ffi.lib._lock._cblist):
+        if "_initialize_llvm_lock_event" in acquired.__qualname__:
+            llvm.ffi.unregister_lock_callback(acquired, released)
+
+
 class _GarbageCollection:
     """Rests while something is compiled: a tenth of the time, for what nothing is freed."""
 
@@ -162,3 +244,26 @@ class _GarbageCollection:
 
 
 garbage_collection = _GarbageCollection()
+
+
+class _Optimization:
+    """LLVM's level of optimisation: 2 for the camera's code, which is as fast by it, elsewhere numba's 3.
+
+    numba has one level for all that it compiles; its lock is held between ``begin`` and ``end``.
+    """
+
+    def __init__(self) -> None:
+        self._outer: list[Any] = []
+
+    def begin(self, module: str) -> None:
+        """Sets the level for a function of a module, until ``end``."""
+        self._outer.append(_config.OPT)
+        level = self._outer[0]
+        _config.OPT = type(level)(min(level, 2)) if module.startswith("robot_ik.camera.") else level
+
+    def end(self) -> None:
+        _config.OPT = self._outer.pop()
+
+
+_config: Any = config
+optimization = _Optimization()

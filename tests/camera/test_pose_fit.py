@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import least_squares
 
 from robot_ik.camera.corner_refinement import unrefined
 from robot_ik.camera.observations import estimate_body, estimate_marker, marker_points
-from robot_ik.camera.pose_fit import CornerData
+from robot_ik.camera.pose_fit import CornerData, fit_pose
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import random_pose
 from robot_ik.errors import CameraError
@@ -136,6 +137,13 @@ def test_covariance_is_the_scatter_of_repeated_trials(tilt_deg: float, distance:
     assert chi == pytest.approx(6.0, rel=0.2)
 
 
+def whitened(data: CornerData, pose: Pose) -> np.ndarray:
+    """(2n,) residuals of a pose in standard deviations, without the compiled fit."""
+    points = pose.apply(data.points)
+    raw = points[:, :2] / points[:, 2:] - data.normalized
+    return (data.blocks @ raw.reshape(len(data.blocks), -1, 1)).ravel()
+
+
 @given(st.integers(0, 1000))
 def test_jacobian_is_the_derivative(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -146,11 +154,32 @@ def test_jacobian_is_the_derivative(seed: int) -> None:
     step = 1e-6
 
     def residual(twist: np.ndarray) -> np.ndarray:
-        moved = Pose(pose.position + twist[:3], quat_multiply(rotation_exp(twist[3:]), pose.wxyz))
-        return data.white @ data.residual(moved).ravel()
+        return whitened(
+            data, Pose(pose.position + twist[:3], quat_multiply(rotation_exp(twist[3:]), pose.wxyz))
+        )
 
     slope = np.stack([(residual(d) - residual(-d)) / (2 * step) for d in step * np.eye(6)], axis=1)
-    assert data.jacobian(pose) == pytest.approx(slope, rel=1e-5, abs=1e-3)
+    assert data.fit(pose).residual == pytest.approx(whitened(data, pose))
+    assert data.fit(pose).jacobian == pytest.approx(slope, rel=1e-5, abs=1e-3)
+
+
+def test_the_compiled_fit_is_as_good_as_scipys() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(5):
+        pose, _ = random_pose(CAMERA, rng, 0.5, tilt_deg=(25, 55))
+        points = marker_points(0.05)
+        corners = CAMERA.project(pose.apply(points)) + rng.normal(0, 0.3, (4, 2))
+        data = CornerData.of(points, unrefined(corners, CAMERA, 0.3), CAMERA)
+        start = Pose(pose.position * 1.05, quat_multiply(rotation_exp([0.05, -0.05, 0.1]), pose.wxyz))
+        best = least_squares(
+            lambda v, d=data: whitened(d, Pose(v[:3], rotation_exp(v[3:]))),
+            start.log(),
+            x_scale=[0.1] * 3 + [1.0] * 3,
+            xtol=1e-14, ftol=1e-14, gtol=1e-14,
+        )  # fmt: skip
+        found, cost = fit_pose(data, start)
+        assert cost == pytest.approx(2 * best.cost, rel=1e-6)
+        assert found.distance(Pose(best.x[:3], rotation_exp(best.x[3:])))[0] < 1e-6
 
 
 @pytest.mark.parametrize("size", [0.0, -0.05, 50.0, float("nan")])

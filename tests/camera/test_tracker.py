@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import least_squares
 
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import refine_corners_of, refine_markers, unrefined
@@ -19,7 +18,7 @@ from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import lens_vector
 from robot_ik.camera.observations import marker_branches, marker_points
-from robot_ik.camera.pose_fit import Branches, CornerData, fit_pose, flat_normal, mirrored
+from robot_ik.camera.pose_fit import Branches, flat_normal, mirrored
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import random_pose, render_markers
@@ -253,25 +252,6 @@ def test_the_compiled_lens_is_the_lens(model: str, coefficients: tuple[float, ..
     assert not good.any() and (corners == pixels).all()
     expected = camera.undistort(pixels.reshape(-1, 2)).reshape(normalized.shape)
     np.testing.assert_allclose(normalized, expected, atol=1e-9)
-
-
-def test_the_compiled_fit_is_as_good_as_scipys() -> None:
-    rng = np.random.default_rng(7)
-    for _ in range(5):
-        pose, _ = random_pose(CAMERA, rng, 0.5, tilt_deg=(25, 55))
-        points = marker_points(SIZE)
-        corners = CAMERA.project(pose.apply(points)) + rng.normal(0, 0.3, (4, 2))
-        data = CornerData.of(points, unrefined(corners, CAMERA, 0.3), CAMERA)
-        start = Pose(pose.position * 1.05, quat_multiply(rotation_exp([0.05, -0.05, 0.1]), pose.wxyz))
-        best = least_squares(
-            lambda v, d=data: d.white @ d.residual(Pose(v[:3], rotation_exp(v[3:]))).ravel(),
-            start.log(),
-            x_scale=[0.1] * 3 + [1.0] * 3,
-            xtol=1e-14, ftol=1e-14, gtol=1e-14,
-        )  # fmt: skip
-        found, cost = fit_pose(data, start)
-        assert cost == pytest.approx(2 * best.cost, rel=1e-6)
-        assert found.distance(Pose(best.x[:3], rotation_exp(best.x[3:])))[0] < 1e-6
 
 
 def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:

@@ -14,6 +14,8 @@ import numpy as np
 import pytest
 from numba.core import ir
 from numba.core.compiler import Flags, run_frontend
+from numba.core.postproc import PostProcessor
+from numba.core.registry import cpu_target
 from numba.core.types.functions import BaseFunction
 
 from robot_ik.kernels import numba_tuning
@@ -86,6 +88,71 @@ def test_an_instruction_lists_the_variables_that_numba_lists() -> None:
     assert len(seen) > 100
 
 
+def test_where_variables_live_is_what_numba_finds() -> None:
+    function = run_frontend(mixed)
+    blocks, lazily = function.blocks, function.variable_lifetime
+    function.block_entry_vars.clear()
+    asked = [function.get_block_entry_vars(block) for block in blocks.values()]
+    numba_tuning.run_post_processor(PostProcessor(function))
+    eagerly = function.variable_lifetime
+    assert asked == [function.block_entry_vars[block] for block in blocks.values()]
+    assert max(map(len, asked)) > 5
+    for name in ("livemap", "usedefs", "deadmaps"):
+        assert getattr(lazily, name) == getattr(eagerly, name)
+
+
+def test_python_objects_and_generators_are_compiled_as_before() -> None:
+    @numba.jit(forceobj=True, looplift=False)
+    def objects(names: Any) -> Any:
+        found = []
+        for name in names:
+            if name == "b":
+                found.append(name.upper())
+        return found
+
+    @numba.njit
+    def generator(n: int) -> Any:
+        total = 0
+        for i in range(n):
+            if i % 2:
+                total += i
+                yield total
+
+    assert objects(["a", "b", "b"]) == ["B", "B"]
+    assert list(generator(6)) == [1, 4, 9]
+
+
+def test_what_is_registered_late_is_found() -> None:
+    def late(x): ...
+
+    with pytest.raises(numba.TypingError):
+        numba.njit(lambda x: late(x))(1.0)
+
+    numba.extending.overload(late)(lambda x: lambda x: 2 * x)
+    assert numba.njit(lambda x: late(x))(1.0) == 2.0
+
+
+def test_a_remembered_size_is_the_size() -> None:
+    context = cpu_target.target_context
+    for kind in (numba.types.float64[:, ::1], numba.types.Tuple((numba.types.int8, numba.types.float64))):
+        value = context.get_value_type(kind)
+        sizes = [context.get_abi_sizeof(value) for _ in range(2)]
+        assert sizes == [value.get_abi_size(context.target_data)] * 2
+
+
+@pytest.mark.parametrize(("level", "camera"), [(3, 2), (2, 2), (0, 0)])
+def test_the_cameras_code_is_optimised_less(level: int, camera: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    config: Any = numba.core.config
+    monkeypatch.setattr(config, "OPT", type(config.OPT)(level))
+    levels = []
+    for module in ("robot_ik.camera.lens", "robot_ik.kernels.linalg", "numba.np.arrayobj"):
+        numba_tuning.optimization.begin(module)
+        levels.append(config.OPT)
+    for _ in range(3):
+        numba_tuning.optimization.end()
+    assert levels == [camera, level, level] and level == config.OPT
+
+
 @pytest.mark.parametrize("enabled", [True, False])
 def test_garbage_collection_rests_only_while_something_is_compiled(enabled: bool) -> None:
     seen = []
@@ -128,8 +195,9 @@ from robot_ik.kernels import jit, numba_tuning
 if sys.argv[1] == "untuned":
     numba_tuning.tune = lambda: None
 from robot_ik.camera.pose_fit import fit_poses
-sizes = (4, 3), (4, 2), (1, 8, 8), (2, 7), (2,)
-jit.entry(fit_poses, *(np.zeros(size) for size in sizes))
+corners = (np.zeros(size) for size in ((4, 3), (4, 2), (4, 2, 2), (1, 8, 8)))
+results = (np.zeros(size) for size in ((2, 7), (2, 8), (2, 8, 6), (2, 1), (2, 1)))
+jit.entry(fit_poses, *corners, 31, np.zeros((24, 7)), *results)
 print(*fit_poses.inspect_asm().values())
 """
 
