@@ -171,7 +171,7 @@ def _add_connector(scene: Any, kind: int, rgba: Sequence[float], width: float, a
         import_mujoco().mjv_connector(geom, kind, width, a, b)
 
 
-class _Window:
+class _ViewerWindow:
     """A window of MuJoCo's viewer: a context manager that closes it."""
 
     _viewer: Any
@@ -191,7 +191,7 @@ class _Window:
         self.close()
 
 
-class WindowSink(_Window):
+class WindowSink(_ViewerWindow):
     """Mirrors joint angles into a window: a ``JointSink`` and a context manager.
 
     The window gets its own copy of the model, since its user may change it there.
@@ -328,7 +328,7 @@ _TEXT_ROWS = 12
 _SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}  # GLFW's numbers
 
 
-class SessionWindow(_Window):
+class SessionWindow(_ViewerWindow):
     """The front end ``window``: a testbed session in MuJoCo's passive viewer.
 
     The ball is selected from the start: Ctrl and the right mouse button move it.  Keys are those of the first
