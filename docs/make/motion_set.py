@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import robot_ik as rik
 from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.figure.actions import bend, reach
+from robot_ik.figure.actions import take
 from robot_ik.figure.figure import RATE as FIGURE_RATE
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.footprints import WALK, prints_of, walk_prints
@@ -140,11 +140,13 @@ def key_poses(robot: rik.Robot) -> KeyPoses:
 def actions(figure: Figure) -> dict[str, Array]:
     """Frames (m, nq), 60 a second, of what the figure does by itself (``robot_ik/figure``)."""
     home, found = figure.home, {}
-    for balls, act, kind in ((GRID, reach, REACH), (BENDS, bend, BEND)):
+    for balls, kind in ((GRID, REACH), (BENDS, BEND)):
         for position in balls:
             end = find_pose(figure, np.array(position), "right", kind)
             if not end.flaw:
-                found[f"{kind} {position}"] = act(figure, home, np.array(position), end=end.q).q
+                found[f"{kind} {position}"] = take(
+                    figure, home, np.array(position), "right", kind, end=end.q
+                ).q
     for how, (length, duration) in SPEEDS.items():
         gait = replace(WALK, length=length * WALK.length, time=duration * WALK.time)
         for x, y, degrees in GOALS:

@@ -129,7 +129,7 @@ def commands() -> str:
 
 def keys() -> str:
     """One row for each key of the testbed."""
-    from robot_ik.testbed.keymap import KEYMAP
+    from robot_ik.testbed.commands import KEYMAP
 
     rows = ((key.about, *(f"`{k}`" if k else "" for k in (key.browser, key.window))) for key in KEYMAP)
     return markdown(("what it does", "browser", "window"), rows)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import bend, reach
+from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
@@ -351,9 +351,7 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Figur
             motion = jump(figure, figure.home, ball, decision.arm, decision.speed or 0.0)
         else:
             end = abilities.pose(decision.action, ball, decision.arm).q
-            motion = (reach if decision.action == "reach" else bend)(
-                figure, figure.home, ball, decision.arm, end=end
-            )
+            motion = take(figure, figure.home, ball, decision.arm, decision.action, end=end)
         hand = figure.hands[decision.arm]
         miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
         speeds = "jump" if decision.action == "jump" else "daily"

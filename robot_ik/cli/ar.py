@@ -10,7 +10,16 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Lens, optional_path, robot_argument, several, wrong
+from robot_ik.cli.arguments import (
+    Json,
+    Lens,
+    optional_path,
+    request_of,
+    require,
+    robot_argument,
+    several,
+    single,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
@@ -36,15 +45,13 @@ class ArOptions:
     intrinsics: Lens = ""
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: DICT_5X5_50)")] = ""
+    dictionary: Annotated[str, single("NAME", "DICT_5X5_50")] = ""
     """OpenCV's name of the markers' dictionary."""
-    extrinsics: Annotated[
-        str, arg(metavar="FILE.toml", help_behavior_hint="(from robot-ik camera locate)")
-    ] = ""
-    """Where the camera stands, instead of a board; the robot stands in its world."""
-    base: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
+    extrinsics: Annotated[str, single("FILE.toml")] = ""
+    """Where the camera stands (of camera locate), instead of a board; the robot stands in its world."""
+    base: Annotated[tuple[float, ...], single("X Y Z [YAW_DEG]")] = ()
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
-    scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
+    scale: Annotated[float, single(None, "1; what fits the synthetic table")] = 0.0
     """Drawn size over true size."""
     motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|SCRIPT|ARM.toml@PORT")] = "wave"
     """What the robot does: follow reaches for --marker; a trajectory is replayed; a script (as for
@@ -55,8 +62,8 @@ class ArOptions:
     """Side of its black square, metres."""
     backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
-    occluders: Annotated[str, arg(metavar="FILE", help_behavior_hint="(boxes in TOML, or MJCF)")] = ""
-    """Real objects that hide the robot."""
+    occluders: Annotated[str, single("FILE")] = ""
+    """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
     """Geoms of the model that do."""
     sync: Literal["tracked", "latest"] = "tracked"
@@ -71,20 +78,17 @@ class ArOptions:
     """1 hides what is behind the robot, 0 the robot."""
     shadow: bool = True
     """Draw the shadow on the board's plane."""
-    out: Annotated[
-        str, arg(metavar="FILE.mp4|FILE.png|DIR", help_behavior_hint="(default: ar.mp4, else the folder ar)")
-    ] = ""
+    out: Annotated[str, single("FILE.mp4|FILE.png|DIR", "ar.mp4, else the folder ar")] = ""
     """A film (extra `video`), the last picture, or a folder of pictures."""
     overwrite: bool = False
     """Replace that file, or such pictures in that folder."""
-    seconds: Annotated[float, arg(help_behavior_hint="(default: all; synthetic: the motion, or 4)")] = 0.0
+    seconds: Annotated[float, single(None, "all; synthetic: the motion, or 4")] = 0.0
     """How long."""
-    size: Annotated[tuple[int, ...], arg(metavar="W H", help_behavior_hint="(default: the camera's)")] = ()
+    size: Annotated[tuple[int, ...], single("W H", "the camera's")] = ()
     """Size of synthetic and live pictures."""
     seed: int = 0
     """Of the synthetic camera's noise."""
-    json: bool = False
-    """Print the report as JSON on stdout."""
+    json: Json = False
     self_test: bool = False
     """Measure how well drawings lie on pictures, in pixels, against cv2.projectPoints and exact truth."""
 
@@ -102,39 +106,28 @@ def run(options: ArOptions) -> int:
     if report.notice:
         console.say(report.notice, style="yellow")
     if options.json:
-        console.print_json(summary(report))
+        names = ("pictures", "drawn", "scale", "backend", "reprojection_px", "interrupted")
+        facts = {name: getattr(report, name) for name in names}
+        file = None if report.file is None else str(report.file)
+        console.print_json({"file": file, **facts, "track_and_draw_hz": report.rate_hz})
     else:
         _print(report)
     return console.INTERRUPTED if report.interrupted else console.DONE
-
-
-def summary(report: ArReport) -> dict[str, object]:
-    """The report as JSON holds it."""
-    return {
-        "file": None if report.file is None else str(report.file),
-        "pictures": report.pictures,
-        "drawn": report.drawn,
-        "scale": report.scale,
-        "backend": report.backend,
-        "reprojection_px": report.reprojection_px,
-        "track_and_draw_hz": report.rate_hz,
-        "interrupted": report.interrupted,
-    }
 
 
 def _print(report: ArReport) -> None:
     if report.file is None:
         console.say("there was no picture: nothing is written", "yellow")
         return
-    lines = console.facts(
+    board = [("board", f"corners fit to {report.reprojection_px:.2f} px")]
+    speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
+    facts = console.facts(
         ("pictures", f"{report.pictures}, the robot in {report.drawn}"),
         ("drawn", f"by {report.backend} at {report.scale:.3g} of its size"),
+        *(board if np.isfinite(report.reprojection_px) else ()),
+        ("speed", f"{speed} pictures/s tracked and drawn"),
     )
-    if np.isfinite(report.reprojection_px):
-        lines.add_row("board", f"corners fit to {report.reprojection_px:.2f} px")
-    speed = f"{report.rate_hz:.0f}" if report.rate_hz >= 10.0 else f"{report.rate_hz:.2g}"
-    lines.add_row("speed", f"{speed} pictures/s tracked and drawn")
-    console.out().print(lines)
+    console.show(facts)
     console.result(f"written: {report.file}")
 
 
@@ -148,56 +141,45 @@ def _default_out() -> str:
 
 
 def make_request(options: ArOptions) -> ArRequest:
-    """The job's request; everything that can be wrong without looking is found here.
-
-    Raises:
-        ConfigError: A malformed option.
-    """
+    """The job's request; raises ``ConfigError`` for all that can be wrong without looking."""
     from robot_ik.camera.registration import LatencyOptions
     from robot_ik.jobs.ar.job import ArRequest
     from robot_ik.jobs.ar.motion import robot_of
 
-    if len(options.base) not in (0, 3, 4) or not np.isfinite(options.base).all():
-        raise wrong("--base", f"{options.base}", "3 or 4 finite numbers: x y z in metres, yaw in degrees")
-    if len(options.size) not in (0, 2) or any(not _SIDES[0] <= v <= _SIDES[1] for v in options.size):
-        raise wrong(
-            "--size", f"{options.size}", f"width and height in pixels, each {_SIDES[0]} to {_SIDES[1]}"
-        )
-    if not 0.0 <= options.alpha <= 1.0:
-        raise wrong("--alpha", f"{options.alpha:g}", "0 to 1")
-    for name in ("scale", "delay", "seconds"):
-        if not 0.0 <= getattr(options, name) < np.inf:
-            raise wrong(f"--{name}", f"{getattr(options, name):g}", "0 or more")
-    if options.sync == "tracked" and (options.predict or options.shift or options.delay):
-        raise wrong(
-            "--sync", "the picture that was tracked has no delay to make up for",
-            "--sync latest with --predict, --shift or --delay",
-        )  # fmt: skip
+    _check(options)
     x, y, z, yaw = (*options.base, *(0.0,) * (4 - len(options.base)))
-    return ArRequest(
+    return request_of(
+        ArRequest,
+        options,
         robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
-        camera=options.camera,
         intrinsics=optional_path(options.intrinsics),
-        board=options.board,
-        dictionary=options.dictionary,
         extrinsics=optional_path(options.extrinsics),
         base=(x, y, z, yaw),
-        scale=options.scale,
-        motion=options.motion,
         marker=(options.marker, options.marker_size),
-        backend=options.backend,
         occluders=optional_path(options.occluders),
-        occluder_geoms=options.occluder_geoms,
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
-        delay=options.delay,
-        alpha=options.alpha,
-        shadow=options.shadow,
         out=Path(options.out or _default_out()),
-        overwrite=options.overwrite,
-        seconds=options.seconds,
-        size=(options.size[0], options.size[1]) if options.size else None,
-        seed=options.seed,
+        size=options.size or None,
     )
+
+
+def _check(options: ArOptions) -> None:
+    base, size = options.base, options.size
+    numbers = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
+    require(len(base) in (0, 3, 4) and bool(np.isfinite(base).all()), "--base", f"{base}", numbers)
+    sides = f"width and height in pixels, each {_SIDES[0]} to {_SIDES[1]}"
+    fits = all(_SIDES[0] <= side <= _SIDES[1] for side in size)
+    require(len(size) in (0, 2) and fits, "--size", f"{size}", sides)
+    require(0.0 <= options.alpha <= 1.0, "--alpha", f"{options.alpha:g}", "0 to 1")
+    for name in ("scale", "delay", "seconds"):
+        value = getattr(options, name)
+        require(0.0 <= value < np.inf, f"--{name}", f"{value:g}", "0 or more")
+    late = options.predict or options.shift or options.delay
+    require(
+        not late or options.sync == "latest", "--sync",
+        "the picture that was tracked has no delay to make up for",
+        "--sync latest with --predict, --shift or --delay",
+    )  # fmt: skip
 
 
 # ------------------------------------------------------------------------------------------
@@ -212,29 +194,21 @@ def run_self_test(*, json: bool = False) -> int:
         rows, notice = self_test(console.shares_on(bar, "measuring"))
     good = all(row.good for row in rows)
     if json:
-        console.print_json(
+        facts = [
             {
-                "good": good,
-                "notice": notice,
-                "rows": [
-                    {
-                        "what": row.what,
-                        "rms_px": row.misses.rms,
-                        "worst_px": row.misses.worst,
-                        "limits_px": None if row.limits is None else list(row.limits),
-                        "good": row.good,
-                    }
-                    for row in rows
-                ],
+                "what": row.what, "rms_px": row.misses.rms, "worst_px": row.misses.worst,
+                "limits_px": row.limits, "good": row.good,
             }
-        )
+            for row in rows
+        ]  # fmt: skip
+        console.print_json({"good": good, "notice": notice, "rows": facts})
     else:
-        table = console.table("registration, px", "RMS", "allowed", "worst", "allowed", "")
+        cells = []
         for row in rows:
             rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
             verdict = "" if row.limits is None else "good" if row.good else "NOT GOOD"
-            table.add_row(row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, verdict)
-        console.out().print(table)
+            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, verdict))
+        console.show(console.table("registration, px", "RMS", "allowed", "worst", "allowed", "", rows=cells))
     if notice:
         console.say(notice, style="yellow")
     return console.DONE if good else console.NOT_ACHIEVED

@@ -12,9 +12,9 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TextIO, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hints
 
 from tyro.conf import arg
 
@@ -25,7 +25,7 @@ from robot_ik.reading import FORMER
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
 
-
+Request = TypeVar("Request")
 HELP_FLAGS = ("--help", "-h")
 #: What tyro writes for programs to read: no line of it is folded.
 _ENDLESS = 10_000
@@ -39,65 +39,57 @@ _KINDS = {"FLOAT": "a number", "INT": "a whole number", "STR": "a word"}
 # Options that several commands have.
 
 
+def single(metavar: str | None, default: str = "", help: str | None = None) -> Any:
+    """Annotation of one value; ``default``: what is taken where none is given."""
+    return arg(metavar=metavar, help=help, help_behavior_hint=f"(default: {default})" if default else "")
+
+
+def several(metavar: str, default: str = "", help: str | None = None) -> Any:
+    """Annotation of any number of values; ``default``: what is taken where none is given."""
+    return single(f"{metavar} …", default, help)
+
+
 def robot_argument(default: str) -> Any:
     """Annotation of a robot's name or path; ``default``: what is taken where none is given."""
-    text = "A name of `robot-ik robots`, or any MJCF or URDF file."
-    return arg(metavar="NAME|PATH", help=text, help_behavior_hint=f"(default: {default})")
+    return single("NAME|PATH", default, "A name of `robot-ik robots`, or any MJCF or URDF file.")
 
 
-def several(metavar: str, default: str = "") -> Any:
-    """Annotation of any number of values; ``default``: what is taken where none is given."""
-    return arg(metavar=f"{metavar} …", help_behavior_hint=f"(default: {default})" if default else "")
-
-
-ArmFile = Annotated[
-    str,
-    arg(
-        metavar="FILE.toml",
-        help="Servo ids, signs, zeros and limits.",
-        help_behavior_hint="(default: beside the model)",
-    ),
-]
-
+#: Behind the help of an option.
+NEEDED = "(needed for a real camera)"
+XYZ_WXYZ = "X Y Z [W X Y Z]"
+_BOARD = (
+    "marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, "
+    "chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."
+)
+ArmFile = Annotated[str, single("FILE.toml", "beside the model", "Servo ids, signs, zeros and limits.")]
 OnExit = Annotated[
     str,
-    arg(
-        metavar="torque_off|hold|park",
-        help="How to leave the arm; park: back to where it was first.",
-        help_behavior_hint="(default: the arm file's)",
+    single(
+        "torque_off|hold|park", "the arm file's", "How to leave the arm; park: back to where it was first."
     ),
 ]
-
 RecordFile = Annotated[
     Path | None,
-    arg(
-        metavar="FILE.csv|FILE.mcap",
-        help="Write every command and measurement while it happens (.mcap: extra `record`).",
-        help_behavior_hint="(default: none)",
+    single(
+        "FILE.csv|FILE.mcap",
+        "none",
+        "Write every command and measurement while it happens (.mcap: extra `record`).",
     ),
 ]
-
 Lens = Annotated[
     str,
-    arg(
-        metavar="FILE",
-        help="Calibration of a real camera: OpenCV or ROS YAML.",
-        help_behavior_hint="(needed for a real camera)",
-    ),
+    arg(metavar="FILE", help="Calibration of a real camera: OpenCV or ROS YAML.", help_behavior_hint=NEEDED),
 ]
+Dictionary = Annotated[str, single("NAME", "DICT_5X5_50", "Of the board's markers.")]
+BoardName = Annotated[str, arg(metavar="BOARD", help=_BOARD)]
+NeededBoard = Annotated[str, arg(metavar="BOARD", help=_BOARD, help_behavior_hint=NEEDED)]
+Json = Annotated[bool, arg(help="Print one JSON object instead of tables.")]
 
-Dictionary = Annotated[
-    str, arg(metavar="NAME", help="Of the board's markers.", help_behavior_hint="(default: DICT_5X5_50)")
-]
 
-BoardName = Annotated[
-    str,
-    arg(
-        metavar="BOARD",
-        help="marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, "
-        "chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME].",
-    ),
-]
+def request_of(kind: type[Request], options: object, **others: Any) -> Request:
+    """The request of a job: options that it has under the same name, and ``others``."""
+    same = {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}  # type: ignore[arg-type]
+    return kind(**same | others)
 
 
 def optional_path(name: str) -> Path | None:
@@ -105,10 +97,15 @@ def optional_path(name: str) -> Path | None:
     return Path(name) if name else None
 
 
+def require(right: bool, key: str, problem: str, allowed: str = "", hint: str = "") -> None:
+    """Raises ``ConfigError`` unless an option is right: as ``wrong``."""
+    if not right:
+        raise wrong(key, problem, allowed, hint)
+
+
 def require_share(option: str, value: float, of: str = "speed limits") -> None:
     """Raises ``ConfigError`` unless a share is above 0 and up to 1."""
-    if not 0.0 < value <= 1.0:
-        raise wrong(option, f"{value:g} is no share of the {of}", "above 0, at most 1")
+    require(0.0 < value <= 1.0, option, f"{value:g} is no share of the {of}", "above 0, at most 1")
 
 
 # ------------------------------------------------------------------------------------------
@@ -139,12 +136,7 @@ def joint_degrees(option: str, items: Sequence[str], largest: float = math.inf) 
 
 
 def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
-    """Options from command-line arguments.
-
-    Args:
-        kind: Frozen dataclass of options.
-        prog: What the user typed to get here, ``robot-ik servo scan``.
-        tokens: What came after it.
+    """Options (``kind``, a dataclass) from what came after ``prog``, such as ``robot-ik servo scan``.
 
     Raises:
         ConfigError: An argument that does not belong there.
@@ -166,14 +158,12 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
 
 def _refuse_empty(prog: str, tokens: Sequence[str]) -> None:
     """Raises ``ConfigError`` for an empty argument: what a shell makes of a variable that is not set."""
-    before = ""
-    for token in tokens:
+    for before, token in itertools.pairwise(["", *tokens]):
         flag, given, value = token.partition("=")
         if not token.strip() or (flag.startswith("--") and given and not value.strip()):
             name = flag if given else before
             key = name if name.startswith("-") else ""
             raise wrong(key, "nothing is given", hint=f"all options: {prog} --help")
-        before = token
 
 
 def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
@@ -236,30 +226,21 @@ class _Stream(io.StringIO):
         return self._like.isatty()
 
 
-def _tyro(kind: Any, prog: str, tokens: Sequence[str], columns: int | None) -> tuple[Any, str]:
-    """Options or None, and what was shown (help) or complained of."""
+def _tyro(kind: Any, prog: str, tokens: Sequence[str], columns: int) -> tuple[Any, str]:
+    """Options or None, and what was shown (help) or complained of, on a terminal so wide."""
     import tyro
 
     out, err = _Stream(sys.stdout), _Stream(sys.stderr)
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), _columns(columns):
-        try:
-            return tyro.cli(kind, prog=prog, args=list(tokens)), ""
-        except SystemExit as stop:
-            return None, out.getvalue() if stop.code in (0, None) else _ANSI.sub("", err.getvalue())
-
-
-@contextlib.contextmanager
-def _columns(count: int | None) -> Iterator[None]:
-    """Makes believe that the terminal is so wide, while inside."""
     before = os.environ.get("COLUMNS")
-    if count is not None:
-        os.environ["COLUMNS"] = str(count)
+    os.environ["COLUMNS"] = str(columns)
     try:
-        yield
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            return tyro.cli(kind, prog=prog, args=list(tokens)), ""
+    except SystemExit as stop:
+        return None, out.getvalue() if stop.code in (0, None) else _ANSI.sub("", err.getvalue())
     finally:
-        if before is None:
-            os.environ.pop("COLUMNS", None)
-        else:
+        os.environ.pop("COLUMNS")
+        if before is not None:
             os.environ["COLUMNS"] = before
 
 
@@ -267,12 +248,7 @@ def _columns(count: int | None) -> Iterator[None]:
 
 
 def fold(text: str, width: int) -> str:
-    """Help of tyro with its head folded, too: it folds its boxes and nothing else.
-
-    Args:
-        text: Usage, description and boxes, with blank lines between them.
-        width: Columns of the terminal.
-    """
+    """Help of tyro with usage and description folded to ``width`` columns, as its boxes are."""
     lines = text.rstrip().splitlines()
     boxes = next((at for at in range(len(lines)) if _opens_a_box(lines, at)), len(lines))
     usage, *paragraphs = re.split(r"\n\s*\n", _ANSI.sub("", "\n".join(lines[:boxes])).strip())
@@ -360,16 +336,12 @@ class _Mistake:
         return wrong("", f"unknown option {flag!r}{meant}", hint=self._hint)
 
     def _missing(self) -> ConfigError | None:
-        at = next((k for k, row in enumerate(self._rows) if row.startswith("Missing from ")), None)
-        if at is None:
+        rows = itertools.dropwhile(lambda row: not row.startswith("Missing from "), self._rows)
+        if next(rows, None) is None:
             return None
-        rows = list(
-            itertools.takewhile(lambda row: not row.startswith(("─", "--------")), self._rows[at + 1 :])
-        )
-        missing = [
-            f"{name} ({what.replace(' (required)', '')})"
-            for name, what in zip(rows[::2], rows[1::2], strict=False)
-        ]
+        shown = list(itertools.takewhile(lambda row: not row.startswith(("─", "--------")), rows))
+        pairs = zip(shown[::2], shown[1::2], strict=False)
+        missing = [f"{name} ({what.replace(' (required)', '')})" for name, what in pairs]
         return wrong("", f"missing: {', '.join(missing)}", hint=self._hint)
 
     def _no_value(self) -> ConfigError | None:
@@ -394,12 +366,8 @@ class _Mistake:
         if not (found := re.search(r"Error parsing ([^\s:/]+)[^:]*: ", self._all)):
             return None
         flag = found[1]
-        given: list[str] = []
-        if flag in self._tokens:
-            for token in self._tokens[self._tokens.index(flag) + 1 :]:
-                if token.startswith("--"):
-                    break
-                given.append(token)
+        behind = itertools.dropwhile(lambda token: token != flag, self._tokens)
+        given = list(itertools.takewhile(lambda token: not token.startswith("--"), list(behind)[1:]))
         bad = re.findall(r"(?:to float|base 10): '([^']*)'", self._all)[-1:] or [
             token for token in given if not re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|[-+]?inf", token)
         ]

@@ -1,10 +1,13 @@
-"""``robot-ik bench``: solvers × robots on seeded problem sets, judged by MuJoCo."""
+"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the testbed's page."""
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -13,16 +16,17 @@ from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import Json, require, several, single
 from robot_ik.environment import import_mujoco
+from robot_ik.errors import MissingExtraError
 from robot_ik.files import write_atomically
 from robot_ik.jobs.results import require_plots, results_folder
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
+    from robot_ik.bench.figure import FigureRow
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
+    from robot_ik.bench.page import PageRow
     from robot_ik.solvers.base import Solver
 
 
@@ -63,7 +67,7 @@ class BenchOptions:
     """Largest angle that still counts as solved, radians."""
     seconds: float = 3.0
     """Longest time for one method on one set; what is left then is not tried."""
-    out: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="(default: runs/<time>-bench)")] = ""
+    out: Annotated[str, single("FOLDER", "runs/<time>-bench")] = ""
     """Where bench.json and the plots go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
@@ -105,10 +109,8 @@ def run(options: BenchOptions) -> int:
 def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
-    if options.count < 1:
-        raise wrong("--count", f"{options.count} problems", "1 or more")
-    if not options.seconds > 0.0:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
+    require(options.count >= 1, "--count", f"{options.count} problems", "1 or more")
+    require(options.seconds > 0.0, "--seconds", f"{options.seconds:g} s", "above 0")
     # `combined` with its default options is `auto`.
     names = options.solvers or tuple(name for name in SOLVERS if name != "combined")
     return [make_solver(name) for name in dict.fromkeys(names)]
@@ -151,35 +153,47 @@ def print_results(results: Results) -> None:
     for cell in results.cells:
         groups.setdefault((cell.robot, cell.set), []).append(cell)
     for (robot, name), cells in groups.items():
-        _print_cells(robot, name, cells)
-    _print_lower_bounds(results)
-    _print_growth(results)
-    _print_batches(results)
-
-
-def _print_cells(robot: str, name: str, cells: list[Cell]) -> None:
-    reasons = {cell.skipped for cell in cells}
-    if len(reasons) == 1 and "" not in reasons:  # the problems do not exist, whoever would solve them
-        console.out().print(Text(f"{robot}, {name}: {reasons.pop()}\n"))
-        return
-    shown = console.table(
-        "solver", "goal", "solved %", "median µs", "mean µs", "p99 µs", "steps", "restarts", "note",
-        title=f"{robot}, {name}",
+        reasons = {cell.skipped for cell in cells}
+        if len(reasons) == 1 and "" not in reasons:  # the problems do not exist, whoever would solve them
+            console.show(f"{robot}, {name}: {reasons.pop()}\n")
+        else:
+            columns = "solver, goal, solved %, median µs, mean µs, p99 µs, steps, restarts, note"
+            _show(f"{robot}, {name}", columns, _cell_rows(cells))
+    _show(
+        "kinematics in a compiled loop", "robot, joints, forward µs, forward + Jacobian µs",
+        [(b.robot, b.joints, f"{b.forward_us:.3f}", f"{b.jacobian_us:.3f}") for b in results.lower_bounds],
     )  # fmt: skip
-    for cell in sorted((c for c in cells if c.count), key=lambda c: (-c.rate, c.microsecond("mean"))):
-        shown.add_row(
+    for across in ("joints", "goals"):
+        points = [point for point in results.growth if point.across == across]
+        sizes = sorted({point.size for point in points})
+        steps = {(point.solver, point.size): microseconds(point.step_us) for point in points}
+        solvers = dict.fromkeys(point.solver for point in points)
+        rows = [(solver, *(steps.get((solver, size), "-") for size in sizes)) for solver in solvers]
+        _show(f"µs a step, by number of {across}", ", ".join(["solver", *map(str, sizes)]), rows)
+    _show(
+        "batches of cold poses", "robot, solver, poses, threads, solves/s, solved %",
+        [(one.robot, one.solver, one.poses, one.threads, f"{one.per_second:.0f}", f"{100 * one.success:.2f}")
+         for one in results.batches],
+    )  # fmt: skip
+
+
+def _show(title: str, columns: str, rows: Sequence[tuple[object, ...]]) -> None:
+    if rows:
+        console.show(console.table(*columns.split(", "), rows=rows, title=title), "")
+
+
+def _cell_rows(cells: list[Cell]) -> list[tuple[object, ...]]:
+    """The best first; those that were left out behind them."""
+    tried = sorted((c for c in cells if c.count), key=lambda c: (-c.rate, c.microsecond("mean")))
+    rows: list[tuple[object, ...]] = [
+        (
             cell.solver, cell.goal, f"{100 * cell.rate:.1f}",
             *(microseconds(cell.microsecond(which)) for which in ("median", "mean", 99.0)),
-            f"{np.mean(cell.iterations):.1f}", f"{np.mean(cell.restarts):.2f}", Text(_note(cell)),
-        )  # fmt: skip
-    for cell in (c for c in cells if not c.count):
-        shown.add_row(cell.solver, *["-"] * 7, Text(cell.skipped, style="dim"))
-    _show(shown)
-
-
-def _show(shown: Table) -> None:
-    console.out().print(shown)
-    console.out().print()
+            f"{np.mean(cell.iterations):.1f}", f"{np.mean(cell.restarts):.2f}", _note(cell),
+        )
+        for cell in tried
+    ]  # fmt: skip
+    return rows + [(c.solver, *["-"] * 7, Text(c.skipped, style="dim")) for c in cells if not c.count]
 
 
 def microseconds(value: float) -> str:
@@ -198,37 +212,106 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-def _print_lower_bounds(results: Results) -> None:
-    if results.lower_bounds:
-        shown = console.table(
-            "robot", "joints", "forward µs", "forward + Jacobian µs", title="kinematics in a compiled loop"
-        )
-        for one in results.lower_bounds:
-            shown.add_row(one.robot, str(one.joints), f"{one.forward_us:.3f}", f"{one.jacobian_us:.3f}")
-        _show(shown)
+# ------------------------------------------------------------------------------------------
+# ``robot-ik bench figure``: the figure's motion beside what is wanted of it, judged by MuJoCo.
 
 
-def _print_growth(results: Results) -> None:
-    for across in ("joints", "goals"):
-        points = [point for point in results.growth if point.across == across]
-        if not points:
-            continue
-        sizes = sorted({point.size for point in points})
-        shown = console.table("solver", *map(str, sizes), title=f"µs a step, by number of {across}")
-        for solver in dict.fromkeys(point.solver for point in points):
-            mine = {point.size: point.step_us for point in points if point.solver == solver}
-            shown.add_row(solver, *(microseconds(mine[size]) if size in mine else "-" for size in sizes))
-        _show(shown)
+@dataclass(frozen=True)
+class BenchFigureOptions:
+    """Measures walks, reaches, bends and jumps on the true shapes by MuJoCo's inverse dynamics.
+
+    Exit code 0 where every figure is as wanted, else 1.
+    """
+
+    model: str = "humanoid"
+    """A model whose robot.toml has a table [figure]."""
+    count: int = 20
+    """Balls reached, bent and jumped for."""
+    seed: int = 0
+    """Of the balls."""
+    json: Json = False
 
 
-def _print_batches(results: Results) -> None:
-    if results.batches:
-        shown = console.table(
-            "robot", "solver", "poses", "threads", "solves/s", "solved %", title="batches of cold poses"
-        )
-        for one in results.batches:
-            shown.add_row(
-                one.robot, one.solver, str(one.poses), str(one.threads), f"{one.per_second:.0f}",
-                f"{100 * one.success:.2f}",
-            )  # fmt: skip
-        _show(shown)
+def run_figure(options: BenchFigureOptions) -> int:
+    """Measures and prints."""
+    import_mujoco()
+    from robot_ik.bench.figure import measure_figure
+    from robot_ik.figure.abilities import load_abilities
+    from robot_ik.figure.figure import load_figure
+
+    require(options.count >= 1, "--count", f"{options.count} balls", "1 or more")
+    with console.busy("measuring the figure"):
+        abilities = load_abilities(load_figure(options.model))
+        rows = list(measure_figure(abilities, options.count, options.seed))
+    if options.json:
+        _print_rows_json(rows)
+    else:
+        cells = [(row.motion, row.what, *_figure_cells(row)) for row in rows]
+        console.show(console.table("motion", "what", "measured", "wanted", "", rows=cells))
+    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
+
+
+def _figure_cells(row: FigureRow) -> tuple[str, str, Text]:
+    """What was measured, what is wanted, and whether it is so."""
+    bounded_below, bounded_above = math.isfinite(row.least), math.isfinite(row.most)
+    value = row.missing or f"{row.value:.4g} {row.unit}".strip()
+    if not bounded_below and not bounded_above:
+        return value, "", Text("")
+    target = f"≥ {row.least:g}" if not bounded_above else f"≤ {row.most:g}"
+    if bounded_below and bounded_above:
+        target = f"{row.least:g} … {row.most:g}"
+    missing = Text("not measured", style="yellow")
+    return value, target, missing if row.missing else console.verdict_mark(row.passed)
+
+
+def _print_rows_json(rows: Sequence[FigureRow | PageRow]) -> None:
+    console.print_json({"schema": 1, "rows": [asdict(row) | {"passed": row.passed} for row in rows]})
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik bench page``: what the testbed's page costs, beside what is wanted of it.
+
+
+@dataclass(frozen=True)
+class BenchPageOptions:
+    """Measures the testbed's page: its loop, its drawing, its start, and how soon a drag is answered.
+
+    Needs a quiet machine: the rows are times by the clock and processor time of the page alone. The start is
+    that of `robot-ik view` with Chromium already open; cold: with an empty cache of kernels. Ctrl-C keeps
+    what is done.
+
+    Exit code 0 where every figure was measured and is as wanted, else 1.
+    """
+
+    seconds: float = 10.0
+    """For which processor time and bytes are counted, three times."""
+    json: Json = False
+
+
+def run_page(options: BenchPageOptions) -> int:
+    """Measures and prints."""
+    import_mujoco()
+    require(1.0 <= options.seconds <= 600.0, "--seconds", f"{options.seconds:g} s", "1 to 600")
+    if find_spec("viser") is None:
+        raise MissingExtraError("viser", "web", "the page in the browser")
+    from robot_ik.bench.page import measure_page
+
+    rows: list[PageRow] = []
+    try:
+        with console.progress() as bar:
+            task = bar.add_task("measuring", total=None, note="")
+            for row in measure_page(options.seconds, lambda text: bar.update(task, note=text)):
+                rows.append(row)  # one by one: an interrupt keeps what is done
+    finally:
+        if options.json:
+            _print_rows_json(rows)
+        else:
+            console.show(console.table("what", "measured", "wanted", "", "", rows=_page_cells(rows)))
+    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
+
+
+def _page_cells(rows: list[PageRow]) -> Iterator[tuple[object, ...]]:
+    for row in rows:
+        value = "–" if math.isnan(row.value) else f"{row.value:.3g} {row.unit}"
+        mark = console.verdict_mark(row.passed)
+        yield row.what, value, f"≤ {row.most:g}", mark, Text(row.note, style="dim")

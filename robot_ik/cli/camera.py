@@ -1,4 +1,4 @@
-"""``robot-ik camera list``: the cameras of this machine, and what stands in the way of using them."""
+"""``robot-ik camera list``, ``detect``, ``locate`` and ``print``."""
 
 from __future__ import annotations
 
@@ -12,12 +12,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from rich.table import Table
 from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import BoardName, Dictionary, pose_option, pose_text, several, wrong
+from robot_ik.cli.arguments import (
+    XYZ_WXYZ,
+    BoardName,
+    Dictionary,
+    Json,
+    pose_option,
+    pose_text,
+    request_of,
+    require,
+    several,
+    single,
+)
 from robot_ik.errors import MarkerNotFoundError, OutputError
 from robot_ik.files import claimed, claimed_folder, write_atomically
 from robot_ik.geometry import Pose
@@ -37,8 +47,7 @@ class CameraListOptions:
     Exit code 1 when there is no camera. Linux only: macOS and Windows do not let cameras be listed.
     """
 
-    json: bool = False
-    """Print one JSON object instead of a table."""
+    json: Json = False
 
 
 def run_list(options: CameraListOptions) -> int:
@@ -46,19 +55,13 @@ def run_list(options: CameraListOptions) -> int:
     from robot_ik.camera.device import CAN_LIST, find_cameras
     from robot_ik.environment import named_users_of
 
-    cameras = find_cameras()
-    rows: list[dict[str, Any]] = [
-        {**asdict(c), "used_by": named_users_of(c.path), "do": _do(c)} for c in cameras
-    ]
+    found = [(camera, named_users_of(camera.path), _do(camera)) for camera in find_cameras()]
     if options.json:
+        rows = [{**asdict(camera), "used_by": users, "do": do} for camera, users, do in found]
         console.print_json({"schema": 1, "can_list": CAN_LIST, "cameras": rows})
-    elif rows:
-        shown = console.table("index", "name", "path", "state", "what to do")
-        for camera, row in zip(cameras, rows, strict=True):
-            state = _state(camera.usable, camera.pictures, row["used_by"])
-            path = camera.stable or camera.path
-            shown.add_row(str(camera.index), *(Text(t) for t in (camera.name or "?", path, state, row["do"])))
-        console.out().print(shown)
+    elif found:
+        cells = [(c.index, c.name or "?", c.stable or c.path, _state(c, users), do) for c, users, do in found]
+        console.show(console.table("index", "name", "path", "state", "what to do", rows=cells))
     elif CAN_LIST:
         console.refused(
             "there is no camera on this machine",
@@ -70,13 +73,13 @@ def run_list(options: CameraListOptions) -> int:
             f"cameras cannot be listed on {sys.platform}",
             "the first one is 0, the next 1, …; try: robot-ik camera detect 0",
         )
-    return console.DONE if any(c.pictures for c in cameras) else console.NOT_ACHIEVED
+    return console.DONE if any(camera.pictures for camera, _, _ in found) else console.NOT_ACHIEVED
 
 
-def _state(usable: bool, pictures: bool, users: list[str]) -> str:
-    if not pictures:
+def _state(camera: CameraDevice, users: list[str]) -> str:
+    if not camera.pictures:
         return "no pictures: a camera's second node"
-    if not usable:
+    if not camera.usable:
         return "no permission"
     return f"used by {', '.join(users)}" if users else "free"
 
@@ -107,26 +110,23 @@ class CameraDetectOptions:
     named, and the others are done. 2 when none could.
     """
 
-    images: Annotated[
-        Positional[tuple[str, ...]], arg(metavar="IMAGE|VIDEO|FOLDER …", help_behavior_hint="")
-    ] = ()
+    images: Annotated[Positional[tuple[str, ...]], several("IMAGE|VIDEO|FOLDER")] = ()
     """Files or folders; a camera's index or URL gives one picture."""
     dictionary: str = "DICT_5X5_50"
     """Of the markers, as OpenCV names it: DICT_4X4_50, DICT_APRILTAG_36H11, …"""
     ids: Annotated[tuple[int, ...], several("ID", "all")] = ()
     """Only these markers."""
-    size: Annotated[float | None, arg(metavar="M", help_behavior_hint="")] = None
+    size: Annotated[float | None, single("M")] = None
     """Side of the black squares, metres."""
-    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")] = None
+    intrinsics: Annotated[Path | None, single("FILE")] = None
     """Calibration of the camera; without it there are corners but no poses."""
-    bodies: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint="")] = None
+    bodies: Annotated[Path | None, single("FILE.toml")] = None
     """Boards, cubes and other bodies with several markers, whose poses are wanted too."""
-    draw: Annotated[Path | None, arg(metavar="DIR", help_behavior_hint="")] = None
+    draw: Annotated[Path | None, single("DIR")] = None
     """Write each picture there with what was found drawn over it."""
     overwrite: bool = False
     """Replace drawings of the same names in that folder."""
-    json: bool = False
-    """Print one JSON object instead of a table."""
+    json: Json = False
 
 
 def run_detect(options: CameraDetectOptions) -> int:
@@ -134,23 +134,19 @@ def run_detect(options: CameraDetectOptions) -> int:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
-    if options.draw is None:
+    folder = options.draw
+    if folder is None:
         return _detect(options, intrinsics, None)
     from robot_ik.jobs.pictures import DrawingFolder
 
-    _refuse_own_pictures(options.images, options.draw)
-    with claimed_folder(options.draw, "*.png", overwrite=options.overwrite):
-        return _detect(options, intrinsics, DrawingFolder(options.draw))
-
-
-def _refuse_own_pictures(names: Sequence[str], folder: Path) -> None:
-    """Drawings have the names of their pictures, so they must not go where those are."""
-    for path in map(Path, names):
+    for path in map(Path, options.images):  # drawings have the names of their pictures
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
             raise OutputError(
                 f"the drawings would take the names of the pictures in {folder}",
                 hint="give another folder: --draw drawn",
             )
+    with claimed_folder(folder, "*.png", overwrite=options.overwrite):
+        return _detect(options, intrinsics, DrawingFolder(folder))
 
 
 def _detect(
@@ -159,14 +155,18 @@ def _detect(
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
     rows = list(_searched_pictures(options, intrinsics, blank, drawings))
     failed = [row for row in rows if row.error is not None]
-    if len(failed) == len(rows):
-        _raise_first(failed)
+    if failed and len(failed) == len(rows):  # nothing could be looked at: the first error stands for all
+        error = failed[0].error
+        assert error is not None
+        if len(failed) > 1:
+            others = f"nor can the {len(failed) - 1} other(s) be used"
+            error.args = (f"{error.args[0]}; {others}", *error.args[1:])
+        raise error
     if options.json:
         images = [row.as_values() for row in rows]
         console.print_json({"schema": 1, "dictionary": options.dictionary, "images": images})
     else:
-        _print_markers(rows, posed=intrinsics is not None)
-        _print_bodies(rows)
+        _print_found(rows, posed=intrinsics is not None)
     if intrinsics is None:
         console.say("no --intrinsics: corners only, no poses", "yellow")
     if failed:
@@ -176,17 +176,6 @@ def _detect(
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
     count = len(rows) - len(failed)
     return console.refused(f"{wanted} of {options.dictionary} in {count} picture(s)", _hint(options, blank))
-
-
-def _raise_first(failed: Sequence[PictureMarkers]) -> None:
-    """Nothing could be looked at: the first error stands for all."""
-    if not failed:
-        return
-    error = failed[0].error
-    assert error is not None
-    if len(failed) > 1:
-        error.args = (f"{error.args[0]}; nor can the {len(failed) - 1} other(s) be used", *error.args[1:])
-    raise error
 
 
 def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
@@ -245,58 +234,51 @@ def _searched_pictures(
 _POSE = ("position, m", "tilt", "error", "ambi-\nguity", "sigma")
 
 
-def _print_markers(rows: Sequence[PictureMarkers], *, posed: bool) -> None:
-    shown = console.table("picture", "id", *(_POSE if posed else ("centre, px",)))
-    shown.columns[0].no_wrap = False
-    for row in rows:
-        for marker in row.values["markers"]:
-            centre = " ".join(f"{x:.2f}" for x in np.mean(marker["corners"], axis=0))
-            cells = _pose_cells(marker) if posed else [Text(centre)]
-            shown.add_row(_picture_label(row), str(marker["id"]), *cells)
-    _show(shown, posed=posed)
+def _print_found(rows: Sequence[PictureMarkers], *, posed: bool) -> None:
+    """Tables of markers and of bodies, where there are some; numbers stay whole, names may be broken."""
+    markers = [(_picture_label(row), one) for row in rows for one in row.values["markers"]]
+    bodies = [(_picture_label(row), one) for row in rows for one in row.values["bodies"]]
+    marker_cells = [
+        (label, one["id"], *(_pose_cells(one) if posed else [_centre(one["corners"])]))
+        for label, one in markers
+    ]
+    body_cells = [(label, one["name"], *_pose_cells(one)) for label, one in bodies]
+    for what, columns, cells in (
+        ("id", _POSE if posed else ("centre, px",), marker_cells),
+        ("body", _POSE, body_cells),
+    ):
+        shown = console.table("picture", what, *columns, rows=cells)
+        for k, column in enumerate(shown.columns):
+            column.no_wrap = k > 0 and len(columns) > 1
+        if cells:
+            console.show(shown)
+    for label, one in bodies:
+        if one["rejected"]:
+            ids = ", ".join(map(str, one["rejected"]))
+            odd = f"{label}: {one['name']} without {ids}, at odds with its other markers"
+            console.show(Text(odd, style="yellow"))
 
 
-def _print_bodies(rows: Sequence[PictureMarkers]) -> None:
-    shown = console.table("picture", "body", *_POSE)
-    shown.columns[0].no_wrap = False
-    odd = []
-    for row in rows:
-        for body in row.values["bodies"]:
-            shown.add_row(_picture_label(row), body["name"], *_pose_cells(body))
-            if body["rejected"]:
-                ids = ", ".join(map(str, body["rejected"]))
-                odd.append(
-                    f"{_picture_label(row)}: {body['name']} without {ids}, at odds with its other markers"
-                )
-    _show(shown, posed=True)
-    for line in odd:
-        console.out().print(Text(line, style="yellow"))
-
-
-def _show(shown: Table, *, posed: bool) -> None:
-    if posed:  # numbers stay whole, names of pictures are broken where there is no space
-        for column in shown.columns[1:]:
-            column.no_wrap = True
-    if shown.row_count:
-        console.out().print(shown)
+def _centre(corners: Any) -> str:
+    return " ".join(f"{x:.2f}" for x in np.mean(corners, axis=0))
 
 
 def _picture_label(row: PictureMarkers) -> str:
     return f"{Path(row.file).name} #{row.frame}" if row.in_film else Path(row.file).name
 
 
-def _pose_cells(values: dict[str, Any]) -> list[Text]:
+def _pose_cells(values: dict[str, Any]) -> list[object]:
     """Position, tilt, reprojection error, ambiguity, and how sure the pose is."""
     position = np.array(values["pose"]["position"])
     away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -np.linalg.norm(position)
     sigma = np.sqrt(np.diag(values["covariance"]))
     doubtful = values["ambiguity"] > _DOUBTFUL
     return [
-        Text(" ".join(f"{x:.4f}" for x in position)),
-        Text(f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°"),
-        Text(f"{values['reprojection_error']:.2f} px"),
+        " ".join(f"{x:.4f}" for x in position),
+        f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°",
+        f"{values['reprojection_error']:.2f} px",
         Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
-        Text(f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f}°"),
+        f"{1e3 * sigma[:3].max():.2f} mm {np.degrees(sigma[3:].max()):.2f}°",
     ]
 
 
@@ -322,9 +304,7 @@ class CameraLocateOptions:
     intrinsics: Annotated[str, arg(metavar="FILE")]
     """Calibration of the camera."""
     board: BoardName
-    pose_world_board: Annotated[
-        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: the world's)")
-    ] = ()
+    pose_world_board: Annotated[tuple[float, ...], single(XYZ_WXYZ, "the world's")] = ()
     """Where the board's frame is: metres, and an orientation as a quaternion."""
     dictionary: Dictionary = ""
     parent: str = "world"
@@ -335,18 +315,15 @@ class CameraLocateOptions:
     """Where the extrinsics go."""
     overwrite: bool = False
     """Replace that file."""
-    json: bool = False
-    """Print one JSON object on stdout."""
+    json: Json = False
 
 
 def run_locate(options: CameraLocateOptions) -> int:
     """Looks, fits, writes."""
     from robot_ik.camera.boards.board import parse_board
     from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.geometry import Pose
 
-    if not 1 <= options.frames <= 10_000:
-        raise wrong("--frames", f"{options.frames} pictures", "1 to 10000")
+    require(1 <= options.frames <= 10_000, "--frames", f"{options.frames} pictures", "1 to 10000")
     board = parse_board(options.board, options.dictionary)
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
     intrinsics = CameraIntrinsics.load(options.intrinsics)
@@ -373,14 +350,13 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
         console.print_json(_as_json(extrinsics, options, len(views), searched))
         return console.DONE
     sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
-    console.out().print(
-        console.facts(
-            (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
-            ("stated uncertainty", f"{sigma} (one sigma; the board's pose is taken for exact)"),
-            ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
-            ("pictures", f"{len(views)} of {searched} show the board"),
-        )
+    facts = (
+        (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
+        ("stated uncertainty", f"{sigma} (one sigma; the board's pose is taken for exact)"),
+        ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
+        ("pictures", f"{len(views)} of {searched} show the board"),
     )
+    console.show(console.facts(*facts))
     console.say(f"wrote {options.out}", "green")
     return console.DONE
 
@@ -391,15 +367,11 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
 
     off = board_misses(views, seen, intrinsics)
     count = sum(miss > _DOUBTFUL_PX for miss in off)
-    if not count:
-        return 0
-    why = "the board is not flat or not of this size, or the calibration is of another camera"
-    if len(views) > 1:
-        why = f"camera or board moved, or {why}"
-    doubt = (
-        f"doubtful: in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
-    )
-    console.say(f"{doubt}: {why}", "yellow")
+    if count:
+        where = f"in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
+        moved = "camera or board moved, or " if len(views) > 1 else ""
+        why = f"{moved}the board is not flat or not of this size, or the calibration is of another camera"
+        console.say(f"doubtful: {where}: {why}", "yellow")
     return count
 
 
@@ -419,20 +391,18 @@ def _board_views(
         )  # fmt: skip
 
 
-def _as_json(
-    extrinsics: CameraExtrinsics, options: CameraLocateOptions, used: int, searched: int
-) -> dict[str, Any]:
-    camera = extrinsics.pose_parent_camera
+def _as_json(found: CameraExtrinsics, options: CameraLocateOptions, used: int, searched: int) -> Any:
+    camera = found.pose_parent_camera
     return {
         "schema": 1,
         "job": "locate",
-        "file": str(options.out),
-        "parent": extrinsics.parent,
+        "file": options.out,
+        "parent": found.parent,
         "camera": {"position": camera.position, "wxyz": camera.wxyz},
-        "sigma_position_m": extrinsics.sigma_position,
-        "sigma_angle_rad": extrinsics.sigma_angle,
-        "residual_px": extrinsics.residual_px,
-        "residual_mm": extrinsics.residual_mm,
+        "sigma_position_m": found.sigma_position,
+        "sigma_angle_rad": found.sigma_angle,
+        "residual_px": found.residual_px,
+        "residual_mm": found.residual_mm,
         "pictures": searched,
         "used": used,
     }
@@ -440,9 +410,6 @@ def _as_json(
 
 # ------------------------------------------------------------------------------------------
 # ``robot-ik camera print``: markers, boards, cubes and calibration patterns on paper, at true scale.
-
-
-Kind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 
 
 @dataclass(frozen=True)
@@ -453,26 +420,26 @@ class CameraPrintOptions:
     fit the page is refused.
     """
 
-    kind: Positional[Kind]
+    kind: Positional[Literal["marker", "board", "cube", "charuco", "chessboard"]]
     """marker (one or more), board (markers in a grid), cube (to cut out and fold), charuco, chessboard."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
     """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
-    size_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    size_mm: Annotated[float | None, single("MM", "by kind")] = None
     """Side of a marker's black square (marker 50, board 50, cube 40), or of a square of a pattern (charuco
     30, chessboard 25)."""
-    columns: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    columns: Annotated[int | None, single("N", "by kind")] = None
     """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
-    rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by kind)")] = None
+    rows: Annotated[int | None, single("N", "by kind")] = None
     """The same downwards: board 2, charuco 6, chessboard 6."""
     ids: Annotated[tuple[int, ...], several("ID", "0, 1, 2, …")] = ()
     """marker: any. board: the upper left one. cube: front, right, back, left, top, bottom."""
     dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
     """Dictionary of the markers."""
-    gap_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by kind)")] = None
+    gap_mm: Annotated[float | None, single("MM", "by kind")] = None
     """White between the markers of a sheet or board (a quarter of the marker)."""
-    edge_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 1.25 markers)")] = None
+    edge_mm: Annotated[float | None, single("MM", "1.25 markers")] = None
     """Edge of the cube."""
-    marker_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 0.73 squares)")] = None
+    marker_mm: Annotated[float | None, single("MM", "0.73 squares")] = None
     """Side of the markers inside a charuco board."""
     page: Literal["a4", "letter", "a3"] = "a4"
     """Paper; it is turned when that makes it fit."""
@@ -480,28 +447,22 @@ class CameraPrintOptions:
     """Pixels per inch of a .png."""
     overwrite: bool = False
     """Replace files that are there."""
-    body: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    body: Annotated[Path | None, single("FILE", "none")] = None
     """board, cube: also write where its markers are (TOML), for whatever tracks it as one body."""
 
 
 def run_print(options: CameraPrintOptions) -> int:
     """Writes the sheet and says what is on it."""
-    with claimed(options.out, options.body, overwrite=options.overwrite):
-        return _print_sheet(options)
-
-
-def _print_sheet(options: CameraPrintOptions) -> int:
     from robot_ik.camera.sheets.page import write_sheet
-    from robot_ik.camera.sheets.sheets import SheetRequest, make_sheet_page
+    from robot_ik.camera.sheets.sheets import SheetRequest, body_file, make_sheet_page
 
-    request = SheetRequest(**{name: getattr(options, name) for name in SheetRequest.__dataclass_fields__})
-    page = make_sheet_page(request)
-    if options.body is not None:
-        from robot_ik.camera.sheets.sheets import body_file
-
-        write_atomically(options.body, body_file(request, options.body.stem))
-        console.say(f"wrote {options.body}: where its markers are", "green")
-    write_sheet(page, options.out, dpi=options.dpi)
+    with claimed(options.out, options.body, overwrite=options.overwrite):
+        request = request_of(SheetRequest, options)
+        page = make_sheet_page(request)
+        if options.body is not None:
+            write_atomically(options.body, body_file(request, options.body.stem))
+            console.say(f"wrote {options.body}: where its markers are", "green")
+        write_sheet(page, options.out, dpi=options.dpi)
     console.say(f"wrote {options.out}: {page.about}", "green")
     console.say("print it at 100 % (actual size) and measure the bar: 100.0 mm")
     return console.DONE

@@ -12,7 +12,8 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.errors import CalibrationError
+from robot_ik.cli.arguments import Json, several, single
+from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError
 from robot_ik.files import claimed, timestamp
 
 if TYPE_CHECKING:
@@ -30,17 +31,17 @@ class CameraCalibrateOptions:
     what there is. The lens must not be focused or zoomed afterwards.
     """
 
-    sources: Annotated[Positional[tuple[str, ...]], arg(metavar="SOURCE …", help_behavior_hint="")]
+    sources: Annotated[Positional[tuple[str, ...]], several("SOURCE")]
     """Pictures, folders, films, a camera's index, URLs; one after the other."""
     pattern: Literal["charuco", "chessboard"] = "charuco"
     """What is shown. Both layouts of a ChArUco board are tried."""
-    columns: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by pattern)")] = None
+    columns: Annotated[int | None, single("N", "by pattern")] = None
     """charuco: squares (8). chessboard: inner corners, as OpenCV and ROS count (9)."""
-    rows: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: by pattern)")] = None
+    rows: Annotated[int | None, single("N", "by pattern")] = None
     """The same downwards: 6 and 6."""
-    square_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: by pattern)")] = None
+    square_mm: Annotated[float | None, single("MM", "by pattern")] = None
     """Side of a square as measured on the print (charuco 30, chessboard 25)."""
-    marker_mm: Annotated[float | None, arg(metavar="MM", help_behavior_hint="(default: 0.73 squares)")] = None
+    marker_mm: Annotated[float | None, single("MM", "0.73 squares")] = None
     """Side of the markers of a charuco board."""
     dictionary: Annotated[str, arg(metavar="NAME")] = "DICT_5X5_50"
     """Dictionary of its markers."""
@@ -48,9 +49,7 @@ class CameraCalibrateOptions:
     """Of the lens: 5, or 8 for a wide one."""
     views: Annotated[int, arg(metavar="N")] = 20
     """Views to take from a moving source before it may end."""
-    size: Annotated[tuple[int, int] | None, arg(metavar="W H", help_behavior_hint="(default: as it is)")] = (
-        None
-    )
+    size: Annotated[tuple[int, int] | None, single("W H", "as it is")] = None
     """Picture size to ask of a camera, pixels."""
     out: Annotated[Path, arg(metavar="FILE")] = Path("camera.yaml")
     """Where to write the calibration; beside it come a picture of the coverage and the views taken live."""
@@ -58,14 +57,11 @@ class CameraCalibrateOptions:
     """Replace the calibration and the picture of the coverage; views taken before are kept in any case."""
     name: str = "camera"
     """Name of the camera in the file."""
-    json: bool = False
-    """Print one JSON object instead of tables."""
+    json: Json = False
 
 
 def run(options: CameraCalibrateOptions) -> int:
     """Gathers views, calibrates, writes the file and says what it is worth."""
-    from robot_ik.errors import CameraError
-
     if not options.sources:
         raise CameraError(
             "nothing to calibrate from",
@@ -77,8 +73,10 @@ def run(options: CameraCalibrateOptions) -> int:
 
 def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.boards.patterns import PatternRequest
+    from robot_ik.camera.calibration.coverage import coverage_picture
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
+    from robot_ik.camera.image import write_image
     from robot_ik.jobs.pictures import ViewFolder, gather_views
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
@@ -96,7 +94,8 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
         )
     intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
-    picture = _draw_coverage(result, options.out)
+    picture = _coverage_file(options.out)
+    write_image(picture, coverage_picture(result.coverage))
     if options.json:
         console.print_json(_as_json(result, options.out, intrinsics.digest))
     else:
@@ -121,8 +120,6 @@ def _named_on_failure(options: CameraCalibrateOptions, kept: ViewFolder) -> Iter
 @contextlib.contextmanager
 def _kept_on_interrupt(gatherer: ViewGatherer, kept: ViewFolder) -> Iterator[None]:
     """Neither Ctrl-C nor a camera that goes away loses the views so far."""
-    from robot_ik.errors import FrameTimeoutError
-
     try:
         yield
         return
@@ -140,36 +137,28 @@ def _coverage_file(out: Path) -> Path:
     return out.with_name(f"{out.stem}-coverage.png")
 
 
-def _draw_coverage(result: CalibrationResult, out: Path) -> Path:
-    from robot_ik.camera.calibration.coverage import coverage_picture
-    from robot_ik.camera.image import write_image
-
-    path = _coverage_file(out)
-    write_image(path, coverage_picture(result.coverage))
-    return path
-
-
 def _print(result: CalibrationResult) -> None:
-    screen = console.out()
-    views = console.table("view", "corners", "error", "left out")
-    for view in result.per_view:
-        error = "-" if view.rms is None else f"{view.rms:.3f} px"
-        views.add_row(Text(view.name), str(view.corners), error, Text(view.left_out))
-    screen.print(views)
+    views = [
+        (view.name, view.corners, "-" if view.rms is None else f"{view.rms:.3f} px", view.left_out)
+        for view in result.per_view
+    ]
     camera = result.intrinsics
     names = ("fx", "fy", "cx", "cy", *_COEFFICIENTS[: len(camera.distortion)])
-    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
-    rows = console.table("number", "value", "standard deviation")
-    for name, value, std in zip(names, numbers, result.std, strict=True):
-        unit = " px" if name[0] in "fc" else ""
-        rows.add_row(name, f"{value:.3f}{unit}" if unit else f"{value:.5f}", f"{std:.3g}{unit}")
-    screen.print()
-    screen.print(rows)
-    screen.print(Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"))
-    for doubt in result.doubts:
-        screen.print(Text(f"- {doubt}", style="yellow"))
-    for note in result.notes:
-        screen.print(Text(f"  {note}"))
+    values = (camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion)
+    numbers = [
+        (name, f"{value:.3f} px", f"{std:.3g} px")
+        if name[0] in "fc"
+        else (name, f"{value:.5f}", f"{std:.3g}")
+        for name, value, std in zip(names, values, result.std, strict=True)
+    ]
+    console.show(
+        console.table("view", "corners", "error", "left out", rows=views),
+        "",
+        console.table("number", "value", "standard deviation", rows=numbers),
+        Text(f"\n{result.verdict}", style="yellow" if result.doubts else "green"),
+        *(Text(f"- {doubt}", style="yellow") for doubt in result.doubts),
+        *(f"  {note}" for note in result.notes),
+    )
 
 
 _COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -179,7 +168,7 @@ def _as_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any
     camera = result.intrinsics
     return {
         "schema": 1,
-        "file": str(out),
+        "file": out,
         "digest": digest,
         "size": camera.size,
         "f": (camera.fx, camera.fy),

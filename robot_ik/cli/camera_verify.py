@@ -13,23 +13,24 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, optional_path, pose_option, several, wrong
-from robot_ik.cli.arm_camera import (
+from robot_ik.cli.arguments import (
     NEEDED,
-    ArmCameraOptions,
-    arm_camera_values,
-    measured,
-    numbers_of_seen,
+    XYZ_WXYZ,
+    joint_degrees,
+    optional_path,
+    pose_option,
+    request_of,
+    require,
+    several,
+    single,
 )
+from robot_ik.cli.arm_camera import ArmCameraOptions, arm_camera_values, measured, numbers_of_seen, show_plan
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
 if TYPE_CHECKING:
     from robot_ik.camera.calibration.kinematic import PoseError
     from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
-
-
-_NOT_WRITTEN = "nothing is written: to keep these zeros, give your arm file with --arm"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +47,9 @@ class CameraVerifyOptions(ArmCameraOptions):
 
     camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = ""
     """Where it stands, from camera locate."""
-    board_pose: Annotated[
-        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: in the frame)")
-    ] = ()
+    board_pose: Annotated[tuple[float, ...], single(XYZ_WXYZ, "in the frame")] = ()
     """Where the board is, seen from the frame that carries it."""
-    board_sigma: Annotated[
-        tuple[float, ...], arg(metavar="MM DEG", help_behavior_hint="(default: 0.2 0.1)")
-    ] = ()
+    board_sigma: Annotated[tuple[float, ...], single("MM DEG", "0.2 0.1")] = ()
     """How well that is known, each axis: --fit cannot know the last joint better."""
     views: Annotated[int, arg(metavar="N")] = 30
     """How many pictures to take: 4 to 100."""
@@ -66,9 +63,9 @@ class CameraVerifyOptions(ArmCameraOptions):
     """Where all that is measured is kept, pose by pose."""
     overwrite: bool = False
     """Replace what --out and --picture name; the arm file is written as --fit says."""
-    samples: Annotated[str, arg(metavar="FILE.json", help_behavior_hint="(default: measure)")] = ""
+    samples: Annotated[str, single("FILE.json", "measure")] = ""
     """Judge what was measured before; nothing moves."""
-    picture: Annotated[str, arg(metavar="FILE.png", help_behavior_hint="")] = ""
+    picture: Annotated[str, single("FILE.png")] = ""
     """Draw the errors, from above and from the side (needs the extra plots)."""
     rehearse_zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Simulated servos whose shaft is some degrees ahead of what their registers say."""
@@ -91,21 +88,23 @@ def run(options: CameraVerifyOptions) -> int:
 
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
-    from robot_ik.jobs.arm_camera.verify import error_picture, run_verify
+    from robot_ik.jobs.arm_camera.measuring import VerifySamples
+    from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:
-        report = _again(options, request)
+        known = VerifySamples.load(Path(options.samples))
+        report = verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
     else:
-        made = measured(
-            partial(run_verify, request, dry_run=options.dry_run),
-            options.out,
-            "camera verify --fit" if options.fit else "camera verify",
-        )
+        job = partial(run_verify, request, dry_run=options.dry_run)
+        made = measured(job, options.out, "camera verify --fit" if options.fit else "camera verify")
         if made is None:
             return console.INTERRUPTED
         report = made
     if options.dry_run:
-        console.print_json(as_json(report, None)) if options.json else print_plan(report)
+        if options.json:
+            console.print_json(as_json(report, None))
+        else:
+            show_plan("pose", report.robot.joints, report.stations)
         return console.DONE
     if not options.json:
         print_report(report, options.allowed_mm)
@@ -120,124 +119,98 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     return console.DONE if passed else console.NOT_ACHIEVED
 
 
-def _again(options: CameraVerifyOptions, request: VerifyRequest) -> VerifyReport:
-    from robot_ik.jobs.arm_camera.measuring import VerifySamples
-    from robot_ik.jobs.arm_camera.verify import verify_from_samples
-
-    known = VerifySamples.load(Path(options.samples))
-    return verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
-
-
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     """Asks, and writes the zeros to the arm file; whether that was done."""
-    offsets = report.offsets()
-    if not offsets:
-        return False
-    if report.config is None:
-        console.say(_NOT_WRITTEN, "yellow")
-        return False
     from robot_ik.hardware.calibration_file import changes, write_zeros, zeros_moved
 
-    changed = changes(report.config, zeros_moved(report.config, offsets))
-    if not changed:
+    offsets, config = report.offsets(), report.config
+    if not offsets:
+        return False
+    changed = changes(config, zeros_moved(config, offsets)) if config is not None else ()
+    if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
-        return False
-    if not options.arm:
-        console.say(_NOT_WRITTEN, "yellow")
-        return False
-    if not report.better:
+    elif config is None or not options.arm:
+        console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
+    elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
-        return False
-    text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
-    console.say(f"zero_ticks: {text}")
-    if not options.yes and not console.confirm(f"write them to {options.arm}?"):
+    else:
+        text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
+        console.say(f"zero_ticks: {text}")
+        if options.yes or console.confirm(f"write them to {options.arm}?"):
+            kept = write_zeros(Path(options.arm), config, offsets)
+            console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
+            return True
         console.say(f"{options.arm} stays as it is", "yellow")
-        return False
-    kept = write_zeros(Path(options.arm), report.config, offsets)
-    console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
-    return True
+    return False
 
 
 def make_request(options: CameraVerifyOptions) -> VerifyRequest:
-    """The job's request; everything that can be wrong without looking is found here.
+    """The job's request.
 
     Raises:
-        ConfigError, CameraError, InvalidGoalError: A malformed option.
+        ConfigError, CameraError, InvalidGoalError: All that can be wrong without looking.
     """
     from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
 
-    _check(options)
-    sigma = options.board_sigma
-    return VerifyRequest(
+    sigma, allowed = options.board_sigma, options.allowed_mm
+    require(0.0 < allowed < math.inf, "--allowed-mm", f"{allowed:g} mm", "above 0")
+    known = len(sigma) in (0, 2) and all(0.0 < one < math.inf for one in sigma)
+    exact = "a pose that is known exactly or not at all"
+    require(known, "--board-sigma", exact, "two numbers above 0")
+    writes = not options.yes or bool(options.fit and options.arm)
+    require(writes, "--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
+    return request_of(
+        VerifyRequest,
+        options,
         **arm_camera_values(options, "zeros"),
         extrinsics=optional_path(options.camera_extrinsics),
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
-        fit=options.fit,
         zero_offset_deg=joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset),
     )
-
-
-def _check(options: CameraVerifyOptions) -> None:
-    if not (math.isfinite(options.allowed_mm) and options.allowed_mm > 0.0):
-        raise wrong("--allowed-mm", f"{options.allowed_mm:g} mm", "above 0")
-    sigma = options.board_sigma
-    if sigma and (len(sigma) != 2 or not all(math.isfinite(one) and one > 0.0 for one in sigma)):
-        raise wrong("--board-sigma", "a pose that is known exactly or not at all", "two numbers above 0")
-    if options.yes and not (options.fit and options.arm):
-        raise wrong("--yes", "there is nothing to write", "with --fit and --arm FILE.toml")
 
 
 # ------------------------------------------------------------------------------------------
 # What ``robot-ik camera verify`` prints: tables for people, JSON for programs.
 
 
-def print_plan(report: VerifyReport) -> None:
-    """The joint angles of all stations."""
-    rows = console.table("pose", *report.robot.joints, title="planned, degrees")
-    for number, q in enumerate(report.stations, 1):
-        rows.add_row(str(number), *(f"{math.degrees(v):.1f}" for v in q))
-    console.out().print(rows)
-
-
 def print_report(report: VerifyReport, allowed_mm: float) -> None:
     """Errors of each pose, sums by region, offsets."""
-    screen = console.out()
-    screen.print(_poses(report))
-    screen.print(_regions("the arm as it is", report.judged(corrected=False)))
+    console.show(_poses(report), _regions("the arm as it is", report.judged(corrected=False)))
     if report.known.by_arm:
-        screen.print(
+        console.show(
             "The camera's pose was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
         )
     if report.fit is not None:
-        screen.print(_offset_table(report))
+        console.show(_offset_table(report))
         for one in report.fit.unobservable:
-            screen.print(f"{one.text}: {one.joint} is held", soft_wrap=True)
+            console.result(f"{one.text}: {one.joint} is held")
         title = "with these zeros: each pose by the fit to all others"
-        screen.print(_regions(title, report.judged(corrected=True)))
+        console.show(_regions(title, report.judged(corrected=True)))
     if report.unseen:
-        screen.print("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
+        console.show("board not seen at " + ", ".join(str(k + 1) for k in report.unseen))
     for corrected, label in ((False, "as it is"), (True, "with these zeros"))[: 1 + (report.fit is not None)]:
         largest = 1e3 * max(one.distance for one in report.judged(corrected=corrected))
         verdict = "within" if largest <= allowed_mm else "beyond"
-        screen.print(f"largest error {label}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
+        console.show(f"largest error {label}: {largest:.2f} mm, {verdict} the allowed {allowed_mm:g} mm")
 
 
 def _poses(report: VerifyReport) -> Any:
     after = () if report.fit is None else report.fit.errors
     columns = ["pose", "x", "y", "z", "off: mm", "sigma", "deg", "sigma"]
-    rows = console.table(*columns, *(("then: mm", "sigma") if after else ()), "", title="poses, mm")
     numbers = numbers_of_seen(len(report.errors), report.unseen)
+    rows = []
     for number, one in enumerate(report.errors):
-        cells = [str(numbers[number]), *(f"{1e3 * x:.0f}" for x in one.position)]
-        cells += [f"{1e3 * one.distance:.2f}", f"{1e3 * one.sigma:.2f}"]
-        cells += [f"{math.degrees(one.angle):.3f}", f"{math.degrees(one.sigma_angle):.3f}"]
+        then = [one.distance, one.sigma]
         if after:
-            then = after[number]
-            cells += [f"{1e3 * then.distance:.2f}", f"{1e3 * then.sigma:.2f}"]
-        rows.add_row(*cells, _doubt(report, number))
-    return rows
+            then += [after[number].distance, after[number].sigma]
+        off, sigma, *fitted = (f"{1e3 * metres:.2f}" for metres in then)
+        angles = (f"{math.degrees(radians):.3f}" for radians in (one.angle, one.sigma_angle))
+        position = (f"{1e3 * x:.0f}" for x in one.position)
+        rows.append((numbers[number], *position, off, sigma, *angles, *fitted, _doubt(report, number)))
+    columns += ["then: mm", "sigma"] if after else []
+    return console.table(*columns, "", rows=rows, title="poses, mm")
 
 
 def _doubt(report: VerifyReport, number: int) -> str:
@@ -249,13 +222,15 @@ def _doubt(report: VerifyReport, number: int) -> str:
 def _regions(title: str, errors: Sequence[PoseError]) -> Any:
     from robot_ik.jobs.arm_camera.verify import regions
 
-    rows = console.table("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm", title=title)
-    for one in regions(errors):
-        rows.add_row(
-            one.name, str(one.count), f"{1e3 * one.rms:.2f}", f"{1e3 * one.median:.2f}",
+    columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
+    rows = [
+        (
+            one.name, one.count, f"{1e3 * one.rms:.2f}", f"{1e3 * one.median:.2f}",
             f"{1e3 * one.largest:.2f}", f"{math.degrees(one.angle):.3f}", f"{1e3 * one.sigma:.2f}",
-        )  # fmt: skip
-    return rows
+        )
+        for one in regions(errors)
+    ]  # fmt: skip
+    return console.table(*columns, rows=rows, title=title)
 
 
 def _offset_table(report: VerifyReport) -> Any:
@@ -263,13 +238,12 @@ def _offset_table(report: VerifyReport) -> Any:
     assert fit is not None
     truth = report.known.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
-    rows = console.table(*columns, title="joint zeros")
+    rows = []
     for k, name in enumerate(fit.joints):
-        held = name not in fit.found
-        cells = [name, f"{math.degrees(fit.offsets[k]):.3f}"]
-        cells.append("held" if held else f"{math.degrees(fit.sigma[k]):.3f}")
-        rows.add_row(*cells, *(() if truth is None else (f"{math.degrees(truth[k]):.3f}",)))
-    return rows
+        sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.found else "held"
+        true = () if truth is None else (f"{math.degrees(truth[k]):.3f}",)
+        rows.append((name, f"{math.degrees(fit.offsets[k]):.3f}", sigma, *true))
+    return console.table(*columns, rows=rows, title="joint zeros")
 
 
 def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
@@ -280,8 +254,8 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         "robot": report.known.samples.robot,
         "joints": report.robot.joints,
         "frame": report.known.samples.frame,
-        "stations": [q.tolist() for q in report.stations],
-        "unseen": list(report.unseen),
+        "stations": report.stations,
+        "unseen": report.unseen,
     }
     if verdict is None:
         return found
@@ -290,28 +264,24 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     found["poses"] = [
         _error(one) | {"q": q} for one, q in zip(report.errors, report.known.samples.q, strict=True)
     ]
-    found["unsure"] = list(report.unsure)
+    found["unsure"] = report.unsure
     found["regions"] = _sums(report.judged(corrected=False))
     fit = report.fit
     if fit is not None:
+        sigmas = zip(fit.joints, np.asarray(fit.sigma).tolist(), strict=True)
         found["fit"] = {
             "offsets_rad": fit.offsets,
-            "sigma_rad": [float(s) if name in fit.found else None for name, s in _named(report)],
+            "sigma_rad": [sigma if name in fit.found else None for name, sigma in sigmas],
             "true_rad": report.known.true_offsets,
             "held": [{"joint": one.joint, "why": one.text} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,
-            "outliers": list(fit.outliers),
+            "outliers": fit.outliers,
             "poses": [_error(one) for one in fit.errors],
             "regions": _sums(report.judged(corrected=True)),
         }
     return found
-
-
-def _named(report: VerifyReport) -> list[tuple[str, float]]:
-    assert report.fit is not None
-    return list(zip(report.fit.joints, np.asarray(report.fit.sigma).tolist(), strict=True))
 
 
 def _error(one: PoseError) -> dict[str, Any]:

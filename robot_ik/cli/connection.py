@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import require
 from robot_ik.errors import (
     BusNotOpenError,
     ConfigError,
@@ -40,27 +40,18 @@ NONE = "none"
 
 
 def bus_argument(*, none: bool = False, default: str = "") -> Any:
-    """Annotation of a field of type ``str``.
+    """Annotation of a field of type ``str``; ``none``: there may be no servos at all.
 
-    Args:
-        none: There may be no servos at all.
-        default: What it says behind the help; empty: the field's own default.
+    ``default`` is what it says behind the help; empty: the field's own default.
     """
-    names, lines = list(BUSES), [f"{bus.name}: {bus.title}" for bus in BUSES.values()]
-    if none:
-        names.append(NONE)
-        lines.append(f"{NONE}: no servos")
+    titles = {bus.name: bus.title for bus in BUSES.values()} | ({NONE: "no servos"} if none else {})
     hint = f"(default: {default})" if default else None
-    text = "Where the servos are. " + "; ".join(lines) + "."
-    return arg(metavar="|".join(names), help=text, help_behavior_hint=hint)
+    text = "Where the servos are. " + "; ".join(f"{name}: {title}" for name, title in titles.items()) + "."
+    return arg(metavar="|".join(titles), help=text, help_behavior_hint=hint)
 
 
 def resolved_robot(arm: str, bus: str) -> str:
     """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
-
-    Args:
-        arm: Arm file, or empty.
-        bus: As ``--bus`` takes it.
 
     Raises:
         ConfigError: The arm file is wrong.
@@ -133,8 +124,7 @@ def load_arm(name: str) -> ArmConfig:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.robot_file import catalogue
 
-    if not name:
-        raise wrong("--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
+    require(bool(name), "--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
     known = catalogue()
     path = Path(name).expanduser()
     if name in known:
@@ -170,16 +160,12 @@ class Link:
 
 @contextmanager
 def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Link]:
-    """The bus, open, and the arm file; nothing is asked of any servo yet.
-
-    Args:
-        options: From the command line.
-        config: Instead of the arm file.
+    """The bus, open, and the arm file, or ``config`` instead; nothing is asked of any servo yet.
 
     Raises:
         BusNotOpenError, ConfigError, UnknownRobotError.
     """
-    from robot_ik.hardware import bus_row, open_bus
+    from robot_ik.hardware import open_bus
     from robot_ik.hardware.virtual.bus import VirtualBus
 
     config = config or load_arm(options.arm)
@@ -203,8 +189,8 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
     from robot_ik.hardware import open_arm
     from robot_ik.hardware.torque import ON_EXIT
 
-    if on_exit and on_exit not in ON_EXIT:
-        raise wrong("--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
+    known = not on_exit or on_exit in ON_EXIT
+    require(known, "--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 
@@ -286,8 +272,8 @@ def model_limits(config: ArmConfig) -> Limits:
     except RobotIkError as error:
         console.say(f"without the model ({error.args[0]}): limits are the arm file's", "yellow")
         return {joint.name: (joint.lower, joint.upper) for joint in config.joints}
-    pairs = zip(robot.joints, robot.lower.tolist(), robot.upper.tolist(), strict=True)
-    found = {name: (lower, upper) for name, lower, upper in pairs}
+    limits = zip(robot.lower.tolist(), robot.upper.tolist(), strict=True)
+    found = dict(zip(robot.joints, limits, strict=True))
     return {
         j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
         for j in config.joints

@@ -11,15 +11,17 @@ import contextlib
 import json
 import logging
 import os
+import signal
 import sys
 import threading
-import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from types import FrameType
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderResult
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.progress import BarColumn, Progress, Task, TextColumn, TimeElapsedColumn
+from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -82,12 +84,7 @@ def prepare_streams() -> bool:
 DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 #: Errors that mean "tried, not achieved"; every other error of this package is wrong input or environment.
-NOT_ACHIEVED_ERRORS: tuple[type[RobotIkError], ...] = (
-    NotConvergedError,
-    MarkerNotFoundError,
-    TrajectoryError,
-    MotorFaultError,
-)
+NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
 PIPE_WIDTH = 240
@@ -119,7 +116,10 @@ def width_of(stream: Any) -> int:
 
 
 class _Console(Console):
-    """A console that leaves a closed pipe to ``main`` instead of ending the process with exit code 1."""
+    """Shows text as it is, never as markup; a closed pipe is left to ``main``, which knows the exit code."""
+
+    def __init__(self, stream: Any, *, stderr: bool = False) -> None:
+        super().__init__(stderr=stderr, width=width_of(stream), highlight=False, markup=False, emoji=False)
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError
@@ -127,22 +127,29 @@ class _Console(Console):
 
 def out() -> Console:
     """Console for results, on stdout."""
-    return _Console(width=width_of(sys.stdout), highlight=False, soft_wrap=False)
+    return _Console(sys.stdout)
 
 
 def stderr_console() -> Console:
     """Console for everything that is not a result, on stderr."""
-    return _Console(stderr=True, width=width_of(sys.stderr), highlight=False)
+    return _Console(sys.stderr, stderr=True)
 
 
 def say(text: str, style: str = "") -> None:
-    """One line on stderr; never folded, never read as markup."""
+    """One line on stderr; never folded."""
     stderr_console().print(Text(text, style=style), soft_wrap=True)
 
 
-def result(text: str) -> None:
-    """One line of result on stdout; never folded, never read as markup."""
-    out().print(Text(text), soft_wrap=True)
+def result(text: str, style: str = "") -> None:
+    """One line of result on stdout; never folded."""
+    out().print(Text(text, style=style), soft_wrap=True)
+
+
+def show(*results: RenderableType) -> None:
+    """Tables and text on stdout, one below the other; an empty text is a blank line."""
+    screen = out()
+    for one in results:
+        screen.print(one)
 
 
 def refused(problem: str, hint: str = "") -> int:
@@ -195,42 +202,56 @@ class _FoldedTable(Table):
     def _rows_as_lists(self) -> Iterator[Table]:
         names = [_plain(column.header) for column in self.columns]
         for row in zip(*(list(column.cells) for column in self.columns), strict=True):
-            made = facts()
-            made.add_row(Text(_plain(row[0]), style="bold"), "")
-            for name, cell in zip(names[1:], row[1:], strict=True):
-                if _plain(cell):
-                    made.add_row(f"  {name}", cell)
-            yield made
+            rest = ((f"  {name}", cell) for name, cell in zip(names[1:], row[1:], strict=True))
+            yield facts((Text(_plain(row[0]), style="bold"), ""), *(pair for pair in rest if _plain(pair[1])))
 
 
 def _plain(cell: object) -> str:
     return cell.plain if isinstance(cell, Text) else str(cell)
 
 
-def table(*columns: str, title: str | None = None) -> Table:
-    """An empty table in the one style of all commands; the first column is never broken."""
-    made = _FoldedTable(title=title, title_justify="left", title_style="bold", header_style="bold", box=None)
-    made.pad_edge = False
+def table(*columns: str, rows: Iterable[Sequence[object]] = (), title: str | None = None) -> Table:
+    """A table in the one style of all commands: cells are ``Text``, or shown by ``str``.
+
+    The first column is never broken.
+    """
+    made = _FoldedTable(
+        title=title, title_justify="left", title_style="bold", header_style="bold", box=None, pad_edge=False
+    )
     for index, name in enumerate(columns):
         made.add_column(name, no_wrap=index == 0, overflow="fold")
+    for row in rows:
+        made.add_row(*(cell if isinstance(cell, Text) else str(cell) for cell in row))
     return made
 
 
-def facts(*rows: tuple[str, str]) -> Table:
+def facts(*rows: tuple[object, object]) -> Table:
     """Rows of a name and its value, without a header."""
-    made = table("", "")
+    made = table("", "", rows=rows)
     made.show_header = False
-    for name, value in rows:
-        made.add_row(name, value)
     return made
 
 
-def progress() -> Progress:
+def verdict_mark(passed: bool) -> Text:
+    """Of a row that is as wanted, or not."""
+    return Text("yes", style="green") if passed else Text("NO", style="bold red")
+
+
+class _ClockColumn(BarColumn):
+    """A bar that fills with the time."""
+
+    def render(self, task: Task) -> ProgressBar:
+        if task.total is not None:
+            task.completed = min(task.elapsed or 0.0, task.total)
+        return super().render(task)
+
+
+def progress(column: type[BarColumn] = BarColumn) -> Progress:
     """A progress bar on stderr that shows nothing unless stderr is a terminal."""
     console = stderr_console()
     return Progress(
         TextColumn("{task.description}"),
-        BarColumn(),
+        column(),
         TextColumn("{task.fields[note]}"),
         TimeElapsedColumn(),
         console=console,
@@ -240,12 +261,7 @@ def progress() -> Progress:
 
 
 def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], None]:
-    """The ``progress`` of a job: its phase, and the share of it that is done, on a bar.
-
-    Args:
-        bar: Shown already.
-        before: What goes on before the first phase.
-    """
+    """The ``progress`` of a job, its phase and the share of it that is done; ``before`` the first phase."""
     task = bar.add_task(before, total=1.0, note="")
     return lambda phase, share: bar.update(task, description=phase, completed=share)
 
@@ -264,38 +280,21 @@ def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
 
 @contextlib.contextmanager
 def busy(what: str, seconds: float | None = None) -> Iterator[None]:
-    """Shows that something goes on inside: a bar on a terminal, elsewhere a line after ``SILENCE``.
+    """Shows that something goes on inside, for ``seconds`` if that is known.
 
-    Args:
-        what: What goes on.
-        seconds: How long it will take, where that is known.
+    On a terminal by a bar, elsewhere by a line after ``SILENCE``.
     """
-    console = stderr_console()
-    if not console.is_terminal:
-        takes = "" if seconds is None else f", about {seconds:.0f} s"
-        timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
-        timer.daemon = True
+    takes = "" if seconds is None else f", about {seconds:.0f} s"
+    timer = threading.Timer(SILENCE, lambda: say(f"{what}{takes} …", "dim"))
+    timer.daemon = True
+    if not stderr_console().is_terminal:
         timer.start()
-        try:
+    try:
+        with progress(_ClockColumn) as bar:
+            bar.add_task(what, total=seconds, note="")
             yield
-        finally:
-            timer.cancel()
-        return
-    with progress() as bar:
-        task = bar.add_task(what, total=seconds, note="")
-        done, begin = threading.Event(), time.monotonic()
-
-        def advance() -> None:
-            while seconds is not None and not done.wait(0.1):
-                bar.update(task, completed=min(time.monotonic() - begin, seconds))
-
-        thread = threading.Thread(target=advance, daemon=True)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+    finally:
+        timer.cancel()
 
 
 def json_text(value: Any, indent: str = "") -> str:
@@ -330,9 +329,7 @@ def print_json_line(value: Mapping[str, Any]) -> None:
 
 def exit_code(error: BaseException) -> int:
     """The exit code that belongs to an error."""
-    if isinstance(error, NOT_ACHIEVED_ERRORS):
-        return NOT_ACHIEVED
-    return WRONG_INPUT
+    return NOT_ACHIEVED if isinstance(error, NOT_ACHIEVED_ERRORS) else WRONG_INPUT
 
 
 def _first_lines(text: str, count: int) -> str:
@@ -362,10 +359,8 @@ def describe_error(error: BaseException) -> tuple[str, str]:
             message = message.removesuffix("\n" + error.hint) if error.hint else message
         return message, error.hint
     if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith("robot_ik"):
-        return (
-            f"the Python package {error.name!r} is missing",
-            "install what robot_ik needs: pip install robot_ik",
-        )
+        hint = "install what robot_ik needs: pip install robot_ik"
+        return f"the Python package {error.name!r} is missing", hint
     if isinstance(error, ImportError) and not isinstance(error, ModuleNotFoundError):
         return f"a part of the installation cannot be loaded: {error}", "look closer with: robot-ik doctor"
     if isinstance(error, MemoryError):
@@ -386,14 +381,23 @@ def show_error(error: BaseException, *, debug: bool = False) -> None:
     message, hint = describe_error(error)
     hint = _first_lines(hint, 6)
     message = _first_lines(message, ERROR_LINES - hint.count("\n") - 1)
-    text = Text("error: ", style="bold red")
-    text.append(message, style="default")
-    if hint:
-        text.append("\n" + hint, style="cyan")
+    text = Text.assemble(("error: ", "bold red"), message, ("\n" + hint if hint else "", "cyan"))
     stderr_console().print(text, soft_wrap=True)
 
 
-# ------------------------------------------------------------------------------------- logs
+# --------------------------------------------------------------------------------- signals and logs
+
+
+@contextlib.contextmanager
+def on_signals(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
+    """Calls ``handler`` for these signals while inside; only the main thread can."""
+    main = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, handler) for number in numbers if main}
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
 
 
 class _ConsoleLogHandler(logging.Handler):

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.table import Table
 from rich.text import Text
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import require, several, single
 
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
     from robot_ik.bench.theses.s12 import ArmCase, S12Report
     from robot_ik.bench.theses.tracking import Track
-
-    Report = A00Report | S12Report
-    Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -41,11 +38,11 @@ class ExperimentsOptions:
     """a00: only these tests."""
     solvers: Annotated[tuple[str, ...], several("NAME", "all")] = ()
     """a00: only these methods."""
-    frames: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: whole; 1000)")] = None
+    frames: Annotated[int | None, single("N", "whole; 1000")] = None
     """a00: no more than so many frames of each course; s12: frames of each case."""
     plot: bool = False
     """s12: draw the table, too (needs matplotlib)."""
-    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-<experiment>)")] = ""
+    out: Annotated[str, single("DIR", "runs/<time>-<experiment>")] = ""
     """Where the JSON and CSV files go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
@@ -56,65 +53,42 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.jobs.results import results_folder
+    from robot_ik.bench.theses import a00, results, s12
+    from robot_ik.jobs.results import require_plots, results_folder
 
-    prepare = _a00 if options.experiment == "a00" else _s12
-    report, work, save, show = prepare(options)
+    report: Any
+    work: Any
+    save: Any
+    show: Any
+    if options.experiment == "a00":
+        report = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
+        work, save, show = a00.run_a00, results.save_a00, print_a00
+    else:
+        if options.plot:
+            require_plots("drawing the table")
+        report = s12.S12Report(options.frames or s12.FRAMES, options.seed)
+        work, save, show = s12.run_s12, partial(results.save_s12, plot=options.plot), print_s12
     own = [f"{options.experiment}.{kind}" for kind in ("json", "csv", "png")]
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
             with console.progress() as bar:
-                work(console.shares_on(bar, options.experiment))
+                work(report, console.shares_on(bar, options.experiment))
         finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and reported
-            files = save(folder)
-            show()
+            files = save(report, folder)
+            show(report)
             names = "  ".join(file.name for file in files)
             console.result(f"files in {folder}: {names}")
     return console.DONE if report.passed else console.NOT_ACHIEVED
 
 
-_Prepared = tuple["Report", "Callable[[Progress], Any]", "Callable[[Path], list[Path]]", "Callable[[], None]"]
-
-
-def _a00(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.bench.theses.a00 import ask_a00, run_a00
-    from robot_ik.bench.theses.results import save_a00
-
-    report = ask_a00(options.tests, options.solvers, options.frames, options.seed)
-    return (
-        report,
-        lambda progress: run_a00(report, progress),
-        lambda folder: save_a00(report, folder),
-        lambda: print_a00(report),
-    )
-
-
-def _s12(options: ExperimentsOptions) -> _Prepared:
-    from robot_ik.bench.theses.results import save_s12
-    from robot_ik.bench.theses.s12 import FRAMES, S12Report, run_s12
-    from robot_ik.jobs.results import require_plots
-
-    if options.plot:
-        require_plots("drawing the table")
-    report = S12Report(options.frames or FRAMES, options.seed)
-    return (
-        report,
-        lambda progress: run_s12(report, progress),
-        lambda folder: save_s12(report, folder, plot=options.plot),
-        lambda: print_s12(report),
-    )
-
-
 def _check(options: ExperimentsOptions) -> None:
     """Raises ``ConfigError`` for what makes no sense before anything is built."""
-    if options.frames is not None and options.frames < 1:
-        raise wrong("--frames", str(options.frames), "1 or more")
-    if options.seed < 0:
-        raise wrong("--seed", str(options.seed), "0 or more")
-    if options.experiment == "s12" and (options.tests or options.solvers):
-        raise wrong("--tests" if options.tests else "--solvers", "s12 has neither", "with a00 alone")
-    if options.experiment == "a00" and options.plot:
-        raise wrong("--plot", "a00 has no picture", "with s12 alone")
+    a00 = options.experiment == "a00"
+    require(options.frames is None or options.frames >= 1, "--frames", str(options.frames), "1 or more")
+    require(options.seed >= 0, "--seed", str(options.seed), "0 or more")
+    which = "--tests" if options.tests else "--solvers"
+    require(a00 or not (options.tests or options.solvers), which, "s12 has neither", "with a00 alone")
+    require(not (a00 and options.plot), "--plot", "a00 has no picture", "with s12 alone")
 
 
 # ------------------------------------------------------------------------------------------
@@ -126,11 +100,7 @@ NOTHING = "-"
 
 
 def _notes(title: str, lines: Iterable[str]) -> None:
-    shown = console.table("", title)
-    for line in lines:
-        shown.add_row("•", Text(line))
-    console.out().print(shown)
-    console.out().print()
+    console.show(console.table("", title, rows=[("•", line) for line in lines]), "")
 
 
 def _result(complete: bool, passed: bool, why: str) -> Text:
@@ -146,16 +116,23 @@ def print_a00(report: A00Report) -> None:
     """Courses, methods × courses, and whether what has to pass does."""
     from robot_ik.bench.theses import a00, results
 
-    screen = console.out()
     _notes("A00, tests 1-13: what is chosen where he states nothing", results.A00_CHOICES)
-    shown = console.table("test", "joints", "goal", "the goal moves", "frames", "A00's result")
-    for number, course in report.courses.items():
-        row = (course.goal.name.removesuffix(" goal"), course.moves, str(len(course.at)), a00.HIS[number])
-        shown.add_row(str(number), str(len(course.robot.joints)), *map(Text, row))
-    screen.print(shown)
-    screen.print()
-    _print_methods(report)
-    screen.print(_result(report.complete, report.passed, _why_a00(report) if report.complete else ""))
+    rows = [
+        (
+            number, len(course.robot.joints), course.goal.name.removesuffix(" goal"), course.moves,
+            len(course.at), a00.HIS[number],
+        )
+        for number, course in report.courses.items()
+    ]  # fmt: skip
+    columns = ("test", "joints", "goal", "the goal moves", "frames", "A00's result")
+    console.show(
+        console.table(*columns, rows=rows),
+        "",
+        _methods_table(report),
+        f"{NOTHING}: the method does not serve such a goal.  Below a share: where the goal was first lost.",
+        "",
+        _result(report.complete, report.passed, _why_a00(report) if report.complete else ""),
+    )
 
 
 def _why_a00(report: A00Report) -> str:
@@ -163,37 +140,27 @@ def _why_a00(report: A00Report) -> str:
 
     asked = [name for name in a00.MUST_PASS if name in report.solvers]
     if report.failures:
-        return "; ".join(f"{n} in test {k}: {_loss(report, n, k)}" for n, k in report.failures)
-    if asked:
-        return f"{', '.join(asked)} met every frame; {_witness_text(report)}"
-    return "no method was asked for that has to pass"
-
-
-def _witness_text(report: A00Report) -> str:
+        losses = (
+            f"{name} in test {k}: "
+            + ("refused" if report.tracks[name, k].refused else f"lost at {report.lost_at(name, k)}")
+            for name, k in report.failures
+        )
+        return "; ".join(losses)
+    if not asked:
+        return "no method was asked for that has to pass"
     metres, radians = (max(miss) for miss in zip(*report.witness_miss.values(), strict=True))
-    return f"their witnesses miss by {metres:.0e} m, {radians:.0e} rad at most"
+    witnesses = f"their witnesses miss by {metres:.0e} m, {radians:.0e} rad at most"
+    return f"{', '.join(asked)} met every frame; {witnesses}"
 
 
-def _loss(report: A00Report, name: str, number: int) -> str:
-    track = report.tracks[name, number]
-    return "refused" if track.refused else f"lost at {report.lost_at(name, number)}"
-
-
-def _print_methods(report: A00Report) -> None:
+def _methods_table(report: A00Report) -> Table:
     """One row a method, one column a test: % of the frames met, and below it where the goal was lost."""
-    numbers = list(report.courses)
-    shown = console.table("% met", *map(str, numbers), title="Frames met in each test, by method")
+    rows = [(name, *(_share(report, name, k) for k in report.courses)) for name in report.solvers]
+    title = "Frames met in each test, by method"
+    shown = console.table("% met", *map(str, report.courses), rows=rows, title=title)
     for column in shown.columns[1:]:
         column.justify = "right"
-    for name in report.solvers:
-        cells = [_share(report, name, number) for number in numbers]
-        shown.add_row(name, *cells)
-    screen = console.out()
-    screen.print(shown)
-    screen.print(
-        f"{NOTHING}: the method does not serve such a goal.  Below a share: where the goal was first lost."
-    )
-    screen.print()
+    return shown
 
 
 def _share(report: A00Report, name: str, number: int) -> Text:
@@ -218,13 +185,10 @@ def print_s12(report: S12Report) -> None:
     """His table and ours, what differs, and whether what has to pass does."""
     from robot_ik.bench.theses import results, s12
 
-    screen = console.out()
     _notes("S12, table 4.1: what is chosen where he states nothing", results.S12_CHOICES)
     for case in s12.CASES:
-        screen.print(_case_table(report, case))
-        screen.print()
-    screen.print("t: mean time of a solve, ms.  N: mean number of steps.  η: % of the frames solved.")
-    screen.print()
+        console.show(_case_table(report, case), "")
+    console.show("t: mean time of a solve, ms.  N: mean number of steps.  η: % of the frames solved.", "")
     _notes("Why our numbers with his parameters differ from his", results.S12_DIFFERENCES)
     _notes("What he does not state", results.S12_NOT_STATED)
     if report.failures:
@@ -233,7 +197,7 @@ def print_s12(report: S12Report) -> None:
         )
     else:
         why = f"{' and '.join(s12.MUST_PASS)} reached every target of every case"
-    screen.print(_result(report.complete, report.passed, why))
+    console.show(_result(report.complete, report.passed, why))
 
 
 def _case_table(report: S12Report, case: ArmCase) -> Table:
@@ -241,15 +205,15 @@ def _case_table(report: S12Report, case: ArmCase) -> Table:
 
     title = f"Case {case.number}: {case.title}, {report.frames} frames"
     heads = ("S12, 2012", "his parameters", "α in degrees", "our parameters")
-    shown = console.table("", *(f"{head}\n{'t':>5} {'N':>3} {'η':>3}" for head in heads), title=title)
-    for column in shown.columns[1:]:
-        column.no_wrap = True
+    rows = []
     for name in s12.BEST_METHODS:
-        his = s12.HIS[name][case.number - 1] if name in s12.HIS else None
-        cells = [_numbers(*his) if his else NOTHING]
-        for variant in s12.VARIANTS:
-            cells.append(_cell(name, report.tracks.get((variant.name, name, case.number))))
-        shown.add_row(name, *cells)
+        his = _numbers(*s12.HIS[name][case.number - 1]) if name in s12.HIS else NOTHING
+        tracks = (report.tracks.get((variant.name, name, case.number)) for variant in s12.VARIANTS)
+        rows.append((name, his, *(_cell(name, track) for track in tracks)))
+    columns = ("", *(f"{head}\n{'t':>5} {'N':>3} {'η':>3}" for head in heads))
+    shown = console.table(*columns, rows=rows, title=title)
+    for column in shown.columns:
+        column.no_wrap = True
     return shown
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -12,18 +13,17 @@ import numpy as np
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import Json, request_of, require, single, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.files import claimed, write_atomically
+from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.figure.abilities import Abilities
     from robot_ik.figure.lion import Lion
     from robot_ik.figure.session import FigureFrame
-    from robot_ik.jobs.ar.job import ArRequest
-    from robot_ik.jobs.figure import FigureReport, FigureRequest
-    from robot_ik.robot import Array, Robot
+    from robot_ik.jobs.figure import FigureReport
+    from robot_ik.robot import Robot
 
 _LION_BALLS = (0.9, -0.2, 0.6), (0.7, 0.4, 0.5)
 # Pictures of the synthetic camera that are not shown: the ball's place to 4 mm at a quarter of the time.
@@ -45,29 +45,25 @@ class FigureOptions:
     Exit code 0: every hand came to its ball within 5 mm. 1: one did not. 2: wrong input or environment.
     """
 
-    ball: Annotated[tuple[float, float, float] | None, arg(metavar="X Y Z", help_behavior_hint="")] = None
+    ball: Annotated[tuple[float, float, float] | None, single("X Y Z")] = None
     """Where the ball is, metres."""
-    balls: Annotated[Path | None, arg(metavar="FILE.csv", help_behavior_hint="")] = None
+    balls: Annotated[Path | None, single("FILE.csv")] = None
     """Balls, x, y, z in each row: prints one decision a line as JSON, without moving."""
-    path: Annotated[
-        Literal["", "circle", "random", "marker"], arg(metavar="circle|random|marker", help_behavior_hint="")
-    ] = ""
+    path: Annotated[Literal["", "circle", "random", "marker"], single("circle|random|marker")] = ""
     """A ball that moves; or a printed marker in the pictures of --camera."""
     seconds: float = 12.0
     """How long it moves."""
-    camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL", help_behavior_hint="")] = ""
+    camera: Annotated[str, single("synthetic|INDEX|FILE|FOLDER|URL")] = ""
     """Where the marker is seen, above a printed board on which the figure stands."""
-    intrinsics: Annotated[
-        Path | None, arg(metavar="FILE", help_behavior_hint="(needed for a real camera)")
-    ] = None
-    """Calibration of a real camera: OpenCV or ROS YAML."""
+    intrinsics: Annotated[Path | None, single("FILE")] = None
+    """Calibration of a real camera, which needs it: OpenCV or ROS YAML."""
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """The board, as for robot-ik ar."""
     marker: int = 9
     """Id of the marker that is the ball."""
     marker_size: float = 0.05
     """Side of its black square, metres."""
-    scale: Annotated[float, arg(help_behavior_hint="(default: 1; what fits the synthetic table)")] = 0.0
+    scale: Annotated[float, single(None, "1; what fits the synthetic table")] = 0.0
     """Size of the figure over life size."""
     ar: bool = False
     """Draw the figure into the pictures of the camera; written to --record (default: ar.mp4, or the folder
@@ -78,18 +74,17 @@ class FigureOptions:
     """Active follows the ball; passive acts on the ball as it was at the start."""
     model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
     """A model whose robot.toml has a table [figure], or a lion: four paws and a gaze."""
-    record: Annotated[Path | None, arg(metavar="OUT", help_behavior_hint="(default: none)")] = None
+    record: Annotated[Path | None, single("OUT", "none")] = None
     """A film (.mp4, .gif), a picture, or a folder of pictures."""
-    frames: Annotated[Path | None, arg(metavar="OUT.csv", help_behavior_hint="(default: none)")] = None
+    frames: Annotated[Path | None, single("OUT.csv", "none")] = None
     """A table of all frames, for programs that check them."""
     viewer: bool = False
     """Show it in MuJoCo's window."""
-    tour: Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="(default: none)")] = None
+    tour: Annotated[Path | None, single("FOLDER", "none")] = None
     """Draw a picture of each decision, and film strips."""
     seed: int = 0
     """Of random balls."""
-    json: bool = False
-    """Print what was done as JSON."""
+    json: Json = False
     overwrite: bool = False
     """Files of an earlier run may be replaced."""
 
@@ -105,27 +100,26 @@ def run(options: FigureOptions) -> int:
     if robot.file.figure is None and is_lion(robot):
         return _lion(Lion(robot), options)
     abilities = _abilities(robot)
+    from robot_ik.jobs.figure import decide_balls, frames_table, read_balls, tour
+
     if options.balls is not None:
-        return _decisions(abilities, options)
+        for row in decide_balls(abilities, read_balls(options.balls), _stance(options)):
+            console.print_json_line(row)
+        return console.DONE
     if options.tour is not None:
-        return _tour(abilities, options.tour)
+        for file in tour(abilities, make_folder(options.tour), console.say):
+            console.result(str(file))
+        return console.DONE
     figure = abilities.figure
     with claimed(options.frames, overwrite=options.overwrite):
-        frames = _on_camera(abilities, options) if options.ar else _frames(abilities, options)
-        report = _watch(robot, figure.hands, frames, options)
+        report = _watch(robot, figure.hands, _frames(abilities, options), options)
         if options.frames is not None:
-            from robot_ik.jobs.figure import frames_table
-
             write_atomically(options.frames, frames_table(figure, report.frames, options.seed))
     return _finish(robot, report, options)
 
 
 def _checked(options: FigureOptions) -> FigureOptions:
-    """The options, with what they imply.
-
-    Raises:
-        ConfigError: Some contradict each other, or are no numbers.
-    """
+    """The options, with what they imply; raises ``ConfigError`` where some contradict each other."""
     if (options.camera or options.ar) and not options.path:
         options = replace(options, path="marker")
     if options.path == "marker" and not options.camera:
@@ -133,18 +127,14 @@ def _checked(options: FigureOptions) -> FigureOptions:
     asked = [name for name in ("ball", "balls", "path", "tour") if getattr(options, name)]
     if len(asked) > 1:
         raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path, --tour")
-    if options.camera and options.path != "marker":
-        raise wrong(
-            "--camera", f"--path is {options.path}", "--path marker: the ball is a marker that it sees"
-        )
-    if not np.isfinite(options.place).all():
-        raise wrong("--place", f"{options.place}", "three finite numbers: metres, metres, degrees")
-    if not 0.0 < options.seconds < np.inf:
-        raise wrong("--seconds", f"{options.seconds:g}", "more than 0")
-    if not 0.0 <= options.scale < np.inf:
-        raise wrong("--scale", f"{options.scale:g}", "0 or more")
-    if options.ar and options.viewer:
-        raise wrong("--viewer", "--ar draws into the camera's pictures", "one of both")
+    seen = "--path marker: the ball is a marker that it sees"
+    require(options.path == "marker" or not options.camera, "--camera", f"--path is {options.path}", seen)
+    numbers = "three finite numbers: metres, metres, degrees"
+    require(bool(np.isfinite(options.place).all()), "--place", f"{options.place}", numbers)
+    require(0.0 < options.seconds < np.inf, "--seconds", f"{options.seconds:g}", "more than 0")
+    require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
+    drawn = "--ar draws into the camera's pictures"
+    require(not (options.ar and options.viewer), "--viewer", drawn, "one of both")
     return options
 
 
@@ -159,8 +149,7 @@ def _lion(lion: Lion, options: FigureOptions) -> int:
         return console.DONE
     balls = (options.ball,) if options.ball is not None else _LION_BALLS
     with claimed(options.frames, overwrite=options.overwrite):
-        frames = run_lion(lion, balls)
-        report = _watch(lion.robot, {paw: paw for paw in lion.paws}, frames, options)
+        report = _watch(lion.robot, {paw: paw for paw in lion.paws}, run_lion(lion, balls), options)
         if options.frames is not None:
             from robot_ik.motion.keyframes import Keyframes
 
@@ -194,79 +183,44 @@ def _abilities(robot: Robot) -> Abilities:
         return load_abilities(load_figure(robot), progress=progress)
 
 
-def _pose(options: FigureOptions) -> tuple[float, float, float]:
-    from math import radians
-
-    return options.place[0], options.place[1], radians(options.place[2])
+def _stance(options: FigureOptions) -> tuple[float, float, float]:
+    return options.place[0], options.place[1], math.radians(options.place[2])
 
 
-def _request(options: FigureOptions) -> FigureRequest:
-    from robot_ik.jobs.figure import FigureRequest
-
-    balls = (options.ball,) if options.ball is not None else () if options.path else _SHOWN
-    path = "" if options.path == "marker" else options.path
-    return FigureRequest(balls, path, options.seconds, _pose(options), options.mode, seed=options.seed)
-
-
-def _decisions(abilities: Abilities, options: FigureOptions) -> int:
-    from robot_ik.jobs.figure import decide_balls, read_balls
-
-    assert options.balls is not None
-    for row in decide_balls(abilities, read_balls(options.balls), _pose(options)):
-        console.print_json_line(row)
-    return console.DONE
-
-
-def _tour(abilities: Abilities, folder: Path) -> int:
-    from robot_ik.files import make_folder
-    from robot_ik.jobs.figure import tour
-
-    make_folder(folder)
-    for file in tour(abilities, folder, console.say):
-        console.result(str(file))
-    return console.DONE
-
-
-def _camera(options: FigureOptions) -> ArRequest:
-    from robot_ik.jobs.ar.job import ArRequest
-    from robot_ik.jobs.ar.output import films_can_be_written
-
-    default = Path("ar.mp4" if films_can_be_written() else "ar")
-    return ArRequest(
-        robot=options.model, camera=options.camera, intrinsics=options.intrinsics, board=options.board,
-        scale=options.scale, motion="follow", marker=(options.marker, options.marker_size),
-        out=options.record or default, overwrite=options.overwrite, seconds=options.seconds,
-        seed=options.seed,
-        size=_UNSEEN_SIZE if options.camera == "synthetic" and not options.ar else None,
-    )  # fmt: skip
+def _balls(options: FigureOptions) -> tuple[tuple[float, float, float], ...]:
+    """Those that stand still."""
+    return (options.ball,) if options.ball is not None else () if options.path else _SHOWN
 
 
 def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
-    from robot_ik.jobs.ar.job import marker_places
-    from robot_ik.jobs.figure import run_figure, run_marker
+    """Of what it does, with ``--ar`` drawn into the camera's pictures already."""
+    from robot_ik.jobs.ar.job import ArRequest, marker_places
+    from robot_ik.jobs.ar.output import films_can_be_written
+    from robot_ik.jobs.figure import FigureRequest, draw_on_camera, run_figure, run_marker
 
+    path = "" if options.path == "marker" else options.path
+    request = FigureRequest(
+        _balls(options), path, options.seconds, _stance(options), options.mode, seed=options.seed
+    )
     if options.path != "marker":
-        return run_figure(abilities, _request(options))
-    return run_marker(abilities, _request(options), marker_places(_camera(options), abilities.figure.robot))
-
-
-def _on_camera(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
-    """Frames of a figure that was drawn into the camera's pictures."""
-    from robot_ik.jobs.figure import draw_on_camera
-
+        return run_figure(abilities, request)
+    camera = request_of(
+        ArRequest,
+        options,
+        robot=options.model,
+        motion="follow",
+        marker=(options.marker, options.marker_size),
+        out=options.record or Path("ar.mp4" if films_can_be_written() else "ar"),
+        size=_UNSEEN_SIZE if options.camera == "synthetic" and not options.ar else None,
+    )
+    if not options.ar:
+        return run_marker(abilities, request, marker_places(camera, abilities.figure.robot))
     with console.progress() as bar:
-        progress = console.counted_on(bar, "drawing")
-        report, frames = draw_on_camera(abilities, _request(options), _camera(options), progress)
+        report, frames = draw_on_camera(abilities, request, camera, console.counted_on(bar, "drawing"))
     if report.notice:
         console.say(report.notice, style="yellow")
     console.say(f"{report.pictures} pictures, the figure in {report.drawn}: {report.file}")
     return iter(frames)
-
-
-def _in_view(options: FigureOptions) -> Array:
-    """(n, 3) what the window shows beside the robot at home: where it stands at first, and its balls."""
-    balls = [options.ball] if options.ball is not None else [] if options.path else list(_SHOWN)
-    return np.array([(*options.place[:2], 0.0), *(ball for ball in balls if np.isfinite(ball).all())])
 
 
 def _watch(
@@ -285,7 +239,8 @@ def _watch(
 
     instead = "run it without --viewer, or film it with --record"
     floor = [Solid(Pose(position), half, rgba) for position, half, rgba in TILES]
-    see = _in_view(options)
+    balls = (ball for ball in _balls(options) if np.isfinite(ball).all())
+    see = np.array([(*options.place[:2], 0.0), *balls])
     with WindowSink(robot, ball=BALL_RADIUS, see=see, solids=floor, instead=instead) as window:
         began = time.monotonic()
 
@@ -301,25 +256,19 @@ def _watch(
 
 
 def _print(report: FigureReport, options: FigureOptions) -> None:
+    count = len(report.frames)
     if options.json:
-        console.print_json(
-            {
-                "schema": 1,
-                "decisions": [{"t": t, **asdict(decision)} for t, decision in report.decisions],
-                "misses": [{"action": action, "miss_m": miss} for action, miss in report.misses],
-                "frames": len(report.frames),
-            }
-        )
+        decisions = [{"t": t, **asdict(decision)} for t, decision in report.decisions]
+        misses = [{"action": action, "miss_m": miss} for action, miss in report.misses]
+        console.print_json({"schema": 1, "decisions": decisions, "misses": misses, "frames": count})
         return
-    shown = console.table("s", "decision", "hand", "why")
-    last = None
-    for t, decision in report.decisions:
-        if last == (last := (decision.action, decision.arm, decision.reason)):
-            continue  # a ball that moves is decided upon again and again
-        shown.add_row(f"{t:.2f}", decision.action, decision.arm or "", decision.reason)
-    console.out().print(shown)
-    misses = ", ".join(f"{action} {1000 * miss:.2f} mm" for action, miss in report.misses)
-    seconds = len(report.frames) / 60.0
-    console.out().print(
-        f"{len(report.frames)} frames, {seconds:.1f} s; hand from the ball: {misses or 'no touch'}"
+    rows: list[tuple[str, ...]] = []
+    for t, one in report.decisions:
+        said = (one.action, one.arm or "", one.reason)
+        if not rows or rows[-1][1:] != said:  # a ball that moves is decided upon again and again
+            rows.append((f"{t:.2f}", *said))
+    touches = ", ".join(f"{action} {1000 * miss:.2f} mm" for action, miss in report.misses)
+    console.show(
+        console.table("s", "decision", "hand", "why", rows=rows),
+        f"{count} frames, {count / 60.0:.1f} s; hand from the ball: {touches or 'no touch'}",
     )

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import Json, require, several, single, wrong
 from robot_ik.environment import import_mujoco
-from robot_ik.errors import OutputError, TrajectoryError, close_matches
+from robot_ik.errors import TrajectoryError, close_matches
+from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.motion import Keyframes, KeyPoses
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 _RobotName = Annotated[str, arg(metavar="NAME|PATH")]
+_BookName = Annotated[str, single(None, "the file beside the robot's model", "Key poses, TOML.")]
 
 
 @dataclass(frozen=True)
@@ -35,14 +37,10 @@ class PosesListOptions:
     Exit code 0: shown. 2: wrong input.
     """
 
-    file: Annotated[
-        Positional[str], arg(help_behavior_hint="(default: the file beside the robot's model)")
-    ] = ""
-    """Key poses, TOML."""
+    file: Positional[_BookName] = ""
     robot: _RobotName = "humanoid"
     """Whose poses."""
-    json: bool = False
-    """Print JSON."""
+    json: Json = False
 
 
 @dataclass(frozen=True)
@@ -64,9 +62,9 @@ class PosesRecordOptions:
     """What the pose is called."""
     robot: _RobotName = "humanoid"
     """Whose pose."""
-    begin: Annotated[str, arg(metavar="POSE", help_behavior_hint="(default: home)")] = ""
+    begin: Annotated[str, single("POSE", "home")] = ""
     """A pose of the file or a keyframe of the model."""
-    frames: Annotated[str, arg(metavar="FRAMES.csv", help_behavior_hint="")] = ""
+    frames: Annotated[str, single("FRAMES.csv")] = ""
     """Start from a frame of a recorded motion instead."""
     at: Annotated[float, arg(metavar="S")] = 0.0
     """Of --frames: at which time."""
@@ -84,8 +82,7 @@ class _MotionOptions:
 
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A motion or pose of the file, or a file of frames (.csv)."""
-    file: Annotated[str, arg(help_behavior_hint="(default: the file beside the robot's model)")] = ""
-    """Key poses, TOML."""
+    file: _BookName = ""
     robot: _RobotName = "humanoid"
     """Whose motion."""
     speed: float = 1.0
@@ -137,9 +134,9 @@ class PosesImportOptions:
     """FILE.csv: frames of the figure."""
     robot: _RobotName = "humanoid"
     """Who shall move."""
-    map: Annotated[str, arg(help_behavior_hint="(default: bvh.toml beside the robot's model)")] = ""
+    map: Annotated[str, single(None, "bvh.toml beside the robot's model")] = ""
     """Which joint of the file is which part of the figure."""
-    rate: Annotated[float, arg(metavar="HZ", help_behavior_hint="(default: the file's)")] = 0.0
+    rate: Annotated[float, single("HZ", "the file's")] = 0.0
     """Frames a second; frames are left out, none are made up."""
     up: Annotated[str, arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
@@ -160,10 +157,11 @@ def run_list(options: PosesListOptions) -> int:
         poses = {name: q.tolist() for name, q in book.poses.items()}
         console.print_json({"schema": SCHEMA, "robot": robot.name, "poses": poses, "motions": shown})
         return console.DONE
-    rows = console.table("motion", "seconds", "loop", "poses")
-    for name, (motion, made) in motions.items():
-        rows.add_row(name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
-    console.out().print(rows)
+    rows = [
+        (name, f"{made.duration:.2f}", "yes" if motion.loop else "", ", ".join(motion.poses))
+        for name, (motion, made) in motions.items()
+    ]
+    console.show(console.table("motion", "seconds", "loop", "poses", rows=rows))
     console.result(f"poses: {', '.join(book.poses)}")
     return console.DONE
 
@@ -195,18 +193,14 @@ def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
     robot = _load(options.robot)
     motion = _motion(robot, options)
-    if options.times < 1:
-        raise wrong("--times", f"{options.times}", "1 or more")
+    require(options.times >= 1, "--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
     from robot_ik.testbed.frontends.window import WindowSink
 
     seconds = options.times * motion.duration if motion.loop else None
     frames = motion.sampled(options.rate, seconds)
     start, instead = np.array(frames.q[0]), "write its frames into a file: robot-ik poses export"
-    with (
-        WindowSink(robot, start=start, instead=instead) as window,
-        console.busy("playing", frames.duration),
-    ):
+    with WindowSink(robot, start=start, instead=instead) as window, console.busy("playing", frames.duration):
         execute(frames, [window])
         window.wait()
     return console.DONE
@@ -216,13 +210,13 @@ def run_export(options: PosesExportOptions) -> int:
     """Writes it."""
     from robot_ik.motion.bvh_robot import export_bvh
 
-    out = _writable(options.out, (".csv", ".bvh"), options.overwrite)
-    robot = _load(options.robot)
-    motion = _motion(robot, options)
-    if out.suffix == ".bvh":
-        export_bvh(motion, options.rate).save(out)
-    else:
-        motion.sampled(options.rate).save_csv(out)
+    out = _out(options.out, ".csv", ".bvh")
+    with claimed(out, overwrite=options.overwrite):
+        motion = _motion(_load(options.robot), options)
+        if out.suffix == ".bvh":
+            export_bvh(motion, options.rate).save(out)
+        else:
+            motion.sampled(options.rate).save_csv(out)
     console.say(f"{out}: {motion.duration:.2f} s at {options.rate:g} Hz")
     return console.DONE
 
@@ -232,15 +226,16 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.bvh import Bvh
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
-    out = _writable(options.out, (".csv",), options.overwrite)
-    if options.up not in ("y", "z"):
-        raise wrong("--up", repr(options.up), "y or z")
-    robot = _load(options.robot)
-    joints = SkeletonMap.load(options.map) if options.map else None
-    bvh = Bvh.load(options.bvh)
-    with console.busy(f"taking over {len(bvh.values)} frames"):
-        found = retarget(bvh, robot, joints, rate=options.rate or None, up="y" if options.up == "y" else "z")
-    found.motion.save_csv(out)
+    out = _out(options.out, ".csv")
+    require(options.up in ("y", "z"), "--up", repr(options.up), "y or z")
+    up: Literal["y", "z"] = "y" if options.up == "y" else "z"
+    with claimed(out, overwrite=options.overwrite):
+        robot = _load(options.robot)
+        joints = SkeletonMap.load(options.map) if options.map else None
+        bvh = Bvh.load(options.bvh)
+        with console.busy(f"taking over {len(bvh.values)} frames"):
+            found = retarget(bvh, robot, joints, rate=options.rate or None, up=up)
+        found.motion.save_csv(out)
     hands = 1e3 * np.quantile(found.hand_miss, (0.5, 0.99))
     console.say(
         f"{out}: {len(found.motion)} frames; hands off {hands[0]:.1f} mm (median), {hands[1]:.1f} mm (99 %); "
@@ -264,10 +259,8 @@ def _book(robot: Robot, file: str) -> KeyPoses:
     from robot_ik.motion import KeyPoses
 
     path = Path(file) if file else robot.folder / "poses.toml"
-    if not file and not path.is_file():
-        raise wrong(
-            "--file", f"no key poses ship with {robot.name!r}", "a file", "robot-ik poses record makes one"
-        )
+    none = f"no key poses ship with {robot.name!r}"
+    require(bool(file) or path.is_file(), "--file", none, "a file", "robot-ik poses record makes one")
     return KeyPoses.load(path, robot)
 
 
@@ -279,28 +272,23 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
         return Keyframes.load_csv(name, robot)
     book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
-    if name not in known:
-        allowed = f"{', '.join(known[:20])}, or a .csv file"
-        raise wrong("motion", f"there is no {name!r}", allowed, _close(name, known))
+    allowed = f"{', '.join(known[:20])}, or a .csv file"
+    require(name in known, "motion", f"there is no {name!r}", allowed, _close(name, known))
     return book.motion(name, speed=options.speed)
 
 
 def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
     """Where recording begins."""
     from robot_ik.motion import Keyframes
-    from robot_ik.motion.keyframes import qpos_addresses
+    from robot_ik.motion.key_poses import named_poses
 
     if options.frames:
         return Keyframes.load_csv(options.frames, robot).at(options.at)
     if not options.begin:
         return np.array(robot.home)
-    places, keys = qpos_addresses(robot), [robot.model.key(k) for k in range(robot.model.nkey)]
-    known = {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
-    if options.begin not in known:
-        raise wrong(
-            "--begin", f"there is no pose {options.begin!r}", ", ".join(known), _close(options.begin, known)
-        )
-    return known[options.begin]
+    known, name = named_poses(robot, book), options.begin
+    require(name in known, "--begin", f"there is no pose {name!r}", ", ".join(known), _close(name, known))
+    return known[name]
 
 
 def _close(name: str, known: Iterable[str]) -> str:
@@ -308,16 +296,9 @@ def _close(name: str, known: Iterable[str]) -> str:
     return f"did you mean {close[0]!r}?" if close else ""
 
 
-_FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
-
-
 def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
-    """The pose near ``q`` (nq,) that brings frames to the positions of ``FRAME X Y Z`` arguments.
-
-    The other feet stay where they are.  None: out of reach.
-    """
-    from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
-    from robot_ik.inverse_kinematics import solve
+    """The pose that brings frames to the positions of ``FRAME X Y Z`` arguments; None: out of reach."""
+    from robot_ik.motion.key_poses import pose_reaching
 
     if not arguments or len(arguments) % 4:
         raise wrong("--reach", f"{len(arguments)} arguments", "FRAME X Y Z, once or more")
@@ -328,40 +309,26 @@ def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
         except ValueError:
             raise wrong("--reach", " ".join(arguments[first : first + 4]), "FRAME X Y Z, metres") from None
         positions[arguments[first]] = (x, y, z)
-    goals: list[Goal] = [PositionGoal(frame, position) for frame, position in positions.items()]
-    feet = [frame for frame in robot.file.tools if frame.endswith(_FEET) and frame not in positions]
-    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
-    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
-    return np.array(found.q) if found.converged else None
+    return pose_reaching(robot, q, positions)
 
 
 def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
-    """The pose (nq,) with the joints of ``JOINT=DEGREES`` (of a slide: ``=METRES``) arguments."""
+    """The pose with the joints of ``JOINT=DEGREES`` arguments."""
     from robot_ik.errors import UnknownJointError
-    from robot_ik.kernels.tree import HINGE, SLIDE
+    from robot_ik.motion.key_poses import with_joint
 
-    q = np.array(q)
     for item in items:
         joint, _, text = item.partition("=")
         try:
-            value = float(text)
+            q = with_joint(robot, q, joint, float(text))
+        except UnknownJointError:
+            raise
         except ValueError:
-            value = np.nan
-        if np.isfinite(value) and joint not in robot.joints:
-            raise UnknownJointError(joint, robot.joints)
-        kind = robot.tree.kind[robot.joints.index(joint)] if np.isfinite(value) else None
-        if kind not in (HINGE, SLIDE):
-            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES")
-        q[robot.tree.qadr[robot.joints.index(joint)]] = np.radians(value) if kind == HINGE else value
+            raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES") from None
     return q
 
 
-def _writable(name: str, endings: Sequence[str], overwrite: bool) -> Path:
+def _out(name: str, *endings: str) -> Path:
     path = Path(name)
-    if path.suffix not in endings:
-        raise wrong("out", f"{name!r} is not right", " or ".join(endings))
-    if path.exists() and not overwrite:
-        raise OutputError(
-            f"{path} exists, and stays as it is", hint="choose another name, or give --overwrite"
-        )
+    require(path.suffix in endings, "out", f"{name!r} is not right", " or ".join(endings))
     return path

@@ -1,11 +1,11 @@
-"""``robot-ik robots`` and ``robot-ik solvers``: what there is, from the model folders and ``SOLVERS``."""
+"""``robot-ik robots``, ``solvers`` and ``doctor``: what there is, and what this machine can do."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +13,10 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
+from robot_ik.cli.arguments import Json, single
+from robot_ik.environment import NOTE, OK, PROBLEM
 from robot_ik.errors import ConfigError
+from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.jobs.gallery import Portrait
@@ -33,7 +36,7 @@ class RobotsOptions:
     Any MJCF or URDF file works as well: robot-ik robots path/to/arm.xml
     """
 
-    robot: Positional[Annotated[str, arg(metavar="[NAME|PATH]", help_behavior_hint="")]] = ""
+    robot: Positional[Annotated[str, single("[NAME|PATH]")]] = ""
     """Robot to show with its joints, limits and frames; without it, all are listed."""
     gallery: Annotated[
         tuple[str, ...] | None,
@@ -44,18 +47,16 @@ class RobotsOptions:
     """The folder of --gallery may hold pictures of these names: they are replaced."""
     seed: int = 0
     """Of the drawn poses at work."""
-    json: bool = False
-    """Print one JSON object instead of tables."""
+    json: Json = False
 
 
 @dataclass(frozen=True)
 class SolversOptions:
     """Lists the methods, or shows one with its options, their ranges and units."""
 
-    solver: Positional[Annotated[str, arg(metavar="[NAME]", help_behavior_hint="")]] = ""
+    solver: Positional[Annotated[str, single("[NAME]")]] = ""
     """Method to show; without it, all are listed."""
-    json: bool = False
-    """Print one JSON object instead of tables."""
+    json: Json = False
 
 
 # ----------------------------------------------------------------------------------- robots
@@ -64,9 +65,7 @@ class SolversOptions:
 def run_robots(options: RobotsOptions) -> int:
     """Prints the catalogue, or one robot, or draws them."""
     if options.gallery is not None:
-        return run_gallery(
-            options.robot, options.gallery, options.seed, json=options.json, overwrite=options.overwrite
-        )
+        return _gallery(options, options.gallery)
     if options.robot:
         from robot_ik.robot import load_robot
 
@@ -80,18 +79,22 @@ def run_robots(options: RobotsOptions) -> int:
     if options.json:
         console.print_json({"schema": SCHEMA, "robots": rows})
         return console.DONE
-    shown = console.table("name", "title", "joints", "tools (default first)", "arm file")
-    for row in rows:
-        tools, arm = ", ".join(row["tools"]), "yes" if row["arm_file"] else "no"
-        shown.add_row(row["name"], Text(row["title"]), str(len(row["joints"])), tools, arm)
-    console.out().print(shown)
+    cells = [
+        (row["name"], row["title"], len(row["joints"]), ", ".join(row["tools"]), _yes(row["arm_file"]))
+        for row in rows
+    ]
+    console.show(console.table("name", "title", "joints", "tools (default first)", "arm file", rows=cells))
     console.say("one in detail: robot-ik robots NAME", "dim")
     return console.DONE
 
 
+def _yes(value: object) -> str:
+    return "yes" if value else "no"
+
+
 def catalogue_facts() -> list[dict[str, Any]]:
     """One row for each robot that comes along, from its files; MuJoCo is not asked."""
-    from robot_ik.robot_file import catalogue, read_robot_file
+    from robot_ik.robot_file import read_robot_file
 
     rows = []
     for name, folder in catalogue().items():
@@ -124,18 +127,18 @@ def robot_facts(robot: Robot) -> dict[str, Any]:
         "schema": SCHEMA,
         "name": robot.name,
         "title": robot.file.title,
-        "path": str(robot.path),
-        "arm_file": str(robot.arm_file) if robot.arm_file else None,
+        "path": robot.path,
+        "arm_file": robot.arm_file or None,
         "tool": robot.tool,
         "frames": {name: about_frame(robot, name) for name in robot.frames},
-        "joints": list(robot.joints),
+        "joints": robot.joints,
         "kinds": joint_kinds(robot),
         "lower": robot.lower,
         "upper": robot.upper,
         "home": robot.home,
         "velocity": robot.velocity,
         "acceleration": robot.acceleration,
-        "sources": list(robot.file.sources),
+        "sources": robot.file.sources,
     }
 
 
@@ -154,18 +157,15 @@ def joint_kinds(robot: Robot) -> list[str]:
 
 
 def _print_robot(robot: Robot) -> None:
-    screen = console.out()
-    head = console.table(robot.name, robot.file.title)
-    head.add_row("model", Text(str(robot.path)))
-    head.add_row("arm file", Text(str(robot.arm_file or "none")))
-    for name in robot.file.tools:
-        default = " (default)" if name == robot.tool else ""
-        head.add_row("tool", Text(f"{name}{default}: {about_frame(robot, name)}"))
+    shown_as = {name: f"{name} (default)" if name == robot.tool else name for name in robot.frames}
     others = [name for name in robot.frames if name not in robot.file.tools]
-    head.add_row("frames", Text(", ".join(f"{f} (default)" if f == robot.tool else f for f in others)))
-    screen.print(head)
-    screen.print()
-    shown = console.table("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
+    head = [
+        ("model", robot.path),
+        ("arm file", robot.arm_file or "none"),
+        *(("tool", f"{shown_as[name]}: {about_frame(robot, name)}") for name in robot.file.tools),
+        ("frames", ", ".join(shown_as[name] for name in others)),
+    ]
+    rows = []
     at_q = at_v = 0
     for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
         rotary = kind in ("hinge", "ball")
@@ -173,10 +173,13 @@ def _print_robot(robot: Robot) -> None:
         speeds = [_number(values[at_v], rotary) for values in (robot.velocity, robot.acceleration)]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
-        shown.add_row(name, kind, *limits, home, *speeds, "deg" if rotary else "m")
+        rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))
         at_q += {"free": 7, "ball": 4}.get(kind, 1)
         at_v += {"free": 6, "ball": 3}.get(kind, 1)
-    screen.print(shown)
+    columns = ("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
+    console.show(
+        console.table(robot.name, robot.file.title, rows=head), "", console.table(*columns, rows=rows)
+    )
     console.say("in SI units and with every digit: --json", "dim")
 
 
@@ -204,10 +207,8 @@ def run_solvers(options: SolversOptions) -> int:
     if options.json:
         console.print_json({"schema": SCHEMA, "auto": SOLVERS["auto"].name, "solvers": rows})
         return console.DONE
-    shown = console.table("name", "method", "goals", "options")
-    for row in rows:
-        shown.add_row(row["name"], Text(row["title"]), goals_text(row), str(len(row["options"])))
-    console.out().print(shown)
+    cells = [(row["name"], row["title"], goals_text(row), len(row["options"])) for row in rows]
+    console.show(console.table("name", "method", "goals", "options", rows=cells))
     console.say(f"auto chooses {SOLVERS['auto'].name}; the options of one: robot-ik solvers NAME", "dim")
     return console.DONE
 
@@ -222,7 +223,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
             "default": None if field.default is MISSING else field.default,
             "low": field.metadata.get("low"),
             "high": field.metadata.get("high"),
-            "choices": list(field.metadata.get("choices", ())),
+            "choices": field.metadata.get("choices", ()),
             "unit": field.metadata.get("unit", ""),
             "help": field.metadata.get("help", ""),
         }
@@ -248,21 +249,23 @@ def goals_text(facts: dict[str, Any]) -> str:
 
 
 def _print_solver(facts: dict[str, Any]) -> None:
-    screen = console.out()
-    head = console.table(facts["name"], facts["title"])
-    head.add_row("goals", goals_text(facts))
-    head.add_row("parts of a pose", "yes" if facts["parts"] else "no")
-    head.add_row("capabilities", ", ".join(facts["capabilities"]) or "nothing more")
-    head.add_row("source", Text(facts["source"]))
-    screen.print(head)
-    screen.print()
-    shown = console.table("option", "default", "range", "unit", "meaning")
+    head = (
+        ("goals", goals_text(facts)),
+        ("parts of a pose", _yes(facts["parts"])),
+        ("capabilities", ", ".join(facts["capabilities"]) or "nothing more"),
+        ("source", facts["source"]),
+    )
+    rows = []
     for row in facts["options"]:
         bounded = row["low"] is not None
         span = f"{row['low']:g} … {row['high']:g}" if bounded else " | ".join(row["choices"]) or UNBOUNDED
-        default = f"{row['default']:g}" if isinstance(row["default"], float) else str(row["default"])
-        shown.add_row(row["name"], default, span, row["unit"] or "-", Text(row["help"]))
-    screen.print(shown)
+        default = f"{row['default']:g}" if isinstance(row["default"], float) else row["default"]
+        rows.append((row["name"], default, span, row["unit"] or "-", row["help"]))
+    console.show(
+        console.table(facts["name"], facts["title"], rows=head),
+        "",
+        console.table("option", "default", "range", "unit", "meaning", rows=rows),
+    )
     console.say(f"use them with: robot-ik solve --solver {facts['name']} --set NAME=VALUE …", "dim")
 
 
@@ -271,73 +274,117 @@ def _print_solver(facts: dict[str, Any]) -> None:
 
 
 def gallery_folder(arguments: Sequence[str]) -> str:
-    """Where the pictures go; empty: to a new folder.
-
-    Args:
-        arguments: What stood after ``--gallery``: nothing, or a folder.
+    """Where the pictures go, of what stood after ``--gallery``; empty: to a new folder.
 
     Raises:
         ConfigError: More than one argument, or a robot's name, which belongs before the option.
     """
-    from robot_ik.robot_file import catalogue
-
     if len(arguments) > 1:
         raise ConfigError(
             f"{len(arguments)} arguments after --gallery: {' '.join(arguments)}",
             file="robot-ik robots", key="--gallery", allowed="one folder, or nothing",
             hint="one robot alone: robot-ik robots NAME --gallery [FOLDER]",
         )  # fmt: skip
-    if arguments and arguments[0] in catalogue() and not Path(arguments[0]).exists():
+    folder = arguments[0] if arguments else ""
+    if folder in catalogue() and not Path(folder).exists():
         raise ConfigError(
-            f"{arguments[0]!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
+            f"{folder!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
             allowed="a folder, or nothing",
-            hint=f"this robot alone: robot-ik robots {arguments[0]} --gallery; "
-            f"a folder so named: ./{arguments[0]}",
+            hint=f"this robot alone: robot-ik robots {folder} --gallery; a folder so named: ./{folder}",
         )  # fmt: skip
-    return arguments[0] if arguments else ""
+    return folder
 
 
-def run_gallery(robot: str, arguments: Sequence[str], seed: int, *, json: bool, overwrite: bool) -> int:
+def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
     """Draws one robot, or all; 0 done, 1 some robot does not reach what it is drawn reaching for."""
     folder = gallery_folder(arguments)
     from robot_ik.jobs.gallery import draw_gallery
     from robot_ik.jobs.results import results_folder
     from robot_ik.robot import load_robot
-    from robot_ik.robot_file import catalogue
 
-    robots = [load_robot(name) for name in ([robot] if robot else catalogue())]
+    robots = [load_robot(name) for name in ([options.robot] if options.robot else catalogue())]
     own = [f"{one.name}.png" for one in robots] + ["gallery.png"]
-    with results_folder(folder, "gallery", own, overwrite=overwrite) as path, console.progress() as bar:
+    kept = results_folder(folder, "gallery", own, overwrite=options.overwrite)
+    with kept as path, console.progress() as bar:
         task = bar.add_task("drawing", total=len(robots), note="")
         portraits, files = draw_gallery(
-            robots, path, seed, progress=lambda name, k: bar.update(task, completed=k, note=name)
+            robots, path, options.seed, lambda name, k: bar.update(task, completed=k, note=name)
         )
-    if json:
-        rows = [_facts(portrait, file) for portrait, file in zip(portraits, files, strict=False)]
-        console.print_json({"schema": SCHEMA, "robots": rows, "sheet": str(files[-1])})
+    drawn = list(zip(portraits, files, strict=False))
+    if options.json:
+        rows = [_portrait_facts(portrait, file) for portrait, file in drawn]
+        console.print_json({"schema": SCHEMA, "robots": rows, "sheet": files[-1]})
     else:
-        _print(portraits, files)
-    return console.DONE if all(p.solution.converged for p in portraits) else console.NOT_ACHIEVED
+        cells = [(one.robot.name, *one.captions, _met(one), one.solution.solver, file) for one, file in drawn]
+        console.show(console.table("name", "at home", "at work", "goals", "solver", "file", rows=cells))
+        console.result(f"all on one sheet: {files[-1]}")
+    return console.DONE if all(one.solution.converged for one in portraits) else console.NOT_ACHIEVED
 
 
-def _facts(portrait: Portrait, file: Path) -> dict[str, object]:
+def _met(portrait: Portrait) -> str:
+    return "met" if portrait.solution.converged else f"missed: {portrait.solution.status.name}"
+
+
+def _portrait_facts(portrait: Portrait, file: Path) -> dict[str, object]:
     solution = portrait.solution
     return {
         "name": portrait.robot.name,
-        "poses": list(portrait.captions),
+        "poses": portrait.captions,
         "status": solution.status.name,
         "solver": solution.solver,
         "miss_m": solution.miss.position,
         "miss_rad": solution.miss.angle,
-        "file": str(file),
+        "file": file,
     }
 
 
-def _print(portraits: Sequence[Portrait], files: Sequence[Path]) -> None:
-    shown = console.table("name", "at home", "at work", "goals", "solver", "file")
-    for portrait, file in zip(portraits, files, strict=False):
-        solution = portrait.solution
-        met = "met" if solution.converged else f"missed: {solution.status.name}"
-        shown.add_row(portrait.robot.name, *portrait.captions, met, solution.solver, str(file))
-    console.out().print(shown)
-    console.result(f"all on one sheet: {files[-1]}")
+# ------------------------------------------------------------------------------------------
+# ``robot-ik doctor``: one table of what this machine can do, with what to do about the rest.
+
+
+_STYLE = {OK: "green", NOTE: "yellow", PROBLEM: "bold red"}
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """Looks at this machine: versions, OpenGL, display, serial ports, cameras; with --bus at servos, too.
+
+    Takes a few seconds, moves nothing, opens no serial port but that of --bus. OpenGL, the display and the
+    cameras are tried in child processes. Exit code 0 when everything that robot_ik needs works, else 2;
+    notes are about things that you may never need.
+    """
+
+    bus: Annotated[str, single("PORT", "none")] = ""
+    """Also ask the servos on this port: who is missing or doubled, firmware, supply, errors, delays."""
+    arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
+    """For --bus: which servos should be there (an arm file, or a robot that has one)."""
+    json: Json = False
+
+
+def run_doctor(options: DoctorOptions) -> int:
+    """Prints the report; 0 when nothing required is broken, else 2."""
+    from robot_ik.jobs.doctor import CHECKS, run_checks
+
+    config = None
+    if options.bus:
+        from robot_ik.cli.connection import load_arm
+
+        config = load_arm(options.arm)  # a wrong name is reported at once
+    with console.busy("looking at this machine"):
+        rows = run_checks(CHECKS)
+    if config is not None:
+        from robot_ik.hardware.health import servo_rows
+
+        with console.busy(f"asking the servos on {options.bus}"):
+            rows += servo_rows(options.bus, config)
+    problems = sum(row.status == PROBLEM for row in rows)
+    if options.json:
+        console.print_json({"schema": SCHEMA, "ok": not problems, "rows": [asdict(row) for row in rows]})
+    else:
+        cells = [(row.what, Text(row.status, style=_STYLE[row.status]), row.found, row.do) for row in rows]
+        verdict = f"{problems} problem(s): see what to do" if problems else "nothing required is broken"
+        style = "bold red" if problems else "green"
+        console.show(
+            console.table("what", "is", "found", "what to do", rows=cells), Text(f"\n{verdict}", style=style)
+        )
+    return console.WRONG_INPUT if problems else console.DONE

@@ -7,13 +7,12 @@ import importlib
 import os
 import signal
 import sys
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from robot_ik.cli.console import prepare_streams
+from robot_ik.cli import console
 from robot_ik.errors import OutputError, close_matches, unknown_name_text
 
 # ------------------------------------------------------------------------------------------
@@ -54,11 +53,9 @@ ROWS: dict[str, tuple[str, str]] = {
         "bench_camera", "the camera instead of the methods: errors on pictures whose truth is known"
     ),
     "bench figure": (
-        "bench_figure", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
+        "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
     ),
-    "bench page": (
-        "bench_page", "the testbed's page instead of the methods: its loop, its drawing, its start"
-    ),
+    "bench page": ("bench", "the testbed's page instead of the methods: its loop, its drawing, its start"),
     "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),
@@ -81,7 +78,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "servo backup": ("servo_bus", "save the control tables as JSON"),
     "servo restore": ("servo_bus", "put the EEPROM back as a backup has it"),
     "teleop": ("teleop", "lead an arm by another one, or by the keys of this terminal"),
-    "stop": ("stop", "make an arm that another program drives stop and hold"),
+    "stop": ("servo_motion", "make an arm that another program drives stop and hold"),
     "ar": ("ar", "the virtual robot in a camera's pictures, on a printed board"),
     "figure": ("figure", "a humanoid sees a ball, decides, and reaches, bends, jumps or walks"),
     "camera": ("", "the camera by hand: find, print markers, calibrate, detect, locate"),
@@ -92,8 +89,8 @@ ROWS: dict[str, tuple[str, str]] = {
     "camera locate": ("camera", "where the camera stands, from a board whose pose is known"),
     "camera handeye": ("arm_camera", "where the camera is mounted, by moving the arm"),
     "camera verify": ("camera_verify", "how far the arm is from where its joints say"),
-    "video": ("video", "a film of the testbed without a screen, from its command log"),
-    "doctor": ("doctor", "what this machine can do, and what to do about the rest"),
+    "video": ("view", "a film of the testbed without a screen, from its command log"),
+    "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
 # They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
 _WITHOUT_MUJOCO = ("sim-bus", "servo", "stop", "camera", "doctor")
@@ -122,14 +119,11 @@ COMMANDS = {name: _row(name, *row) for name, row in ROWS.items() if " " not in n
 def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
     """The row that a command line means, as deep as its arguments lead.
 
-    Args:
-        arguments: Command line without ``robot-ik``; the first argument is a name of ``COMMANDS``.
-
     Returns:
         Its name ("servo scan"), its row, and the arguments that are left for it.
 
     Raises:
-        KeyError: There is no such command.
+        KeyError: The first argument is no name of ``COMMANDS``.
     """
     name, command, rest = arguments[0], COMMANDS[arguments[0]], list(arguments[1:])
     while rest and rest[0] in command.subcommands:
@@ -147,14 +141,7 @@ class Terminated(BaseException):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command line.
-
-    Args:
-        argv: Arguments without the program's name; ``None`` takes those of the process.
-
-    Returns:
-        The exit code: 0 done; 1 tried, not achieved; 2 wrong input or environment; 130 interrupted.
-    """
+    """Runs one command line (of the process if ``None``) and returns its exit code, see ``console``."""
     # Before a command imports NumPy: its matrices are small, OpenBLAS's threads would wait for each other.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     arguments = list(sys.argv[1:] if argv is None else argv)
@@ -163,7 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.remove("--debug")
         debug = True
     try:
-        if not prepare_streams():
+        if not console.prepare_streams():
             raise OutputError("standard output is closed, so results have nowhere to go")
         code = _dispatch(arguments, debug=debug)
         sys.stdout.flush()
@@ -174,15 +161,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + signal.SIGPIPE if hasattr(signal, "SIGPIPE") else 1
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else (0 if stop.code is None else 2)
-    except (KeyboardInterrupt, Terminated) as stop:
-        from robot_ik.cli import console
-
-        interrupted = isinstance(stop, KeyboardInterrupt)
-        console.say("interrupted" if interrupted else "terminated", "yellow")
-        return console.INTERRUPTED if interrupted else console.TERMINATED
+    except KeyboardInterrupt:
+        console.say("interrupted", "yellow")
+        return console.INTERRUPTED
+    except Terminated:
+        console.say("terminated", "yellow")
+        return console.TERMINATED
     except Exception as error:  # the last place where an error can become an exit code
-        from robot_ik.cli import console
-
         console.show_error(error, debug=debug)
         return console.exit_code(error)
 
@@ -214,19 +199,18 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
         _print_group(name, command)
         return 0
     what = f"subcommand of {name}"
-    asked = next((argument for argument in rest if not argument.startswith("-")), "") if rest else ""
     inner = next((argument for argument in rest if argument in command.subcommands), None)
     if not rest:
         text = f"which {what}? There are: {', '.join(command.subcommands)}."
     elif inner:
         text = f"options stand behind the subcommand: robot-ik {name} {inner} {rest[0]} …"
     else:
-        text = unknown_name_text(what, asked or rest[0], list(command.subcommands))
+        asked = next((argument for argument in rest if not argument.startswith("-")), rest[0])
+        text = unknown_name_text(what, asked, list(command.subcommands))
     return _report_wrong(text, f"robot-ik {name} --help")
 
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
-    from robot_ik.cli import console
     from robot_ik.cli.arguments import parse
 
     asks_help = any(flag in arguments for flag in _HELP_FLAGS)
@@ -236,26 +220,13 @@ def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -
         import_mujoco()  # with this variable the import itself can fail: say so before anything else does
     module = importlib.import_module(command.module)
     options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
-    with console.logs_shown(debug=debug), _terminable():
+    with console.logs_shown(debug=debug), console.on_signals(_terminate, signal.SIGTERM):
         code: int = getattr(module, command.run)(options)
     return code
 
 
-@contextlib.contextmanager
-def _terminable() -> Iterator[None]:
-    """Makes SIGTERM unwind the stack as Ctrl-C does, while inside."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
 
 
 def _silence_stdout() -> None:
@@ -270,62 +241,47 @@ def _unknown(name: str) -> int:
         text = unknown_name_text("command", name, list(COMMANDS))
     else:
         close = close_matches(name, ["--help", "--version", "--debug"])
-        text = f"unknown option {name!r} before the command" + (
-            f"; did you mean {close[0]!r}?" if close else ""
-        )
+        meant = f"; did you mean {close[0]!r}?" if close else ""
+        text = f"unknown option {name!r} before the command{meant}"
     return _report_wrong(text, "robot-ik --help")
 
 
 def _report_wrong(text: str, see: str) -> int:
-    from robot_ik.cli import console
-
     console.say(f"error: {text}", "bold red")
     console.say(f"see all commands with: {see}", "cyan")
     return console.WRONG_INPUT
 
 
 def _print_group(name: str, command: CommandRow) -> None:
-    from robot_ik.cli import console
-
-    screen = console.out()
-    screen.print(f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]", markup=False)
-    screen.print(f"\n{command.about[0].upper()}{command.about[1:]}.\n", markup=False)
-    rows = console.table("subcommand", "what it does")
-    for subcommand, row in command.subcommands.items():
-        rows.add_row(subcommand, row.about)
-    screen.print(rows)
-    first = next(iter(command.subcommands))
-    screen.print(f"\nEach explains itself:  robot-ik {name} {first} --help", markup=False)
+    rows = [(subcommand, row.about) for subcommand, row in command.subcommands.items()]
+    console.show(
+        f"usage: robot-ik {name} SUBCOMMAND [OPTIONS]",
+        f"\n{command.about[0].upper()}{command.about[1:]}.\n",
+        console.table("subcommand", "what it does", rows=rows),
+        f"\nEach explains itself:  robot-ik {name} {rows[0][0]} --help",
+    )
 
 
 def _print_help() -> None:
-    from robot_ik.cli import console
-
-    screen = console.out()
-    screen.print("usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help", markup=False)
-    screen.print("From a robot model and a goal to joint angles, on simulated or real servos.\n")
-    rows = console.table("command", "what it does")
-    for name, command in COMMANDS.items():
-        rows.add_row(name, command.about)
-    screen.print(rows)
-    others = console.facts(
-        ("--version", "versions of robot_ik and of what it stands on"),
-        ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
+    rows = [(name, command.about) for name, command in COMMANDS.items()]
+    console.show(
+        "usage: robot-ik COMMAND [OPTIONS]        robot-ik COMMAND --help",
+        "From a robot model and a goal to joint angles, on simulated or real servos.\n",
+        console.table("command", "what it does", rows=rows),
+        console.facts(
+            ("--version", "versions of robot_ik and of what it stands on"),
+            ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
+        ),
+        "Start with:  robot-ik reach, or robot-ik view",
+        "Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment",
     )
-    screen.print(others)
-    screen.print("Start with:  robot-ik reach, or robot-ik view", markup=False)
-    screen.print("Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment", markup=False)
 
 
 def _print_versions() -> None:
-    from robot_ik.cli import console
     from robot_ik.environment import installed_versions
 
-    rows = console.table("package", "version")
-    for name, version in installed_versions().items():
-        rows.add_row(name, version or "not installed")
-    rows.add_row("python", sys.version.split()[0])
-    console.out().print(rows)
+    rows = [(name, version or "not installed") for name, version in installed_versions().items()]
+    console.show(console.table("package", "version", rows=[*rows, ("python", sys.version.split()[0])]))
 
 
 if __name__ == "__main__":

@@ -12,16 +12,20 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import (
+    XYZ_WXYZ,
     ArmFile,
+    Json,
     Lens,
     RecordFile,
     joint_degrees,
     optional_path,
     pose_option,
+    request_of,
+    require,
     require_share,
     robot_argument,
     several,
-    wrong,
+    single,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
@@ -33,7 +37,7 @@ from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
     from robot_ik.jobs.reach import ReachReport, ReachRequest
-    from robot_ik.jobs.robot_setup import JointLimits, Rehearsal
+    from robot_ik.jobs.robot_setup import JointLimits
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,7 @@ class RehearseOptions:
     """Hide the gripper's markers when the camera looks again."""
     blank_marker: bool = False
     """Leave the target's paper white."""
-    marker_at: Annotated[tuple[float, ...], arg(metavar="X Y Z [YAW_DEG]", help_behavior_hint="")] = ()
+    marker_at: Annotated[tuple[float, ...], single("X Y Z [YAW_DEG]")] = ()
     """Put the printed marker elsewhere: metres in the world, and degrees about the vertical."""
 
 
@@ -67,31 +71,24 @@ class ReachOptions:
     """
 
     robot: Annotated[str, robot_argument(_DEFAULT_ROBOT)] = ""
-    solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
+    solver: Annotated[str, single(None, "the robot's own")] = ""
     """Method: see `robot-ik solvers`."""
-    goal: Annotated[
-        tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(default: by camera)")
-    ] = ()
+    goal: Annotated[tuple[float, ...], single(XYZ_WXYZ, "by camera")] = ()
     """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
-    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    frame: Annotated[str, single(None, "the robot's tool")] = ""
     """What shall get there: a tool, site or body of the robot."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
     intrinsics: Lens = ""
-    camera_pose: Annotated[
-        tuple[float, ...],
-        arg(metavar="X Y Z W X Y Z", help_behavior_hint="(default: where the synthetic one stands)"),
-    ] = ()
+    camera_pose: Annotated[tuple[float, ...], single("X Y Z W X Y Z", "where the synthetic one stands")] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
-    camera_extrinsics: Annotated[
-        str, arg(metavar="FILE.toml", help_behavior_hint="(default: --camera-pose)")
-    ] = ""
+    camera_extrinsics: Annotated[str, single("FILE.toml", "--camera-pose")] = ""
     """The same from a file of `robot-ik camera locate` or `camera handeye`."""
-    marker: Annotated[int | None, arg(metavar="ID", help_behavior_hint="(default: the scene's)")] = None
+    marker: Annotated[int | None, single("ID", "the scene's")] = None
     """Which marker to reach; no other ever becomes a goal."""
-    marker_size: Annotated[float | None, arg(metavar="M", help_behavior_hint="(default: the scene's)")] = None
+    marker_size: Annotated[float | None, single("M", "the scene's")] = None
     """Side of its black square, metres; needed for a real camera."""
-    dictionary: Annotated[str, arg(metavar="NAME", help_behavior_hint="(default: the scene's)")] = ""
+    dictionary: Annotated[str, single("NAME", "the scene's")] = ""
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, bus_argument(none=True)] = "pty"
     arm: ArmFile = ""
@@ -113,15 +110,14 @@ class ReachOptions:
     """Mirror the motion in MuJoCo's window; it stays until you close it."""
     film: bool = False
     """Also write reach.mp4: the motion as the scene's camera sees it (extra `video`)."""
-    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/<time>-reach)")] = ""
+    out: Annotated[str, single("DIR", "runs/<time>-reach")] = ""
     """Where reach.png, trajectory.csv and summary.json go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
     record: RecordFile = None
     seed: int = 0
     """Of random restarts and of the synthetic camera's noise."""
-    json: bool = False
-    """Print the summary as JSON on stdout instead of the table."""
+    json: Json = False
     rehearse: RehearseOptions = field(default_factory=RehearseOptions)
 
 
@@ -129,13 +125,12 @@ def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     import_mujoco()
     request = make_request(options)
+    from robot_ik.jobs.ar.output import require_films
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import FILES
     from robot_ik.jobs.results import results_folder
 
     if options.film:
-        from robot_ik.jobs.ar.output import require_films
-
         require_films("a film of the reach")
     # Before anything moves: a run whose results cannot be kept is not started.
     with (
@@ -153,12 +148,10 @@ def run(options: ReachOptions) -> int:
 
 
 def _save_and_print(report: ReachReport, folder: Path, options: ReachOptions) -> None:
-    from robot_ik.jobs.reach_files import reach_summary, save_reach
+    from robot_ik.jobs.reach_files import reach_summary, save_film, save_reach
 
     files = save_reach(report, folder)
     if options.film:
-        from robot_ik.jobs.reach_files import save_film
-
         with console.busy("drawing the film"):
             film = save_film(report, folder / "reach.mp4")
         files += [] if film is None else [film]
@@ -175,86 +168,60 @@ def _save_and_print(report: ReachReport, folder: Path, options: ReachOptions) ->
 
 
 def make_request(options: ReachOptions) -> ReachRequest:
-    """The job's request; everything that can be wrong without looking is found here.
+    """The job's request.
 
     Raises:
-        InvalidGoalError, ConfigError: A malformed option.
+        InvalidGoalError, ConfigError: All that can be wrong without looking.
     """
     from robot_ik.jobs.reach import ReachRequest
+    from robot_ik.jobs.robot_setup import Rehearsal
 
     require_share("--speed", options.speed)
-    if not 0.0 < options.seconds < math.inf:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0")
-    if options.film and options.follow:
-        raise wrong("--film", "it shows the way to a goal that stands still", "without --follow")
-    if not 0.0 <= options.lost_after < math.inf:
-        raise wrong("--lost-after", f"{options.lost_after:g} s", "0 or more")
-    if not 0.0 <= options.lead <= 0.2:
-        raise wrong("--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
-    return ReachRequest(
+    require(0.0 < options.seconds < math.inf, "--seconds", f"{options.seconds:g} s", "above 0")
+    still = "it shows the way to a goal that stands still"
+    require(not (options.film and options.follow), "--film", still, "without --follow")
+    require(0.0 <= options.lost_after < math.inf, "--lost-after", f"{options.lost_after:g} s", "0 or more")
+    require(0.0 <= options.lead <= 0.2, "--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
+    rehearse, at = options.rehearse, options.rehearse.marker_at
+    allowed = "3 or 4: x y z in metres, yaw in degrees"
+    require(len(at) in (0, 3, 4), "--rehearse.marker-at", f"{len(at)} numbers", allowed)
+    rehearsal = request_of(
+        Rehearsal,
+        rehearse,
+        zero_offset_deg=joint_degrees("--rehearse.zero-offset", rehearse.zero_offset),
+        marker_at=(*at, 0.0)[:4] if at else None,
+    )
+    return request_of(
+        ReachRequest,
+        options,
         robot=options.robot or resolved_robot(options.arm, options.bus),
-        solver=options.solver,
         goal=make_goal(options.goal, options.frame) if options.goal else None,
         frame=options.frame or None,
-        camera=options.camera,
         intrinsics=optional_path(options.intrinsics),
         pose_world_camera=_camera_pose(options),
         marker_id=options.marker,
-        marker_size=options.marker_size,
         dictionary=options.dictionary or None,
-        bus=options.bus,
         arm_file=optional_path(options.arm),
-        speed=options.speed,
-        line=options.line,
-        record=options.record,
         follow=options.seconds if options.follow else 0.0,
-        when_lost=options.when_lost,
-        lost_after=options.lost_after,
-        lead=options.lead,
-        view=options.view,
-        seed=options.seed,
-        rehearsal=_rehearsal(options.rehearse),
+        rehearsal=rehearsal,
     )
 
 
 def _camera_pose(options: ReachOptions) -> Pose | None:
-    numbers = options.camera_pose
-    if options.camera_extrinsics:
-        if numbers or not options.intrinsics:
-            what = (
-                "an extrinsics file and a pose" if numbers else "an extrinsics file without its calibration"
-            )
-            raise wrong("--camera-extrinsics", what, "with --intrinsics FILE and without --camera-pose")
-        from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-        from robot_ik.camera.intrinsics import CameraIntrinsics
+    numbers, file = options.camera_pose, options.camera_extrinsics
+    if not file:
+        seven = "7: x y z in metres, then w x y z"
+        require(len(numbers) in (0, 7), "--camera-pose", f"{len(numbers)} numbers", seven)
+        return pose_option(numbers, "--camera-pose")
+    what = "an extrinsics file " + ("and a pose" if numbers else "without its calibration")
+    allowed = "with --intrinsics FILE and without --camera-pose"
+    require(bool(options.intrinsics) and not numbers, "--camera-extrinsics", what, allowed)
+    from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
+    from robot_ik.camera.intrinsics import CameraIntrinsics
 
-        extrinsics = CameraExtrinsics.load(
-            options.camera_extrinsics, CameraIntrinsics.load(options.intrinsics)
-        )
-        extrinsics.require_parent("world")
-        return extrinsics.pose_parent_camera
-    if numbers and len(numbers) != 7:
-        raise wrong("--camera-pose", f"{len(numbers)} numbers", "7: x y z in metres, then w x y z")
-    return pose_option(numbers, "--camera-pose")
-
-
-def _rehearsal(options: RehearseOptions) -> Rehearsal:
-    from robot_ik.jobs.robot_setup import Rehearsal
-
-    numbers = options.marker_at
-    if numbers and len(numbers) not in (3, 4):
-        allowed = "3 or 4: x y z in metres, yaw in degrees"
-        raise wrong("--rehearse.marker-at", f"{len(numbers)} numbers", allowed)
-    marker_at = (
-        (numbers[0], numbers[1], numbers[2], numbers[3] if len(numbers) == 4 else 0.0) if numbers else None
-    )
-    return Rehearsal(
-        zero_offset_deg=joint_degrees("--rehearse.zero-offset", options.zero_offset),
-        stuck=options.stuck,
-        cover_gripper=options.cover_gripper,
-        blank_marker=options.blank_marker,
-        marker_at=marker_at,
-    )
+    extrinsics = CameraExtrinsics.load(file, CameraIntrinsics.load(options.intrinsics))
+    extrinsics.require_parent("world")
+    return extrinsics.pose_parent_camera
 
 
 # ------------------------------------------------------------------------------------------
@@ -263,19 +230,20 @@ def _rehearsal(options: RehearseOptions) -> Rehearsal:
 
 def print_report(report: ReachReport) -> None:
     """The compact table of a reach."""
-    screen = console.out()
-    _print_limits(report, screen)
-    rows = console.table("reach", report.robot.file.title or report.robot.name)
-    for name, text in _rows(report):
-        rows.add_row(name, Text(text))
+    limits = [
+        (one.joint, " … ".join(_limit(v, one.unit) for v in one.used), _narrowed(one))
+        for one in report.setup.limits
+    ]
     verdict = report.decision
     outcome = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
-    rows.add_row("result", Text.assemble(outcome, f"  {verdict.text}" if verdict.text else ""))
-    screen.print(rows)
-
-
-def _rows(report: ReachReport) -> list[tuple[str, str]]:
-    return [*_goal_rows(report), *_solve_rows(report), *_motion_rows(report), *_judgement_rows(report)]
+    result = Text.assemble(outcome, f"  {verdict.text}" if verdict.text else "")
+    parts = (_goal_rows, _solve_rows, _motion_rows, _judgement_rows)
+    rows = [*(row for part in parts for row in part(report)), ("result", result)]
+    console.show(
+        console.table("joint", "limits used", "narrowed by", rows=limits),
+        "",
+        console.table("reach", report.robot.file.title or report.robot.name, rows=rows),
+    )
 
 
 def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
@@ -285,11 +253,8 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
         rows.append((f"marker {seen.observation.id}", f"seen at {_mm(seen.pose_world_marker.position)} mm"))
         if seen.true_pose is not None:
             metres, radians = seen.pose_world_marker.distance(seen.true_pose)
-            text = (
-                f"true at {_mm(seen.true_pose.position)} mm; "
-                f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
-            )
-            rows.append(("", text))
+            off = f"seen {1e3 * metres:.2f} mm, {math.degrees(radians):.2f}° off"
+            rows.append(("", f"true at {_mm(seen.true_pose.position)} mm; {off}"))
         elif report.vision is not None:
             pose = seen.observation.pose
             quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
@@ -338,41 +303,25 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
         rows.append(("delay", f"{ready}age of the picture at a tick {used}"))
     if report.counters:
         rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
-        counts = ", ".join(
-            f"{report.counters[name]} {name}"
-            for name in ("cycles", "timeouts", "corrupt", "retries", "alerts")
-        )
-        rows.append((f"bus {_shortened(report.request.bus)}", "; ".join([*rates, counts])))
+        names = ("cycles", "timeouts", "corrupt", "retries", "alerts")
+        counts = ", ".join(f"{report.counters[name]} {name}" for name in names)
+        port = report.request.bus.rsplit("/", 1)[-1]  # the column of names stays narrow
+        rows.append((f"bus {port}", "; ".join([*rates, counts])))
     return rows
-
-
-def _shortened(bus: str) -> str:
-    """The last part of a port's path: the column of names stays narrow."""
-    return bus.rsplit("/", 1)[-1]
 
 
 def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
-    rows = []
-    if report.read_back is not None:
-        judged = report.read_back
-        why = "servo ticks" if report.setup.arm is not None else "tolerance of the solver"
+    rows, servos = [], report.setup.arm is not None
+    if (judged := report.read_back) is not None:
+        why = "servo ticks" if servos else "tolerance of the solver"
         if judged.sigma.position > 0.0:
             why = f"3 σ of the goal + {why}"
         rows.append(("read back", f"{_judged(judged)} ({why})"))
-    if report.by_camera is not None:
-        judged = report.by_camera
-        ticks = "ticks" if report.setup.arm is not None else "tolerance"
+    if (judged := report.by_camera) is not None:
+        ticks = "ticks" if servos else "tolerance"
         sigma = f"σ {1e3 * judged.sigma.position:.2f} mm {math.degrees(judged.sigma.angle):.2f}°"
         rows.append(("camera", f"{_judged(judged)} (3 σ + {ticks}, {sigma})"))
     return rows
-
-
-def _print_limits(report: ReachReport, screen: Any) -> None:
-    rows = console.table("joint", "limits used", "narrowed by")
-    for limit in report.setup.limits:
-        rows.add_row(limit.joint, _range(limit.used, limit.unit), _narrowed(limit))
-    screen.print(rows)
-    screen.print()
 
 
 def _narrowed(limit: JointLimits) -> str:
@@ -383,10 +332,6 @@ def _narrowed(limit: JointLimits) -> str:
         if abs(model - used) > 1e-9
     ]
     return ", ".join(sides) or ("-" if limit.servo is not None else "")
-
-
-def _range(pair: tuple[float, float], unit: str) -> str:
-    return " … ".join(_limit(value, unit) for value in pair)
 
 
 def _limit(value: float, unit: str) -> str:

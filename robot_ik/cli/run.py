@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from rich.text import Text
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import RecordFile, optional_path, robot_argument, wrong
+from robot_ik.cli.arguments import RecordFile, optional_path, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
@@ -35,17 +35,17 @@ class RunOptions:
     Exit code 0: every step passed. 1: one failed. 2: wrong script or environment. 130: interrupted.
     """
 
-    script: Positional[Annotated[str, arg(metavar="[FILE.toml|NAME]", help_behavior_hint="")]] = ""
+    script: Positional[Annotated[str, single("[FILE.toml|NAME]")]] = ""
     """The script, or the name of one that comes along."""
     bus: Annotated[str, bus_argument()] = "sim"
     robot: Annotated[str, robot_argument("the script's")] = ""
-    arm: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint="(default: the script's)")] = ""
+    arm: Annotated[str, single("FILE.toml", "the script's")] = ""
     """Servo ids, signs, zeros and limits."""
-    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the script's)")] = None
+    seed: Annotated[int | None, single("N", "the script's")] = None
     """Of random faults, of restarts and of the synthetic camera's noise."""
-    junit: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    junit: Annotated[Path | None, single("FILE", "none")] = None
     """Write the report as JUnit XML, for build servers."""
-    json: Annotated[Path | None, arg(metavar="FILE|-", help_behavior_hint="(default: none)")] = None
+    json: Annotated[Path | None, single("FILE|-", "none")] = None
     """Write the report as JSON; with - it goes to stdout instead of the table."""
     record: RecordFile = None
     overwrite: bool = False
@@ -61,7 +61,9 @@ def run(options: RunOptions) -> int:
         if options != RunOptions():
             hint = f"scripts that come along: {', '.join(shipped())}"
             raise wrong("FILE.toml|NAME", "no script is named, so nothing was run", "a script", hint)
-        return _list()
+        rows = [(name, load_script(file).content.about) for name, file in shipped().items()]
+        console.show(console.table("script", "what it does", rows=rows))
+        return console.DONE
     script = load_script(find_script(options.script))
     files = [file for file in (options.junit, options.json) if str(file) != "-"]
     if files[0] is not None and len(files) == 2 and files[0] == files[1]:
@@ -99,47 +101,30 @@ def _quiet(bus: str) -> Iterator[None]:
         log.setLevel(before)
 
 
-def _list() -> int:
-    from robot_ik.jobs.script import load_script, shipped
-
-    rows = console.table("script", "what it does")
-    for name, file in shipped().items():
-        rows.add_row(name, load_script(file).content.about)
-    console.out().print(rows)
-    return console.DONE
-
-
 def _report(report: ScriptReport, options: RunOptions) -> None:
     from robot_ik.files import plain, write_atomically
     from robot_ik.jobs.script import json_report
     from robot_ik.jobs.script.report import junit_report
 
-    text = console.json_text(plain(json_report(report))) + "\n"
     if options.junit is not None:
         write_atomically(options.junit, junit_report(report))
-    if options.json is not None and str(options.json) != "-":
-        write_atomically(options.json, text)
     if str(options.json) == "-":
         console.print_json(json_report(report))
         return
-    _print_table(report)
-
-
-def _print_table(report: ScriptReport) -> None:
-    rows = console.table("step", "what", "result", "s", "found")
-    for number, step in enumerate(report.steps, start=1):
-        result = Text(step.outcome, style=_STYLE[step.outcome])
-        seconds = "" if step.outcome == "not run" else f"{step.seconds:.2f}"
-        rows.add_row(str(number), Text(step.name), result, seconds, Text(step.found))
-    out = console.out()
-    out.print(rows)
+    if options.json is not None:
+        write_atomically(options.json, console.json_text(plain(json_report(report))) + "\n")
+    rows = [
+        (
+            number, step.name, Text(step.outcome, style=_STYLE[step.outcome]),
+            "" if step.outcome == "not run" else f"{step.seconds:.2f}", step.found,
+        )
+        for number, step in enumerate(report.steps, start=1)
+    ]  # fmt: skip
+    console.show(console.table("step", "what", "result", "s", "found", rows=rows))
     kind = "virtual " if report.virtual_time else ""
     verdict = "interrupted" if report.interrupted else "PASSED" if report.passed else "FAILED"
-    out.print(
-        Text(
-            f"{report.script}: {verdict}  {report.count('passed')} of {len(report.steps)} steps, "
-            f"{report.seconds:.2f} s of {kind}time, {report.robot} on {report.bus}, seed {report.seed}",
-            style="bold green" if report.passed else "bold red",
-        ),
-        soft_wrap=True,
+    console.result(
+        f"{report.script}: {verdict}  {report.count('passed')} of {len(report.steps)} steps, "
+        f"{report.seconds:.2f} s of {kind}time, {report.robot} on {report.bus}, seed {report.seed}",
+        "bold green" if report.passed else "bold red",
     )

@@ -1,4 +1,4 @@
-"""``robot-ik servo ports``: serial ports, who made them, and what stands in the way of using them."""
+"""``robot-ik servo ports``, ``scan``, ``setup``, ``backup``, ``restore`` and ``monitor``."""
 
 from __future__ import annotations
 
@@ -13,12 +13,11 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import Json, require, several, single, wrong
 from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_serial_port
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.backup import Change
     from robot_ik.hardware.discovery import FoundServo
     from robot_ik.hardware.health import ServoState
 
@@ -30,8 +29,7 @@ class ServoPortsOptions:
     Exit code 1 when there is no port at all.
     """
 
-    json: bool = False
-    """Print one JSON object instead of a table."""
+    json: Json = False
 
 
 def run_ports(options: ServoPortsOptions) -> int:
@@ -42,12 +40,12 @@ def run_ports(options: ServoPortsOptions) -> int:
     if options.json:
         console.print_json({"schema": 1, "ports": [asdict(row) for row in rows]})
     elif rows:
-        shown = console.table("port", "adapter", "USB", "latency", "state", "what to do")
+        cells = []
         for row in rows:
             late = "-" if row.latency_ms is None else f"{row.latency_ms} ms"
             state = f"used by {', '.join(row.used_by)}" if row.used_by else row.status
-            shown.add_row(row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do)
-        console.out().print(shown)
+            cells.append((row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do))
+        console.show(console.table("port", "adapter", "USB", "latency", "state", "what to do", rows=cells))
     else:
         console.refused(
             "there is no USB serial port on this machine",
@@ -69,8 +67,7 @@ class ServoScanOptions(BusOptions):
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Only these rates, bits/s."""
-    json: bool = False
-    """Print one JSON object instead of a table."""
+    json: Json = False
 
 
 def run_scan(options: ServoScanOptions) -> int:
@@ -93,17 +90,12 @@ def run_scan(options: ServoScanOptions) -> int:
 
 
 def checked_rates(rates: Sequence[int]) -> tuple[int, ...]:
-    """Rates from the command line.
-
-    Raises:
-        ConfigError: One that no servo has.
-    """
+    """Rates from the command line; raises ``ConfigError`` for one that no servo has."""
     from robot_ik.hardware.control_table import BAUD_RATES
 
+    known = BAUD_RATES.values()
     for rate in rates:
-        if rate not in BAUD_RATES.values():
-            allowed = ", ".join(map(str, BAUD_RATES.values()))
-            raise wrong("--baud", f"no servo talks at {rate} bits/s", allowed)
+        require(rate in known, "--baud", f"no servo talks at {rate} bits/s", ", ".join(map(str, known)))
     return tuple(dict.fromkeys(rates))
 
 
@@ -125,20 +117,15 @@ def _state(servo: FoundServo) -> str:
 def print_found(found: Sequence[FoundServo]) -> None:
     """The table of servos on stdout."""
     names = ("baud", "id", "model", "firmware", "supply", "temp", "delay", "torque", "errors")
-    shown = console.table(*names)
-    for s in found:
-        shown.add_row(
-            str(s.baud),
-            str(s.id),
-            s.model,
-            "?" if s.firmware is None else str(s.firmware),
-            "?" if s.voltage is None else f"{s.voltage:.1f} V",
-            "?" if s.temperature is None else f"{s.temperature} C",
-            "?" if s.return_delay is None else f"{s.return_delay} us",
-            "?" if s.torque is None else ("ON" if s.torque else "off"),
-            Text(_state(s)),
+    rows = [
+        (
+            s.baud, s.id, s.model, _number(s.firmware, "", 0, "?"), _number(s.voltage, " V", 1, "?"),
+            _number(s.temperature, " C", 0, "?"), _number(s.return_delay, " us", 0, "?"),
+            _on_off(s.torque, "?"), _state(s),
         )
-    console.out().print(shown)
+        for s in found
+    ]  # fmt: skip
+    console.show(console.table(*names, rows=rows))
 
 
 # ------------------------------------------------------------------------------------------
@@ -155,11 +142,11 @@ class ServoSetupOptions(BusOptions):
     Written to EEPROM with torque off, and read back under the new address. Return delay becomes 0.
     """
 
-    joint: Annotated[str, arg(metavar="JOINT", help_behavior_hint="(or --id)")] = ""
-    """Joint of the arm file that this servo is for: its id, rate and model."""
-    id: Annotated[int | None, arg(metavar="N", help_behavior_hint="(or --joint)")] = None
-    """New id, 0 to 252."""
-    baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
+    joint: Annotated[str, single("JOINT")] = ""
+    """Joint of the arm file that this servo is for: its id, rate and model. Or --id."""
+    id: Annotated[int | None, single("N")] = None
+    """New id, 0 to 252. Or --joint."""
+    baud: Annotated[int | None, single("RATE", "the arm file's")] = None
     """New rate, bits/s."""
     from_baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
     """Look for the servo at these rates only."""
@@ -169,14 +156,13 @@ def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
     from robot_ik.hardware.discovery import LIKELY, nobody_hint, set_up, the_only_one
 
-    if (options.id is None) == (not options.joint):
-        raise wrong("--id", "which servo is it to be?", "either --id N or --joint JOINT")
+    one = (options.id is None) != (not options.joint)
+    require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
     config = load_arm(options.arm)
     joint = config.joint(options.joint) if options.joint else None
     id = joint.id if joint else options.id
     assert id is not None
-    if not 0 <= id <= 252:
-        raise wrong("--id", f"{id} is no servo id", "0..252")
+    require(0 <= id <= 252, "--id", f"{id} is no servo id", "0..252")
     baud = config.baud if options.baud is None else options.baud
     bauds = checked_rates(options.from_baud) or LIKELY
     checked_rates([baud])
@@ -243,23 +229,15 @@ def run_restore(options: ServoRestoreOptions) -> int:
     servos = load_backup(options.file)
     known = tuple(servo.joint for servo in servos)
     for name in options.joints:
-        if name not in known:
-            raise wrong("JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
+        require(name in known, "JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
     servos = [servo for servo in servos if not options.joints or servo.joint in options.joints]
     with opened(options) as link:
         changes = (differences if options.dry_run else restore)(link.bus, servos)
-    _show(changes, "would become" if options.dry_run else "is now")
+    verb = "would become" if options.dry_run else "is now"
+    rows = [(c.joint, c.id, c.register, c.present, c.saved) for c in changes]
+    shown = console.table("joint", "id", "register", "was", verb, rows=rows)
+    console.show(shown if rows else "nothing differs")
     return console.DONE
-
-
-def _show(changes: Sequence[Change], verb: str) -> None:
-    if not changes:
-        console.out().print("nothing differs")
-        return
-    shown = console.table("joint", "id", "register", "was", verb)
-    for c in changes:
-        shown.add_row(c.joint, str(c.id), c.register, str(c.present), str(c.saved))
-    console.out().print(shown)
 
 
 # ------------------------------------------------------------------------------------------
@@ -279,7 +257,7 @@ class ServoMonitorOptions(BusOptions):
 
     rate: Annotated[float, arg(metavar="HZ")] = 10.0
     """Samples a second, at most 200."""
-    count: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: until Ctrl-C)")] = None
+    count: Annotated[int | None, single("N", "until Ctrl-C")] = None
     """End after so many samples."""
     json: bool = False
     """Print one JSON object a line for each sample."""
@@ -287,28 +265,20 @@ class ServoMonitorOptions(BusOptions):
 
 def run_monitor(options: ServoMonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
-    if not 0.0 < options.rate <= FASTEST:
-        raise wrong("--rate", f"{options.rate:g} Hz", f"above 0, at most {FASTEST:g}")
-    if options.count is not None and options.count < 1:
-        raise wrong("--count", f"{options.count} samples", "1 and more")
+    rate, count = options.rate, options.count
+    require(0.0 < rate <= FASTEST, "--rate", f"{rate:g} Hz", f"above 0, at most {FASTEST:g}")
+    require(count is None or count >= 1, "--count", f"{count} samples", "1 and more")
     with opened(options) as link:
-        if options.json:
-            return _lines(link, options)
-        screen = console.out()
-        if not screen.is_terminal:
-            return _watch(link, options, lambda states: screen.print(states_table(states)))
+        begin, screen = link.clock.now(), console.out()
+
+        def line(states: Sequence[ServoState]) -> None:
+            servos = [asdict(state) for state in states]
+            console.print_json_line({"time": round(link.clock.now() - begin, 6), "servos": servos})
+
+        if options.json or not screen.is_terminal:
+            return _watch(link, options, line if options.json else lambda s: screen.print(states_table(s)))
         with Live(console=screen, auto_refresh=False) as live:
             return _watch(link, options, lambda states: live.update(states_table(states), refresh=True))
-
-
-def _lines(link: Link, options: ServoMonitorOptions) -> int:
-    begin = link.clock.now()
-
-    def show(states: Sequence[ServoState]) -> None:
-        servos = [asdict(state) for state in states]
-        console.print_json_line({"time": round(link.clock.now() - begin, 6), "servos": servos})
-
-    return _watch(link, options, show)
 
 
 def _watch(link: Link, options: ServoMonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
@@ -328,30 +298,27 @@ def _watch(link: Link, options: ServoMonitorOptions, show: Callable[[Sequence[Se
 def states_table(states: Sequence[ServoState]) -> Table:
     """One sample as a table."""
     names = ("joint", "id", "position", "velocity", "current", "supply", "temp", "torque", "errors")
-    shown = console.table(*names)
+    rows = []
     for s in states:
-        current = _number(s.current_ma, " mA", 0)
-        if s.load_percent is not None:
-            current = f"{round(s.load_percent)} % load"  # not -0
-        errors = Text(", ".join(s.errors) or ("none" if s.answered else "no answer"))
-        errors.stylize("bold red" if s.errors or not s.answered else "green")
-        shown.add_row(
-            s.joint,
-            str(s.id),
-            _either(s.position_deg, "°", s.position_mm, " mm", 2),
-            _either(s.velocity_deg, " °/s", s.velocity_mm, " mm/s", 1),
-            current,
-            _number(s.voltage, " V", 1),
-            _number(s.temperature, " C", 0),
-            "-" if s.torque is None else ("ON" if s.torque else "off"),
-            errors,
-        )
-    return shown
+        slides = s.position_mm is not None or s.velocity_mm is not None
+        position = _number(s.position_mm, " mm", 2) if slides else _number(s.position_deg, "°", 2)
+        velocity = _number(s.velocity_mm, " mm/s", 1) if slides else _number(s.velocity_deg, " °/s", 1)
+        loaded = s.load_percent is not None
+        current = _number(s.load_percent, " % load", 0) if loaded else _number(s.current_ma, " mA", 0)
+        errors = ", ".join(s.errors) or ("none" if s.answered else "no answer")
+        style = "bold red" if s.errors or not s.answered else "green"
+        rows.append(
+            (
+                s.joint, s.id, position, velocity, current, _number(s.voltage, " V", 1),
+                _number(s.temperature, " C", 0), _on_off(s.torque), Text(errors, style=style),
+            )
+        )  # fmt: skip
+    return console.table(*names, rows=rows)
 
 
-def _either(angle: float | None, angle_unit: str, travel: float | None, travel_unit: str, digits: int) -> str:
-    return _number(angle, angle_unit, digits) if travel is None else _number(travel, travel_unit, digits)
+def _on_off(torque: bool | None, unknown: str = "-") -> str:
+    return unknown if torque is None else "ON" if torque else "off"
 
 
-def _number(value: float | None, unit: str, digits: int) -> str:
-    return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}{unit}"  # + 0.0: no "-0"
+def _number(value: float | None, unit: str, digits: int, unknown: str = "-") -> str:
+    return unknown if value is None else f"{round(value, digits) + 0.0:.{digits}f}{unit}"  # + 0.0: no "-0"

@@ -1,4 +1,4 @@
-"""``robot-ik servo calibrate``: a hand shows ranges, zeros and directions; the files say so afterwards."""
+"""``robot-ik servo calibrate``, ``teach`` and ``play``: a hand shows, the arm repeats."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, RecordFile, require_share, several, wrong
+from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Limits,
@@ -127,13 +127,11 @@ class ServoCalibrateOptions(BusOptions):
     """The calibrated arm file."""
     pose: Annotated[tuple[str, ...], several("JOINT=DEG", "all joints at 0")] = ()
     """Another pose than zero in which the zeros are taken."""
-    seconds: Annotated[
-        float | None, arg(metavar="S", help_behavior_hint="(default: each step until Enter)")
-    ] = None
+    seconds: Annotated[float | None, single("S", "each step until Enter")] = None
     """Each step takes so long, without Enter."""
-    from_lerobot: Annotated[Path | None, arg(metavar="FILE.json", help_behavior_hint="")] = None
+    from_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Take LeRobot's calibration instead of a hand; 0 degrees are the middle of each range, as there."""
-    to_lerobot: Annotated[Path | None, arg(metavar="FILE.json", help_behavior_hint="")] = None
+    to_lerobot: Annotated[Path | None, single("FILE.json")] = None
     """Also write LeRobot's calibration."""
     check: bool = False
     """Only compare an OUT.toml that exists, and its calibration, with the servos."""
@@ -145,8 +143,7 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
     """Measures, checks, writes; 1 when a step was not done as asked."""
     from robot_ik.hardware.calibration_file import calibration_beside
 
-    if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 3600")
+    _check_seconds(options.seconds)
     if options.out.suffix != ".toml" or options.out.name.endswith(".calibration.toml"):
         raise wrong("OUT.toml", f"{options.out}", "a name that ends in .toml")
     if options.check:
@@ -159,6 +156,11 @@ def run_calibrate(options: ServoCalibrateOptions) -> int:
     beside = calibration_beside(options.out)
     with claimed(options.out, beside, options.to_lerobot, overwrite=options.overwrite):
         return _calibrate(options, config, pose, beside)
+
+
+def _check_seconds(seconds: float | None) -> None:
+    if seconds is not None:
+        require(0.0 < seconds <= 3600.0, "--seconds", f"{seconds:g} s", "above 0, at most 3600")
 
 
 def _calibrate(
@@ -215,14 +217,13 @@ def _check(options: ServoCalibrateOptions) -> int:
 
 
 def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
-    shown = console.table("joint", "id", "swept ticks", "zero", "direction", "limits", "limits before")
+    rows = []
     for old, new, row in zip(before.servos, after.servos, found.rows, strict=True):
         limits, formerly = (f"{j.lower / j.per_unit:.1f} .. {j.text(j.upper)}" for j in (new, old))
         swept = f"{row.range_min} .. {row.range_max}"
-        shown.add_row(
-            row.name, str(row.id), swept, str(row.zero_ticks), f"{row.direction:+d}", limits, formerly
-        )
-    console.out().print(shown)
+        rows.append((row.name, row.id, swept, row.zero_ticks, f"{row.direction:+d}", limits, formerly))
+    columns = ("joint", "id", "swept ticks", "zero", "direction", "limits", "limits before")
+    console.show(console.table(*columns, rows=rows))
 
 
 # ------------------------------------------------------------------------------------------
@@ -238,7 +239,7 @@ class ServoTeachOptions(BusOptions):
 
     file: Positional[Annotated[Path, arg(metavar="FILE.csv|FILE.json")]]
     """Where to: times in s, joint angles in rad."""
-    seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: until Enter)")] = None
+    seconds: Annotated[float | None, single("S", "until Enter")] = None
     """Record for so long."""
     rate: Annotated[float, arg(metavar="HZ")] = 50.0
     """Samples a second, at most 200."""
@@ -251,10 +252,8 @@ def run_teach(options: ServoTeachOptions) -> int:
     from robot_ik.jobs.teach import require_suffix
 
     require_suffix(options.file)
-    if options.seconds is not None and not 0.0 < options.seconds <= 3600.0:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 3600")
-    if not 0.0 < options.rate <= 200.0:
-        raise wrong("--rate", f"{options.rate:g} Hz", "above 0, at most 200")
+    _check_seconds(options.seconds)
+    require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
     require_model(config)
     with claimed(options.file, overwrite=options.overwrite), arm_on(options, config) as arm:

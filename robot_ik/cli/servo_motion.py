@@ -1,8 +1,10 @@
-"""``robot-ik servo move``: joints to angles in degrees (slides: mm), through the arm and its limiter."""
+"""``robot-ik servo move``, ``torque`` and ``reset-fault``; ``robot-ik stop``."""
 
 from __future__ import annotations
 
 import math
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import OnExit, require_share, several, wrong
+from robot_ik.cli.arguments import OnExit, require, require_share, several, single, wrong
 from robot_ik.cli.connection import (
     BusOptions,
     Link,
@@ -84,17 +86,15 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         ConfigError: Neither form, or no finite number.
         UnknownJointError: No such joint; close ones are named.
     """
-    pair = (
-        "JOINT=DEG"
-        if not any(joint.slides for joint in (*config.joints, *config.auxiliary))
-        else "JOINT=DEG|MM"
-    )
-    form = f"{pair}, or {len(config.names)} numbers for {', '.join(config.names)}"
-    if all("=" in argument for argument in arguments) and arguments:
-        pairs = [(argument.partition("=")[0], argument.partition("=")[2]) for argument in arguments]
-    elif len(arguments) == len(config.names) and not any("=" in argument for argument in arguments):
+    slides = any(joint.slides for joint in (*config.joints, *config.auxiliary))
+    pair = "JOINT=DEG|MM" if slides else "JOINT=DEG"
+    named = ["=" in argument for argument in arguments]
+    if named and all(named):
+        pairs = [(name, text) for name, _, text in (argument.partition("=") for argument in arguments)]
+    elif len(arguments) == len(config.names) and not any(named):
         pairs = list(zip(config.names, arguments, strict=True))
     else:
+        form = f"{pair}, or {len(config.names)} numbers for {', '.join(config.names)}"
         raise wrong(pair, " ".join(arguments) or "nothing to do", form)
     angles: dict[str, float] = {}
     for name, text in pairs:
@@ -103,10 +103,8 @@ def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float
         except ValueError:
             value = math.nan
         joint = config.joint(name)
-        if not math.isfinite(value):
-            raise wrong(name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
-        if name in angles:
-            raise wrong(name, "named twice", "every joint once")
+        require(math.isfinite(value), name, f"{text!r} is no number", f"{joint.unit}, e.g. 30 or -12.5")
+        require(name not in angles, name, "named twice", "every joint once")
         angles[name] = value * joint.per_unit
     return angles
 
@@ -124,22 +122,19 @@ def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
 
 def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
     """Where the joints were, were sent, and are."""
-    shown = console.table("joint", "was", "asked", "is")
     arm.read()
+    rows = []
     for name, q in arm.positions().items():
         joint = arm.config.joint(name)
         asked = shown_value(joint, goal[name]) if name in goal else "-"
-        shown.add_row(name, shown_value(joint, start[name]), asked, shown_value(joint, q))
-    console.out().print(shown)
+        rows.append((name, shown_value(joint, start[name]), asked, shown_value(joint, q)))
+    console.show(console.table("joint", "was", "asked", "is", rows=rows))
 
 
 def shown_value(joint: JointMap, q: float) -> str:
     """A joint value for people: degrees, or mm of a slide."""
-    return degrees(q) if not joint.slides else joint.text(q, 2)
-
-
-def degrees(q: float) -> str:
-    """An angle in rad for people."""
+    if joint.slides:
+        return joint.text(q, 2)
     return f"{round(math.degrees(q), 2) + 0.0:.2f}°"  # + 0.0: no "-0.00"
 
 
@@ -161,14 +156,15 @@ class ServoTorqueOptions(BusOptions):
     """Only these joints; all if none is named."""
     ids: Annotated[tuple[int, ...], several("N")] = ()
     """For off: these servo ids, whatever the arm file says."""
-    baud: Annotated[int | None, arg(metavar="RATE", help_behavior_hint="(default: the arm file's)")] = None
+    baud: Annotated[int | None, single("RATE", "the arm file's")] = None
     """For --ids: the rate of these servos, bits/s."""
 
 
 def run_torque(options: ServoTorqueOptions) -> int:
     """1 when a servo did not confirm it."""
-    if options.ids and (options.joints or options.to == "on"):
-        raise wrong("--ids", "only for torque off, and not together with joints", "torque off --ids N …")
+    off = not options.joints and options.to == "off"
+    only = "only for torque off, and not together with joints"
+    require(off or not options.ids, "--ids", only, "torque off --ids N …")
     config = load_arm(options.arm)
     if options.to == "on":
         require_model(config)
@@ -183,8 +179,8 @@ def run_torque(options: ServoTorqueOptions) -> int:
         return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
-        if bad := [id for id in options.ids if not 0 <= id <= 252]:
-            raise wrong("--ids", f"{bad[0]} is no servo id", "0..252")
+        for id in options.ids:
+            require(0 <= id <= 252, "--ids", f"{id} is no servo id", "0..252")
         servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
@@ -225,14 +221,12 @@ def run_reset_fault(options: ServoResetFaultOptions) -> int:
     config = load_arm(options.arm).only(options.joints)
     with opened(options, config) as link:
         rows = reset_servos(link.bus, config, link.clock)
-    shown = console.table("joint", "id", "was", "is", "what to do")
+    cells = []
     for row in rows:
-        now = "no answer" if row.after is None else (", ".join(row.after) or "healthy")
-        was = (
-            "no answer" if row.silence is not None and not row.before else ", ".join(row.before) or "healthy"
-        )
-        shown.add_row(row.joint, str(row.id), was, now, _advice(row))
-    console.out().print(shown)
+        now = "no answer" if row.after is None else ", ".join(row.after) or "healthy"
+        was = ", ".join(row.before) or ("healthy" if row.silence is None else "no answer")
+        cells.append((row.joint, row.id, was, now, _advice(row)))
+    console.show(console.table("joint", "id", "was", "is", "what to do", rows=cells))
     return console.DONE if all(row.ok for row in rows) else console.NOT_ACHIEVED
 
 
@@ -244,3 +238,45 @@ def _advice(row: ServoReset) -> str:
     if row.after:
         return "the cause is still there: load, heat, supply?"
     return f"its reading changed by {row.turned} ticks: it forgot whole revolutions; turn the joint by hand"
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik stop``: makes an arm that another program of this user drives stop, and waits until it has.
+
+
+@dataclass(frozen=True)
+class StopOptions:
+    """Stops arms that other programs drive: they hold where they are, with torque on.
+
+    Needs neither the port nor the program's terminal. Exit code 0 only when every servo confirmed it;
+    1 when one did not, or when no arm runs. It is no substitute for a switch in the servos' supply.
+    """
+
+    bus: Annotated[str, single("PORT", "every arm of this user")] = ""
+    """Only the arm on this port."""
+    torque_off: bool = False
+    """Let go instead: the arm may fall. Asks first."""
+    yes: bool = False
+    """With --torque-off: do not ask."""
+
+
+def run_stop(options: StopOptions) -> int:
+    """1 when an arm did not confirm it, or none runs."""
+    from robot_ik.hardware.stop_file import running_arms
+
+    arms = running_arms(os.path.expanduser(options.bus) or None)
+    if not arms:
+        console.say("no arm runs" + (f" on {options.bus}" if options.bus else ""), "yellow")
+        return console.NOT_ACHIEVED
+    if options.torque_off and not options.yes:
+        require(sys.stdin.isatty(), "--torque-off", "there is no terminal to ask at", "--torque-off --yes")
+        names = ", ".join(arm.name for arm in arms)
+        if not console.confirm(f"{names}: without torque an arm falls. Support it. Torque off?"):
+            console.say("nothing was done", "dim")
+            return console.NOT_ACHIEVED
+    stopped = 0
+    for arm in arms:
+        ok, text = arm.stop("torque_off" if options.torque_off else "hold")
+        stopped += ok
+        console.say(f"{arm.name} on {arm.port} (process {arm.pid}): {text}", "" if ok else "bold red")
+    return console.DONE if stopped == len(arms) else console.NOT_ACHIEVED

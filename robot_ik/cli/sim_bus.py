@@ -6,17 +6,14 @@ import os
 import shlex
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import joint_degrees, several, wrong
+from robot_ik.cli.arguments import joint_degrees, require, several, single, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.hardware.virtual.faults import FAULTS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
@@ -56,7 +53,7 @@ class SimBusOptions:
 
     arm: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file (TOML), or a robot of the catalogue that has one."""
-    link: Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="(default: no link)")] = None
+    link: Annotated[Path | None, single("PATH", "no link")] = None
     """Also make a symbolic link to the port: a name that stays the same; removed at the end."""
     match_baud: bool = False
     """Servos hear only a client that set the port to their baud rate, as on a real wire."""
@@ -64,18 +61,14 @@ class SimBusOptions:
     """Take the time that the bytes take at this rate; 0: none."""
     latency_ms: float = 0.0
     """Answer so much later, as a USB adapter does (16 ms unless set to 1)."""
-    stuck: Annotated[tuple[str, ...], arg(metavar="JOINT …", help=_help("stuck"), help_behavior_hint="")] = ()
-    silent: Annotated[
-        tuple[str, ...], arg(metavar="JOINT …", help=_help("silent"), help_behavior_hint="")
-    ] = ()
+    stuck: Annotated[tuple[str, ...], several("JOINT", help=_help("stuck"))] = ()
+    silent: Annotated[tuple[str, ...], several("JOINT", help=_help("silent"))] = ()
     zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Joints whose zero is off by so many degrees, unknown to their registers."""
     corrupt: Annotated[float, arg(metavar="P", help=_help("corrupt"))] = 0.0
     drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0
-    faults: Annotated[
-        Path | None, arg(metavar="FILE", help=_FILE_HELP, help_behavior_hint="(default: none)")
-    ] = None
-    seed: Annotated[int | None, arg(metavar="N", help_behavior_hint="(default: the file's, or 0)")] = None
+    faults: Annotated[Path | None, single("FILE", "none", _FILE_HELP)] = None
+    seed: Annotated[int | None, single("N", "the file's, or 0")] = None
     """Of all this: the same seed and traffic give the same faults."""
     physics: bool = False
     """Move the MuJoCo model of the arm: gravity shows up as current, and without torque it falls."""
@@ -89,8 +82,7 @@ def run(options: SimBusOptions) -> int:
     from robot_ik.ports import RealClock
 
     make_port = pty_port()
-    _check_numbers(options)
-    _require_free(options.link)
+    _check(options)
     config = load_arm(options.arm)
     file = None if options.faults is None else load_faults(options.faults, config)
     seed = (file.seed if file else 0) if options.seed is None else options.seed
@@ -102,35 +94,14 @@ def run(options: SimBusOptions) -> int:
 
         World(load_robot(config.robot).model, config, bus)
     bus.inject(*(file.faults if file else ()))
-    with (
-        _ended_by_signal() as ended,
-        make_port(
-            bus,
-            options.link,
-            match_baud=options.match_baud,
-            wire_baud=options.wire_baud,
-            latency_ms=options.latency_ms,
-        ) as port,
-    ):
+    match, baud, late = options.match_baud, options.wire_baud, options.latency_ms
+    served = make_port(bus, options.link, match_baud=match, wire_baud=baud, latency_ms=late)
+    ended = threading.Event()
+    with console.on_signals(lambda number, frame: ended.set(), *ENDING), served as port:
         _announce(options.arm, config, port)
         ended.wait()
     console.say("closed", "dim")
     return console.DONE
-
-
-def _require_free(link: Path | None) -> None:
-    """Refuses the name of a port that is there: its clients would find other servos under it.
-
-    Raises:
-        ConfigError: Another bus has this link.
-    """
-    if link is not None and link.is_symlink() and link.exists():
-        raise wrong(
-            "--link",
-            f"{link} is the name of another port, {os.readlink(link)}",
-            "a name that is free",
-            "is another robot-ik sim-bus running? If not, remove the link",
-        )
 
 
 def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
@@ -147,34 +118,19 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
     ]
 
 
-def _check_numbers(options: SimBusOptions) -> None:
+def _check(options: SimBusOptions) -> None:
     for flag, value, highest in (
         ("--corrupt", options.corrupt, 1.0),
         ("--drop", options.drop, 1.0),
         ("--latency-ms", options.latency_ms, 1000.0),
         ("--wire-baud", options.wire_baud, 10_500_000),
     ):
-        if not 0.0 <= value <= highest:
-            raise wrong(flag, f"not {value:.10g}", f"0 to {highest:.10g}")
-
-
-@contextmanager
-def _ended_by_signal() -> Iterator[threading.Event]:
-    """An event that SIGINT, SIGTERM and a closed terminal set, instead of what they do otherwise."""
-    ended = threading.Event()
-
-    def end(number: int, frame: FrameType | None) -> None:
-        ended.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield ended
-        return
-    before = {number: signal.signal(number, end) for number in ENDING}
-    try:
-        yield ended
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        require(0.0 <= value <= highest, flag, f"not {value:.10g}", f"0 to {highest:.10g}")
+    link = options.link
+    if link is not None and link.is_symlink() and link.exists():  # its clients would find other servos
+        problem = f"{link} is the name of another port, {os.readlink(link)}"
+        hint = "is another robot-ik sim-bus running? If not, remove the link"
+        raise wrong("--link", problem, "a name that is free", hint)
 
 
 def _announce(arm: str, config: ArmConfig, port: PtyPort) -> None:

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any
 
-from rich.text import Text
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import several, wrong
+from robot_ik.cli.arguments import XYZ_WXYZ, several, single, wrong
 from robot_ik.cli.listing import joint_kinds
 from robot_ik.environment import import_mujoco
 from robot_ik.errors import InvalidGoalError
@@ -42,11 +41,11 @@ class SolveOptions:
 
     robot: Annotated[str, arg(metavar="NAME|PATH")] = "puma560"
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
-    goal: Annotated[tuple[float, ...], arg(metavar="X Y Z [W X Y Z]", help_behavior_hint="(required)")] = ()
+    goal: Annotated[tuple[float, ...], arg(metavar=XYZ_WXYZ, help_behavior_hint="(required)")] = ()
     """Wanted position in metres, and, if given, orientation as a quaternion."""
-    frame: Annotated[str, arg(help_behavior_hint="(default: the robot's tool)")] = ""
+    frame: Annotated[str, single(None, "the robot's tool")] = ""
     """What shall get there: a tool, site or body of the robot."""
-    solver: Annotated[str, arg(help_behavior_hint="(default: the robot's own)")] = ""
+    solver: Annotated[str, single(None, "the robot's own")] = ""
     """Method: see `robot-ik solvers`."""
     set: Annotated[tuple[str, ...], several("NAME=VALUE")] = ()
     """Options of the method: see `robot-ik solvers NAME`."""
@@ -76,13 +75,9 @@ def run(options: SolveOptions) -> int:
     robot = load_robot(options.robot)
     name = options.solver or robot.file.solver or "auto"
     solver = make_solver(name, **solver_options(name, options.set))
-    problem = Problem(
-        robot,
-        goal,
-        tolerance=Tolerance(position=options.position_tolerance, angle=options.angle_tolerance),
-        budget=Budget(iterations=options.iterations),
-        seed=options.seed,
-    )
+    tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
+    budget = Budget(iterations=options.iterations)
+    problem = Problem(robot, goal, tolerance=tolerance, budget=budget, seed=options.seed)
     start = options.start or None
     with console.busy("solving"):
         solver.solve(problem, start)
@@ -142,12 +137,7 @@ def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float |
 
 
 def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
-    """What is printed of a solution: SI units, quaternions wxyz, world frame.
-
-    Args:
-        problem: What was asked.
-        solution: What came out, with the kernel loaded before.
-    """
+    """What is printed of a solution: SI units, quaternions wxyz, world frame."""
     robot, goal = problem.robot, problem.goals[0]
     wanted = goal.target
     return {
@@ -171,24 +161,22 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
 
 
 def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
-    screen = console.out()
     miss = facts["miss"]
-    head = console.table("solver", facts["solver"])
-    head.add_row("status", Text(f"{facts['status']}: {facts['meaning']}"))
-    head.add_row("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg")
-    head.add_row("effort", f"{facts['iterations']} iterations, {facts['restarts']} restarts")
-    head.add_row("time", f"{1e6 * facts['seconds']:.0f} µs")
-    screen.print(head)
-    screen.print()
-    shown = console.table("joint", "q", "unit")
-    at = 0
+    head = (
+        ("status", f"{facts['status']}: {facts['meaning']}"),
+        ("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg"),
+        ("effort", f"{facts['iterations']} iterations, {facts['restarts']} restarts"),
+        ("time", f"{1e6 * facts['seconds']:.0f} µs"),
+    )
+    rows = []
+    numbers = iter(facts["q"])
     for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
-        width = {"free": 7, "ball": 4}.get(kind, 1)
-        values = facts["q"][at : at + width]
-        if kind == "hinge":
-            shown.add_row(name, f"{math.degrees(values[0]):9.3f}", "deg")
-        else:
-            unit = {"slide": "m", "ball": "wxyz", "free": "m, wxyz"}[kind]
-            shown.add_row(name, " ".join(f"{value:9.5f}" for value in values), unit)
-        at += width
-    screen.print(shown)
+        values = [next(numbers) for _ in range({"free": 7, "ball": 4}.get(kind, 1))]
+        unit = {"hinge": "deg", "slide": "m", "ball": "wxyz", "free": "m, wxyz"}[kind]
+        plain = " ".join(f"{value:9.5f}" for value in values)
+        rows.append((name, f"{math.degrees(values[0]):9.3f}" if kind == "hinge" else plain, unit))
+    console.show(
+        console.table("solver", facts["solver"], rows=head),
+        "",
+        console.table("joint", "q", "unit", rows=rows),
+    )

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import wrong
+from robot_ik.cli.arguments import require, single, wrong
 from robot_ik.cli.connection import (
     bus_argument,
     driving,
@@ -61,11 +61,9 @@ class TeleopOptions:
     """Hand to hand: metres of the follower for one of the leader."""
     force_feedback: float = 0.0
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
-    seconds: Annotated[float | None, arg(metavar="S", help_behavior_hint="(default: until Ctrl-C)")] = None
+    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
     """End by itself."""
-    on_exit: Annotated[
-        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the arm file's)")
-    ] = ""
+    on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
     """How the follower is left; the leader is always left without torque."""
 
 
@@ -78,13 +76,9 @@ def run(options: TeleopOptions) -> int:
     follower_file = load_arm(options.follower)
     require_model(follower_file)
     leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
-    leader, follower = open_pair(
-        leader_file,
-        follower_file,
-        "" if leader_file is None else port_name(options.leader_bus),
-        port_name(options.follower_bus),
-        options.on_exit,
-    )
+    leader_port = "" if leader_file is None else port_name(options.leader_bus)
+    follower_port = port_name(options.follower_bus)
+    leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)
     with contextlib.ExitStack() as stack:
         if leader is None:
             lead = _led_by_keys if options.leader == KEYS else _led_by_gamepad
@@ -96,15 +90,14 @@ def run(options: TeleopOptions) -> int:
 
 
 def _check(options: TeleopOptions) -> None:
-    if not 0.0 <= options.force_feedback <= 1.0:
-        raise wrong("--force-feedback", f"{options.force_feedback:g}", "0 (off) to 1")
-    if not 0.01 <= options.scale <= 100.0:
-        raise wrong("--scale", f"{options.scale:g}", "0.01 to 100")
-    if options.seconds is not None and not 0.0 < options.seconds <= 86400.0:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 86400")
-    shared = options.leader_bus == options.follower_bus not in ("", "sim", "pty")
-    if shared and options.leader not in (KEYS, GAMEPAD):
-        raise wrong("--leader-bus", f"{options.leader_bus} is the follower's, too", "two ports")
+    share = options.force_feedback
+    require(0.0 <= share <= 1.0, "--force-feedback", f"{share:g}", "0 (off) to 1")
+    require(0.01 <= options.scale <= 100.0, "--scale", f"{options.scale:g}", "0.01 to 100")
+    if (seconds := options.seconds) is not None:
+        require(0.0 < seconds <= 86400.0, "--seconds", f"{seconds:g} s", "above 0, at most 86400")
+    port = options.leader_bus
+    shared = port == options.follower_bus not in ("", "sim", "pty") and options.leader not in (KEYS, GAMEPAD)
+    require(not shared, "--leader-bus", f"{port} is the follower's, too", "two ports")
 
 
 def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Callable[[], bool]) -> int:
@@ -122,16 +115,6 @@ def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Calla
     return exit_code_of(action)
 
 
-@contextlib.contextmanager
-def _left_at_the_end(arm: Arm) -> Iterator[None]:
-    """As ``driving``, where the keys of the terminal have another reader."""
-    try:
-        with arm:
-            yield
-    finally:
-        console.say(exit_text(arm), "dim")
-
-
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
     from robot_ik.jobs.teleop import JOINT_KEYS, KeyboardJog
 
@@ -141,7 +124,8 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
     console.say(f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
-    stack.enter_context(_left_at_the_end(follower))
+    stack.callback(lambda: console.say(exit_text(follower), "dim"))
+    stack.enter_context(follower)  # not ``driving``: the keys of the terminal have another reader
     return _lead(keys, follower, options, lambda: keys.over)
 
 
@@ -150,10 +134,8 @@ def _led_by_gamepad(
 ) -> int:
     from robot_ik.jobs.gamepad import Gamepad, PadDevice
 
-    device = stack.enter_context(PadDevice())
-    pad = Gamepad(
-        file, device.read, recover=device.recover, stop=follower.request_stop, hand=options.by == "hand"
-    )
+    device, hand = stack.enter_context(PadDevice()), options.by == "hand"
+    pad = Gamepad(file, device.read, recover=device.recover, stop=follower.request_stop, hand=hand)
     console.say(f"{device.name}: left stick x, y; triggers z; right stick and shoulders turn", "dim")
     console.say(
         f"in joints the same six move one each; up and down: the gripper; Y: {_other(pad.jog)}; "

@@ -1,19 +1,21 @@
-"""``robot-ik view``: the testbed in a browser, in MuJoCo's window, or replayed without either."""
+"""``robot-ik view`` and ``video``: the testbed in a browser, in MuJoCo's window, replayed, or filmed."""
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import arg
+from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import robot_argument, several, wrong
+from robot_ik.cli.arguments import require, robot_argument, several, single, wrong
 from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import MissingExtraError
@@ -25,12 +27,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from robot_ik.jobs.testbed import CameraTab
-    from robot_ik.testbed.arm import ArmLink
-    from robot_ik.testbed.commands import Start
+    from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
 _COUNTS = (1, 2, 4)
+_SIDES = (64, 8192)
 
 
 @dataclass(frozen=True)
@@ -52,17 +54,13 @@ class ViewOptions:
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
-    arm: Annotated[
-        Path | None, arg(metavar="FILE.toml", help_behavior_hint="(default: beside the model)")
-    ] = None
+    arm: Annotated[Path | None, single("FILE.toml", "beside the model")] = None
     """Servo ids, signs, zeros and limits."""
-    on_exit: Annotated[
-        str, arg(metavar="torque_off|hold|park", help_behavior_hint="(default: the file's)")
-    ] = ""
+    on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
     """How the arm is left."""
-    replay: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    replay: Annotated[Path | None, single("FILE", "none")] = None
     """Repeat a command log, and say whether it ends in the same bits."""
-    log: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="(default: none)")] = None
+    log: Annotated[Path | None, single("FILE", "none")] = None
     """Write the command log at the end."""
     host: str = "127.0.0.1"
     """Address to listen at. One that others can reach asks every browser for a token."""
@@ -78,7 +76,7 @@ class ViewOptions:
     """Without a GPU the browser is quicker without."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float, arg(help_behavior_hint="(default: until Ctrl-C)")] = 0.0
+    seconds: Annotated[float, single(None, "until Ctrl-C")] = 0.0
     """End by itself."""
     seed: int = 1
     """Of the ball's random places."""
@@ -89,10 +87,9 @@ def run(options: ViewOptions) -> int:
     import_mujoco()
     if options.replay is not None:
         return _replay(options.replay)
-    if options.count not in _COUNTS:
-        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
-    if not 0.0 <= options.seconds <= 1e6:
-        raise wrong("--seconds", f"{options.seconds:g} s", "above 0, at most 1e6; left out: until Ctrl-C")
+    require(options.count in _COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
+    endless = "above 0, at most 1e6; left out: until Ctrl-C"
+    require(0.0 <= options.seconds <= 1e6, "--seconds", f"{options.seconds:g} s", endless)
     viewer = choose_viewer(options.viewer)
     with claimed(options.log, overwrite=True):
         return _view(options, viewer)
@@ -109,7 +106,7 @@ def choose_viewer(asked: str, *, browser: bool | None = None, window: bool | Non
     Raises:
         MissingExtraError: The browser is asked for without its extra.
     """
-    browser = _web_is_there() if browser is None else browser
+    browser = all(map(find_spec, ("viser", "mjviser"))) if browser is None else browser
     if asked == "browser" and not browser:
         raise MissingExtraError("viser", "web", "the page in the browser")
     if asked != "auto":
@@ -123,14 +120,8 @@ def choose_viewer(asked: str, *, browser: bool | None = None, window: bool | Non
     return "recorder"
 
 
-def _web_is_there() -> bool:
-    from importlib.util import find_spec
-
-    return all(find_spec(name) is not None for name in ("viser", "mjviser"))
-
-
 def _view(options: ViewOptions, viewer: str) -> int:
-    from robot_ik.testbed.commands import Start, checked_start
+    from robot_ik.testbed.commands import CommandLog, Start, checked_start
 
     robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
@@ -140,15 +131,21 @@ def _view(options: ViewOptions, viewer: str) -> int:
         if viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue():
             server = stack.enter_context(_open_server(options))  # nothing that is asked for can be wrong
         if viewer == "recorder":
-            return _film(start, options)
+            from robot_ik.jobs.testbed import film
+
+            out = Path("testbed.mp4")
+            film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=True)
+            console.say(f"filmed: {out}")
+            return console.DONE
         return _run(start, options, viewer, server)
 
 
 def _open_server(options: ViewOptions) -> PageServer:
     """The server; says where it is, and opens the browser, which then loads beside this program."""
+    from robot_ik.hardware import bus_row
     from robot_ik.testbed.frontends.page_server import PageServer
 
-    real = options.bus != NONE and not _is_virtual(options.bus)
+    real = options.bus != NONE and not bus_row(options.bus).virtual
     server = PageServer(
         options.host, options.port, token=real, names=options.host_name, dark=options.dark,
         shadows=options.shadows,
@@ -163,7 +160,11 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
     """The session, the arm and the front end, until they end."""
     from robot_ik.testbed.session import Session
 
-    link = _arm(start, options)
+    link = None
+    if options.bus != NONE:
+        from robot_ik.jobs.testbed import arm_link
+
+        link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
     try:
         with Session(start, arm=link) as session, _opened(viewer, session, options, server) as draw:
             _loop(session, draw, options)
@@ -175,14 +176,6 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
             link.close()
             console.say(link.left, "dim")
     return console.DONE
-
-
-def _arm(start: Start, options: ViewOptions) -> ArmLink | None:
-    if options.bus == NONE:
-        return None
-    from robot_ik.jobs.testbed import arm_link
-
-    return arm_link(start.robot, options.arm, options.bus, options.on_exit)
 
 
 @contextlib.contextmanager
@@ -211,22 +204,14 @@ def _opened(
 
 def _camera(session: Session) -> Callable[[], tuple[NDArray[np.uint8], str] | None]:
     """The camera's tab, which loads what it needs with the first picture that is asked for."""
-    tabs: list[CameraTab] = []
 
-    def read() -> tuple[NDArray[np.uint8], str] | None:
-        if not tabs:
-            from robot_ik.jobs.testbed import CameraTab
+    @functools.cache
+    def tab() -> CameraTab:
+        from robot_ik.jobs.testbed import CameraTab
 
-            tabs.append(CameraTab(session))
-        return tabs[0]()
+        return CameraTab(session)
 
-    return read
-
-
-def _is_virtual(bus: str) -> bool:
-    from robot_ik.hardware import bus_row
-
-    return bus_row(bus).virtual
+    return lambda: tab()()
 
 
 def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) -> None:
@@ -248,16 +233,6 @@ def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) 
         timer.cancel()
 
 
-def _film(start: Start, options: ViewOptions) -> int:
-    from robot_ik.jobs.testbed import film
-    from robot_ik.testbed.commands import CommandLog
-
-    out = Path("testbed.mp4")
-    film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=True)
-    console.say(f"filmed: {out}")
-    return console.DONE
-
-
 def _replay(path: Path) -> int:
     """Repeats a log; says whether it ends as it did."""
     from robot_ik.testbed.commands import CommandLog
@@ -266,14 +241,95 @@ def _replay(path: Path) -> int:
     log = CommandLog.load(path)
     view = last_view(log)
     same = not log.digest or view.digest() == log.digest
-    rows = console.table("robot", "method", "status", "off mm", "solved")
-    for k, one in enumerate(view.instances):
+    rows = []
+    for k, one in enumerate(view.instances, 1):
         solved = f"{100.0 * one.statistics.solved:.0f} %"
-        rows.add_row(f"{view.robot} {k + 1}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved)
-    console.out().print(rows)
+        rows.append((f"{view.robot} {k}", one.method, one.status, f"{1e3 * one.miss:.3f}", solved))
+    console.show(console.table("robot", "method", "status", "off mm", "solved", rows=rows))
     found = "the same bits" if same else "other bits"
     verdict = found if log.digest else "the log has no digest to compare with"
     console.say(f"{len(log.commands)} commands, {view.tick} ticks: {verdict}", "" if same else "bold red")
     if not same:
         console.say("another version of robot_ik or numba, another processor, or an edited log", "yellow")
     return console.DONE if same else console.NOT_ACHIEVED
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik video``: a film of the testbed without a screen, from a command log or by the clock.
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """Films the testbed: no display, no browser, and by the painter no OpenGL either.
+
+        robot-ik video --seconds 8 --count 4 four.mp4
+        robot-ik video bug.jsonl bug.gif
+
+    Names are told apart by their ending: a command log is .jsonl; OUT is .mp4, .mkv, .mov, .gif, .png (the
+    last picture), or a folder. Exit code 0: done. 2: wrong input or environment.
+    """
+
+    files: Positional[
+        Annotated[tuple[Path, ...], arg(metavar="[LOG.jsonl] OUT", help_behavior_hint="(required)")]
+    ]
+    """What happens, and where the film goes."""
+    robot: Annotated[str, single("NAME|PATH", SHOWN_ROBOT)] = ""
+    """Without a log: a name of `robot-ik robots`, or any MJCF or URDF file."""
+    count: int = 1
+    """Without a log: robots side by side, 1, 2 or 4."""
+    method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
+    """Without a log: methods."""
+    seconds: Annotated[float, single(None, "as long as the log")] = 0.0
+    """How long."""
+    csv: Annotated[Path | None, single("FILE", "none")] = None
+    """Numbers of every picture: angles, misses, times."""
+    record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
+    """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
+    size: tuple[int, int] = (1280, 720)
+    """Width and height, pixels."""
+    rate: float = 30.0
+    """Pictures a second."""
+    backend: Literal["gl", "painter"] = "gl"
+    """Who draws; without OpenGL the painter does."""
+    overwrite: bool = False
+    """These files may be there from an earlier run: they are replaced."""
+
+
+def run_video(options: VideoOptions) -> int:
+    """Films; 0 done."""
+    import_mujoco()
+    count, (width, height), rate = len(options.files), options.size, options.rate
+    require(1 <= count <= 2, "FILES", f"{count} names", "OUT, or LOG.jsonl OUT")
+    fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
+    require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
+    require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")
+    log, out = _log(options), options.files[-1]
+    from robot_ik.jobs.testbed import film
+
+    with claimed(options.csv, options.record, overwrite=options.overwrite), console.progress() as bar:
+        task = bar.add_task("filming", total=None, note="")
+        view = film(
+            log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
+            rate_hz=rate, size=(width - width % 2, height - height % 2), backend=options.backend,
+            overwrite=options.overwrite,
+            on_tick=lambda view, count: bar.update(task, total=count, completed=view.tick),
+        )  # fmt: skip
+    numbers = f"; numbers: {options.csv}" if options.csv else ""
+    console.say(f"{out}: {view.now:.1f} s of {view.robot}{numbers}")
+    return console.DONE
+
+
+def _log(options: VideoOptions) -> CommandLog:
+    from robot_ik.testbed.commands import COUNTS, CommandLog, Start
+
+    if len(options.files) == 2:
+        if options.robot or options.count != 1 or options.method:
+            raise wrong("--robot, --count, --method", "given with a command log", "the log says what happens")
+        return CommandLog.load(options.files[0])
+    if options.files[0].suffix == ".jsonl":
+        raise wrong("OUT", f"{options.files[0]} is a command log and there is no film", "LOG.jsonl OUT.mp4")
+    require(options.seconds > 0.0, "--seconds", "no log and no length", "--seconds N, above 0")
+    if options.count not in COUNTS:
+        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
+    start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
+    return CommandLog(replace(start, count=options.count), ())

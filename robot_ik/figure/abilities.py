@@ -18,14 +18,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure
+from robot_ik.figure.figure import GRAVITY, Figure, remembered, rotation_points
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
 from robot_ik.kernels.jit import cache_folder
-from robot_ik.motion.pose_prior import mirrored
-
-Array = NDArray[np.float64]
+from robot_ik.motion.pose_prior import mirrored, other_side
+from robot_ik.ports import Array
 
 _GRID = 0.15  # m
 # Largest horizontal distance of palm and ball in a jump, which leans a little, m (docs/theory/figure.md); and
@@ -53,6 +52,8 @@ SLACK, SHARE = 0.04, 0.75
 _STARTS, _FEW = 12, 3
 # … and a ball that is decided upon.
 _ASKED = 8
+# Joints that hold the trunk upright.
+_UPRIGHT = ("*hip*", "*knee*", "*ankle*", "torso*", "pelvis*")
 # Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
 # them is out of reach: half a diagonal of the grid, and as much for points that were not found.
 _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
@@ -60,17 +61,11 @@ _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball.
+    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball."""
 
-    Attributes:
-        origin: (3,) first point of the grid.
-        miss: (i, j, k) m; -1 where the hand comes there, but not in an admissible pose.
-        poses: (n, nq) of the points in reach, in the order of the grid: where to begin for a ball nearby.
-    """
-
-    origin: Array
-    miss: NDArray[np.float32]
-    poses: Array
+    origin: Array  # (3,) first point of the grid
+    miss: NDArray[np.float32]  # (i, j, k) m; -1 where the hand comes there, but in no admissible pose
+    poses: Array  # (n, nq) of the points in reach, in the order of the grid
 
     @cached_property
     def points(self) -> Array:
@@ -117,19 +112,12 @@ class Map:
 
 @dataclass(frozen=True, eq=False)
 class Abilities:
-    """Maps of a figure, by kind and arm.
-
-    Attributes:
-        figure: Whose.
-        maps: ``(kind, arm)`` to its map.
-        take_off_forward: How far before its middle the centre of mass takes off, m.
-        raised: By arm: shoulder over the centre of mass (3,) and how far the palm is from it with a
-            stretched arm.
-    """
+    """Maps of a figure, by kind and arm."""
 
     figure: Figure
     maps: dict[tuple[str, str], Map]
-    take_off_forward: float
+    take_off_forward: float  # how far before its middle the centre of mass takes off, m
+    # By arm: shoulder over the centre of mass (3,), and how far the palm is from it with a stretched arm.
     raised: dict[str, tuple[Array, float]] = field(repr=False)
 
     @cached_property
@@ -155,22 +143,17 @@ class Abilities:
 
     def _summit(self, arm: str) -> float:
         """How far above the centre of mass a palm comes at all, m."""
-        key = f"summit {arm}"
-        if key not in self.figure.workspace:
-            palm = palm_over_center(self.figure, arm, self.raised[arm][0][:2], 1.25, 0.05)
-            self.figure.workspace[key] = float(palm[2])
-        return float(self.figure.workspace[key])
+        shoulder = self.raised[arm][0][:2]
+        highest = lambda: float(palm_over_center(self.figure, arm, shoulder, 1.25, 0.05)[2])  # noqa: E731
+        return remembered(self.figure.workspace, f"summit {arm}", highest)
 
     def _highest(self, arm: str, xy: Array) -> Array:
-        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered.
-
-        All stand points from which a figure would jump see a ball at the same point.
-        """
-        key = f"highest {arm}"
-        known: tuple[Array, Array] | None = self.figure.workspace.get(key)
-        if known is None or not np.array_equal(known[0], xy):
-            known = self.figure.workspace[key] = xy, palm_over_center(self.figure, arm, xy, None)
-        return known[1]
+        """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered."""
+        known = self.figure.workspace.setdefault(f"highest {arm}", {})
+        if xy.tobytes() not in known:
+            known.clear()
+            known[xy.tobytes()] = palm_over_center(self.figure, arm, xy, None)
+        return np.asarray(known[xy.tobytes()])
 
     def take_off(self, ball: Array, arm: str) -> float | None:
         """Speed at take-off that brings the palm to a ball overhead, m/s.
@@ -193,11 +176,7 @@ class Abilities:
         return None
 
     def _palms(self, arm: str, over: Array, least: float, shoulder: Array) -> Iterator[Array]:
-        """Points of the palm over the centre of mass, one of which a ball may need.
-
-        As high as it comes there, or lower for a ball that needs hardly a jump; for one at the rim nearer to
-        the shoulder, and as low as a jump allows.
-        """
+        """Points of the palm over the centre of mass, one of which a ball may need, the likeliest first."""
         palm = self._highest(arm, over[:2])
         low = palm[2] >= over[2] - _HOP  # no jump would do; a small one does
         yield palm_over_center(self.figure, arm, over[:2], float(over[2]) - _HOP) if low else palm
@@ -211,28 +190,11 @@ class Abilities:
         yield palm_over_center(self.figure, arm, over[:2] + inwards, least, 0.05)
 
 
-def shoulder_of(figure: Figure, arm: str) -> Array:
-    """(3,) the point about which an arm rotates, at home.
-
-    The third point from the hand about which joints rotate.
-    """
-    return _shoulder_at(figure, figure.home, arm)
-
-
-def _shoulder_at(figure: Figure, q: Array, arm: str) -> Array:
-    model, data = figure.model, figure.data
-    data.qpos[:] = q
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    anchors: list[Array] = []
-    body = figure.robot.frame(figure.hands[arm]).body
-    trunk = figure.robot.frame(figure.trunk).body
-    while body not in (0, trunk):
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
-            if not any(np.linalg.norm(data.xanchor[joint] - a) < 1e-3 for a in anchors):
-                anchors.append(data.xanchor[joint].copy())
-        body = int(model.body_parentid[body])
+def shoulder_of(figure: Figure, arm: str, q: Array | None = None) -> Array:
+    """(3,) the point about which an arm rotates, at home or at ``q``: the third from the hand."""
+    figure.center(figure.home if q is None else q)
+    hand, trunk = (figure.robot.frame(frame).body for frame in (figure.hands[arm], figure.trunk))
+    anchors = rotation_points(figure.model, figure.data, hand, trunk)
     return anchors[min(2, len(anchors) - 1)]  # wrist, elbow, shoulder
 
 
@@ -240,7 +202,7 @@ def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
     """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
     shoulder = shoulder_of(figure, arm) - figure.center_at_home
     q = _lifted(figure, arm, shoulder[:2], None)
-    palm, at = figure.pose(q, figure.hands[arm])[0], _shoulder_at(figure, q, arm)
+    palm, at = figure.pose(q, figure.hands[arm])[0], shoulder_of(figure, arm, q)
     return at - figure.center(q), float(np.linalg.norm(palm - at))
 
 
@@ -271,18 +233,14 @@ def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, lateral_weight
     rows.position(figure.hands[arm], hand + (goal - hand) * s, 30.0 if z is None else 3e4, axes="z")
     rows.center(center)
     rows.orientation(figure.trunk, np.eye(3))
-    stiff = figure.stiffnesses(
-        {"*": 0.3, "*hip*": 3e4, "*knee*": 3e4, "*ankle*": 3e4, "torso*": 3e4, "pelvis*": 3e4}
-    )
+    stiff = figure.stiffnesses({"*": 0.3} | dict.fromkeys(_UPRIGHT, 3e4))
     return rows.solve(start, stiff, start, speeds=None, steps=6).q[-1]
 
 
 def load_abilities(
     figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
 ) -> Abilities:
-    """Maps that lie beside the model or in the user's cache.
-
-    Made if need be, some minutes, once for each model.
+    """Maps that lie beside the model or in the user's cache; made if need be, some minutes, once for a model.
 
     Args:
         figure: Whose.
@@ -330,10 +288,7 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
 
 
 def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> None:
-    """Misses as whole millimetres, poses as tenths of a milliradian or of a millimetre.
-
-    -1000 mm is -1, what is too far to be tried is ``_FAR``.
-    """
+    """Misses as whole millimetres (too far to be tried: ``_FAR``), poses as tenths of a milliradian or mm."""
     file.parent.mkdir(parents=True, exist_ok=True)
     arrays: dict[str, NDArray[Any]] = {"digest": np.array(digest)}
     for (kind, arm), found in maps.items():
@@ -349,10 +304,7 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
 
 
 def _digest(figure: Figure) -> str:
-    """Of all that the maps depend on.
-
-    The model, which frames are its hands and feet, and how they are made.
-    """
+    """Of all that the maps depend on: the model, which frames are its hands and feet, how they are made."""
     robot = figure.robot
     if robot.path.is_file():
         model = robot.path.read_bytes()
@@ -410,11 +362,7 @@ def grade(figure: Figure, point: Array, arm: str, kind: str, starts: Array) -> t
     if pose.flaw and pose.miss < NEARLY:
         found = find_pose(figure, point, arm, kind)
         pose = pose if found.flaw and found.miss > pose.miss else found
-    return _graded(pose), pose.q
-
-
-def _graded(pose: FigurePose) -> float:
-    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0
+    return 0.0 if not pose.flaw else pose.miss if pose.miss > AT_BALL else -1.0, pose.q
 
 
 def _again(figure: Figure, key: tuple[str, str], miss: NDArray[np.float32], poses: Array) -> None:
@@ -453,20 +401,13 @@ def _is_mirrored(figure: Figure) -> bool:
     names = [model.body(b).name for b in range(1, model.nbody)]
     flip = np.array([1.0, -1.0, 1.0])
     for name in names:
-        other = (
-            "right" + name[4:]
-            if name.startswith("left")
-            else "left" + name[5:]
-            if name.startswith("right")
-            else name
-        )
+        other = other_side(name)
         if other not in names:
             return False
         a, b = model.body(name), model.body(other)
-        same = np.allclose(data.xpos[a.id], flip * data.xpos[b.id], atol=1e-9) and np.isclose(
-            a.mass[0], b.mass[0]
-        )
+        same_place = np.allclose(data.xpos[a.id], flip * data.xpos[b.id], atol=1e-9)
         ranges = [model.jnt_range[int(x.jntadr[0]) : int(x.jntadr[0]) + int(x.jntnum[0])] for x in (a, b)]
-        if not same or (name != other and not np.allclose(*ranges)):
+        same_joints = name == other or np.allclose(*ranges)
+        if not (same_place and np.isclose(a.mass[0], b.mass[0]) and same_joints):
             return False
     return True

@@ -1,8 +1,6 @@
-"""Reach, bend, jump and rest: each a run of frames with an exact end; and how one goes over into the next.
+"""Reach, bend and rest: each a run of frames with an exact end; and how one goes over into the next.
 
-All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end, so that a
-motion does
-not depend on position and heading.
+All are computed in the frame of the feet (``Figure.stance``) and put into the world at the end.
 """
 
 from __future__ import annotations
@@ -14,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame, minimum_jerk, rotation
 from robot_ik.figure.footprints import Footprint, Gait
-from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
+from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
-from robot_ik.figure.poses import BEND, REACH, STIFF, find_pose, pinned, support, touches_itself
+from robot_ik.figure.poses import REACH, STIFF, find_pose, pinned, support, touches_itself
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
 # durations, s.
@@ -45,29 +42,17 @@ BLEND = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Frames of an action.
+    """Frames of an action."""
 
-    Attributes:
-        action: ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``.
-        q: (n, nq).
-        contact: (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
-        miss: (n,) largest miss of what must hold, m or rad.
-        zmp: (n, 2) planned zero-moment point.
-        free: (n,) whether the motion may be left after this frame.
-        arm: The hand that acts.
-        target: (3,) what it acts on.
-        speeds: Set of joint speed limits that it holds.
-    """
-
-    action: str
-    q: Array
-    contact: NDArray[np.int64]
-    miss: Array
-    zmp: Array
-    free: NDArray[np.bool_]
-    arm: str | None = None
-    target: Array | None = None
-    speeds: str = "daily"
+    action: str  # ``stand``, ``reach``, ``bend``, ``jump``, ``walk`` or ``rest``
+    q: Array  # (n, nq)
+    contact: NDArray[np.int64]  # (n, 2) what each foot does: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
+    miss: Array  # (n,) largest miss of what must hold, m or rad
+    zmp: Array  # (n, 2) planned zero-moment point
+    free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
+    arm: str | None = None  # the hand that acts
+    target: Array | None = None  # (3,) what it acts on
+    speeds: str = "daily"  # set of joint speed limits that it holds
 
     def __len__(self) -> int:
         return len(self.q)
@@ -76,17 +61,8 @@ class Motion:
 def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
     """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
     stance = figure.stance(q)
-    return _unplaced(figure, q, stance), stance
-
-
-def _unplaced(figure: Figure, q: Array, stance: Array) -> Array:
     x, y = -(rotation("z", -stance[2])[:2, :2] @ stance[:2])
-    return figure.placed(q, x, y, -stance[2])
-
-
-def in_stance_frame(stance: Array, point: Array) -> Array:
-    """A point (3,) of the world seen from a stance."""
-    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
+    return figure.placed(q, x, y, -stance[2]), stance
 
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
@@ -115,11 +91,9 @@ def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, with
     angle = float(np.arccos(np.clip(forward @ to, -1.0, 1.0)))
     s = minimum_jerk(t / max(within, glance_time(figure, q, ball)))[:, None]
     # Along the arc: half way between two points that are seen in opposite directions lies the head.
-    arc = (
-        np.sin((1 - s) * angle) * forward + np.sin(s * angle) * to
-        if angle > 1e-3
-        else (1 - s) * forward + s * to
-    )
+    bent = angle > 1e-3
+    shares = (np.sin((1 - s) * angle), np.sin(s * angle)) if bent else (1 - s, s)
+    arc = shares[0] * forward + shares[1] * to
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
     rows.aim(figure.gaze, (eyes + distance * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
 
@@ -137,20 +111,10 @@ def _times(duration: float, hold: float, dt: float) -> Array:
     return np.arange(1, round((duration + hold) / dt) + 1, dtype=np.float64) * dt
 
 
-def _duration(distance: float, speed: float) -> float:
-    """Of a minimum-jerk path: its peak speed is 15/8 of the mean."""
-    return max(_LEAST, 1.875 * distance / speed)
-
-
-def rest(figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE) -> Motion:
-    """Back to standing at ease, the feet where they are."""
-    return finished(rest_slices(figure, q, gaze_target=gaze_target, dt=dt))
-
-
 def rest_slices(
     figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE
 ) -> Slices[Motion]:
-    """``rest``, a few milliseconds at a time."""
+    """Back to standing at ease, the feet where they are."""
     start, stance = to_stance(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
     limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
@@ -189,19 +153,12 @@ def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Try:
-    """Frames and what is wrong with them.
-
-    Attributes:
-        frames: Found.
-        inside: How far inside the soles the zero-moment point stays, m.
-        change: Largest change of a joint's speed in a frame, rad/s.
-        touching: Whether the body touches itself on the way.
-    """
+    """Frames and what is wrong with them."""
 
     frames: Frames
-    inside: float
-    change: float
-    touching: bool
+    inside: float  # how far inside the soles the zero-moment point stays, m
+    change: float  # largest change of a joint's speed in a frame, rad/s
+    touching: bool  # the body touches itself on the way
 
     @property
     def unsteady(self) -> bool:
@@ -217,10 +174,7 @@ class _Try:
 def _balanced(
     figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
 ) -> Slices[_Try]:
-    """Frames whose zero-moment point follows ``point`` (n, 2).
-
-    The centre of mass follows it at first, and is corrected by what the whole body's own dynamics say.
-    """
+    """Frames whose zero-moment point follows ``point`` (n, 2), as the whole body's dynamics have it."""
     _, normal, offset = support(figure)
     omega2 = np.full(len(point), GRAVITY / figure.center_at_home[2])
     center = point
@@ -271,40 +225,24 @@ def _flat(xy: Array) -> Array:
     return np.column_stack([xy, np.zeros(len(xy))])
 
 
-def reach(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
+def take_slices(
+    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
     hold: float = 0.2, dt: float = 1.0 / RATE,
-) -> Motion:  # fmt: skip
-    """The hand to the ball, standing, along a nearly straight line of least jerk.
+) -> Slices[Motion]:  # fmt: skip
+    """The hand to a ball, a few milliseconds at a time.
+
+    The end is solved for first, and the posture led there: a hand that must follow its line asks too much of
+    the joints on the way; this one is drawn to it.
 
     Args:
         figure: Who.
         q: (nq,) where it begins.
         ball: (3,) in the world.
         arm: Which hand.
+        kind: ``reach``: standing, along a nearly straight line of least jerk; ``bend``: hips back.
         end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
         hold: How long the hand stays there, s.
         dt: Time between frames, s.
-    """
-    return finished(take_slices(figure, q, ball, arm, REACH, end=end, hold=hold, dt=dt))
-
-
-def bend(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", *, end: Array | None = None,
-    hold: float = 0.2, dt: float = 1.0 / RATE,
-) -> Motion:  # fmt: skip
-    """The hand to a low ball, hips back; arguments as those of ``reach``."""
-    return finished(take_slices(figure, q, ball, arm, BEND, end=end, hold=hold, dt=dt))
-
-
-def take_slices(
-    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
-    hold: float = 0.2, dt: float = 1.0 / RATE,
-) -> Slices[Motion]:  # fmt: skip
-    """``reach`` or ``bend``, a few milliseconds at a time.
-
-    The end is solved for first, and the posture led there: a hand that must follow its line asks too much of
-    the joints on the way; this one is drawn to it.
     """
     start, stance = to_stance(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
@@ -340,10 +278,14 @@ def take_slices(
 
         return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
 
-    least = max(_duration(length, _REACH_SPEED if upright else _BEND_SPEED), slowest)
-    least = max(least, glance_time(figure, start, ball))
+    # Of a minimum-jerk path: its peak speed is 15/8 of the mean.
+    straight = 1.875 * length / (_REACH_SPEED if upright else _BEND_SPEED)
+    least = max(_LEAST, straight, slowest, glance_time(figure, start, ball))
     frames = yield from _best(plan, least)
     return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
+
+
+take = at_once(take_slices)
 
 
 def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
@@ -362,8 +304,7 @@ def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T:
 def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
     """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
 
-    Where the old motion would go on to, less where the new one is, decays joint by joint, and its speed
-    with it; the
+    Where the old motion would go on to, less where the new one is, decays joint by joint with its speed; the
     feet are pinned again to what the new motion says.
     """
     n = min(len(motion), round(BLEND / dt) + 3)
@@ -378,12 +319,9 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     for foot in figure.feet.values():  # toes on the floor: what little they are off would press them into it
         if foot.toes is not None and abs(gap[foot.toes[1]]) < 0.1:
             offset[:, foot.toes[1]] = 0.0
-    wanted = np.array(
-        [figure.robot.integrate(row, step) for row, step in zip(motion.q[:n], offset, strict=True)]
-    )
+    wanted = np.array(list(map(figure.robot.integrate, motion.q[:n], offset)))
     rows = FrameRows(figure, n)
-    feet = {s: figure.poses(motion.q[:n], f.frame) for s, f in figure.feet.items()}
-    rows.feet({s: p for s, (p, _) in feet.items()}, {s: r for s, (_, r) in feet.items()})
+    rows.feet({side: figure.poses(motion.q[:n], foot.frame) for side, foot in figure.feet.items()})
     center = np.array([figure.center(row) for row in motion.q[:n]])
     was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
     shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
@@ -418,28 +356,16 @@ def stop_walk(
     keep = landing + 3  # the two where it stood, those that landed, and the one that swings
     prints = list(found.prints)
     if keep + 2 < len(prints):
-        swinging, after = prints[keep - 1], prints[keep]
-        between = prints[keep - 2]
-        short = Footprint(after.side, *(between_prints(between, after, 0.75)))
-        half = figure.apart
-        sign = 1 - 2 * short.side
-        beside = Footprint(
-            swinging.side, short.x + sign * 2 * half * np.sin(short.yaw),
-            short.y - sign * 2 * half * np.cos(short.yaw), short.yaw,
-        )  # fmt: skip
-        prints = [*prints[:keep], short, beside]
+        # Three quarters of the next step, from where the same foot stood; the other foot comes beside it.
+        a, b, share = prints[keep - 2], prints[keep], 0.75
+        x, y, yaw = a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
+        apart = (1 - 2 * b.side) * 2 * figure.apart
+        beside = (x + apart * np.sin(yaw), y - apart * np.cos(yaw), yaw)
+        prints = [*prints[:keep], Footprint(b.side, x, y, yaw), Footprint(prints[keep - 1].side, *beside)]
     return (yield from walk_slices(figure, start, prints, gait, dt=dt))
-
-
-def between_prints(a: Footprint, b: Footprint, share: float) -> tuple[float, float, float]:
-    """(x, y, yaw) of b drawn towards a, which the same foot left."""
-    return a.x + (b.x - a.x) * share, a.y + (b.y - a.y) * share, a.yaw + (b.yaw - a.yaw) * share
 
 
 def rest_of(motion: Motion, frame: int) -> Motion:
     """The frames from ``frame`` on."""
-    cut = slice(frame, None)
-    return replace(
-        motion, q=motion.q[cut], contact=motion.contact[cut], miss=motion.miss[cut], zmp=motion.zmp[cut],
-        free=motion.free[cut],
-    )  # fmt: skip
+    rows = {name: getattr(motion, name)[frame:] for name in ("q", "contact", "miss", "zmp", "free")}
+    return replace(motion, **rows)

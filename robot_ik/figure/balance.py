@@ -12,31 +12,23 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.figure.figure import Figure
 from robot_ik.figure.frames import SLICE, Slices
-
-Array = NDArray[np.float64]
+from robot_ik.motion.keyframes import monotone_slope
+from robot_ik.ports import Array
 
 
 @dataclass(frozen=True)
 class CenterPlan:
-    """The centre of mass over a piecewise linear zero-moment point.
+    """The centre of mass over a piecewise linear zero-moment point."""
 
-    Attributes:
-        times: (k + 1,) where the pieces begin, and the end.
-        start, slope: (k, 2) zero-moment point at the beginning of each piece, and its speed.
-        growing, shrinking: (k, 2) factors of e^{ωu} and e^{−ωu}.
-        omega: ω, 1/s.
-    """
-
-    times: Array
-    start: Array
+    times: Array  # (k + 1,) where the pieces begin, and the end
+    start: Array  # (k, 2) zero-moment point at the beginning of each piece, and its speed
     slope: Array
-    growing: Array
+    growing: Array  # (k, 2) factors of e^{ωu} and e^{−ωu}
     shrinking: Array
-    omega: float
+    omega: float  # ω, 1/s
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """(n, 2) centre of mass and (n, 2) zero-moment point at times (n,)."""
@@ -68,12 +60,8 @@ def plan_center(
     diverging = np.empty((count + 1, 2))
     diverging[-1] = points[-1]
     for k in range(count - 1, 0, -1):
-        shift = slope[k] / omega
-        diverging[k] = (
-            points[k]
-            + shift
-            + (diverging[k + 1] - points[k + 1] - shift) * np.exp(-omega * (times[k + 1] - times[k]))
-        )
+        shift, shrunk = slope[k] / omega, np.exp(-omega * (times[k + 1] - times[k]))
+        diverging[k] = points[k] + shift + (diverging[k + 1] - points[k + 1] - shift) * shrunk
     start = points[:-1].copy()
     here = x + (0.0 if speed is None else speed / omega)
     e = np.exp(-omega * (times[1] - times[0]))
@@ -88,10 +76,7 @@ def plan_center(
 
 
 def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Central speeds and accelerations, and forward speeds, (n, nv) each.
-
-    Zero where neighbours are missing.
-    """
+    """Central speeds and accelerations, and forward speeds, (n, nv) each; zero without neighbours."""
     n, nv = len(q), figure.model.nv
     forward, speed, change = np.zeros((n, nv)), np.zeros((n, nv)), np.zeros((n, nv))
     for i in range(n - 1):
@@ -106,8 +91,7 @@ def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Arra
     """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
 
     The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
-    where
-    there is no acceleration, they are those of rest.
+    where there is no acceleration, they are those of rest.
     """
     model, data = figure.model, figure.data
     speed, change, _ = derivatives(figure, q, dt)
@@ -222,16 +206,10 @@ def smooth(values: Array, sigma: float) -> Array:
 
 
 def monotone_curve(knots: Array, values: Array, t: Array) -> Array:
-    """Cubic curve through the knots that overshoots none.
-
-    Fritsch & Carlson, SIAM J. Numer. Anal. 17, 1980.
-    """
-    h, d = np.diff(knots), np.diff(values) / np.diff(knots)
-    slope = np.zeros(len(knots))
-    same = d[:-1] * d[1:] > 0
-    w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        slope[1:-1] = np.where(same, (w1 + w2) / (w1 / d[:-1] + w2 / d[1:]), 0.0)
+    """Cubic curve through the knots that overshoots none, flat at both ends."""
+    h, slope = np.diff(knots), np.zeros(len(knots))
+    d = np.diff(values) / h
+    slope[1:-1] = monotone_slope(d[:-1], d[1:], h[:-1], h[1:])
     return _hermite(knots, values, slope, t)
 
 

@@ -1,19 +1,16 @@
 """``decide``: reach, bend, jump, walk or nothing, by where a ball is and what the figure can do.
 
 In this order: a ball that a hand reaches standing is reached; else one that it reaches bending; else one
-that a jump
-brings the palm to; else, where some free stand point nearby has one of these, the figure walks there; else
-it does
-nothing.  Among the arms the one whose shoulder is nearer; within 20 mm the one that acted last, else the
-right.
-Pađen (2011) decides by fixed regions; here the regions are the model's own (``abilities``), and every
-"reach", "bend"
-and "jump" is confirmed before it is said.
+that a jump brings the palm to; else, where some free stand point nearby has one of these, the figure walks
+there; else it does nothing.  Among the arms the one whose shoulder is nearer; within 20 mm the one that acted
+last, else the right.  Pađen (2011) decides by fixed regions; here the regions are the model's own
+(``abilities``), and every "reach", "bend" and "jump" is confirmed before it is said.
 """
 
 from __future__ import annotations
 
 import heapq
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,16 +20,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.figure import Figure, rotation
+from robot_ik.figure.figure import Figure, chain, in_stance_frame, remembered, rotation
 from robot_ik.figure.poses import BEND, REACH
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
 
 HYSTERESIS = 0.03
-"""A figure that reaches, bends or jumps goes on until the ball is so far outside what that action can do,
-m."""
+"""A figure that reaches, bends or jumps goes on until the ball is so far outside what that can do, m."""
 WORKSPACE = 8.0
 """A ball farther away than this does not concern the figure, m."""
 _SAME_ARM = 0.02
@@ -47,17 +42,11 @@ _TRIES, _SOLVES, _FEW = 6, 3, 3
 
 @dataclass(frozen=True)
 class Box:
-    """An obstacle: a box on or above the floor.
+    """An obstacle: a box on or above the floor."""
 
-    Attributes:
-        center: (3,) m.
-        half: (3,) half its edges.
-        heading_deg: Turned about the vertical.
-    """
-
-    center: tuple[float, float, float]
-    half: tuple[float, float, float]
-    heading_deg: float = 0.0
+    center: tuple[float, float, float]  # (3,) m
+    half: tuple[float, float, float]  # (3,) half its edges
+    heading_deg: float = 0.0  # turned about the vertical
 
     def distance(self, xy: Array) -> Array:
         """(n,) distances of points on the floor, 0 inside; inf where the figure passes under or over it."""
@@ -85,25 +74,15 @@ Obstacle = Box | HalfSpace
 
 @dataclass(frozen=True)
 class Decision:
-    """What a figure does, and why.
+    """What a figure does, and why."""
 
-    Attributes:
-        action: ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``.
-        arm: The arm that acts, after the walk if it walks.
-        reason: A sentence for the user.
-        stand_point: (x, y, heading) to walk to.
-        waypoints: Stand points to walk through, the last is ``stand_point``.
-        then: What it will do there.
-        speed: At take-off of a jump, at least, m/s.
-    """
-
-    action: str
-    arm: str | None
-    reason: str
-    stand_point: tuple[float, float, float] | None = None
-    waypoints: tuple[tuple[float, float, float], ...] = ()
-    then: str | None = None
-    speed: float | None = None
+    action: str  # ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``
+    arm: str | None  # that acts, after the walk if it walks
+    reason: str  # a sentence for the user
+    stand_point: tuple[float, float, float] | None = None  # (x, y, heading) to walk to
+    waypoints: tuple[tuple[float, float, float], ...] = ()  # to walk through, the last is ``stand_point``
+    then: str | None = None  # what it will do there
+    speed: float | None = None  # at take-off of a jump, at least, m/s
 
 
 class Decider:
@@ -142,7 +121,7 @@ class Decider:
         point, refusal = self._checked_ball(ball, stance)
         if refusal:
             return Decision("nothing", None, refusal)
-        local = rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0])
+        local = in_stance_frame(stance, point)
         arms = self._arms(local, last)
         found = self._here(local, arms)
         if last is not None and last.arm in arms and last.action in (REACH, BEND, "jump"):
@@ -169,7 +148,7 @@ class Decider:
             return point, f"the ball is {-100 * point[2]:.0f} cm under the floor"
         if away > self.workspace:
             return point, f"the ball is {away:.1f} m away, outside the workspace of {self.workspace:g} m"
-        part = inside_body(self.figure, rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
+        part = inside_body(self.figure, in_stance_frame(stance, point))
         return point, f"the ball is inside its {part}" if part else ""
 
     def _arms(self, local: Array, last: Decision | None) -> list[str]:
@@ -187,26 +166,20 @@ class Decider:
         for kind in (REACH, BEND):
             for arm in arms:
                 if able.can(kind, local, arm) is not None:
-                    how = (
-                        "reaches the ball standing" if kind == REACH else "reaches the ball only bending down"
-                    )
-                    return Decision(kind, arm, f"the {arm} hand {how}")
+                    how = "standing" if kind == REACH else "only bending down"
+                    return Decision(kind, arm, f"the {arm} hand reaches the ball {how}")
         for arm in arms:
             speed = able.take_off(local, arm)
             if speed is not None:
-                reason = (
-                    f"the ball is overhead: a jump of {speed:.1f} m/s or more brings the {arm} hand to it"
-                )
-                return Decision("jump", arm, reason, speed=speed)
+                needed = f"a jump of {speed:.1f} m/s or more brings the {arm} hand to it"
+                return Decision("jump", arm, f"the ball is overhead: {needed}", speed=speed)
         return None
 
     def _still(self, local: Array, last: Decision) -> Decision | None:
         """The last action again for a ball that is hardly outside what it can do."""
         assert last.arm is not None
-        nearest = self.abilities.shoulders[last.arm]
-        drawn = local + (nearest - local) * (
-            HYSTERESIS / max(float(np.linalg.norm(nearest - local)), HYSTERESIS)
-        )
+        nearer = self.abilities.shoulders[last.arm] - local
+        drawn = local + nearer * (HYSTERESIS / max(float(np.linalg.norm(nearer)), HYSTERESIS))
         if last.action == "jump":
             speed = self.abilities.take_off(drawn, last.arm)
             return None if speed is None else Decision("jump", last.arm, last.reason, speed=speed)
@@ -226,16 +199,13 @@ class Decider:
                     continue
                 waypoints = self.path(stance, stand)
                 if waypoints is not None:
-                    distance = float(np.linalg.norm(ball[:2] - stance[:2]))
-                    reason = (
-                        f"the ball is {distance:.2f} m away: it can be {verb} with the {arm} hand from nearer"
-                    )
+                    away = f"{float(np.linalg.norm(ball[:2] - stance[:2])):.2f} m away"
+                    reason = f"the ball is {away}: it can be {verb} with the {arm} hand from nearer"
                     return Decision("walk", arm, reason, waypoints[-1], waypoints, kind)
-        if self.obstacles:
-            return Decision("nothing", None, "no free stand point brings the ball within reach")
-        return Decision(
-            "nothing", None, f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
-        )
+        reason = "no free stand point brings the ball within reach"
+        if not self.obstacles:
+            reason = f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
+        return Decision("nothing", None, reason)
 
     def _able(self, kind: str, local: Array, arm: str) -> bool:
         if kind == "jump":
@@ -300,11 +270,9 @@ class Decider:
                 corners.append(cells[k])
                 here = cells[k]
         corners.append(end[:2])
-        out: list[tuple[float, float, float]] = []
-        for a, b in zip([start[:2], *corners], corners, strict=False):
-            out.append((float(b[0]), float(b[1]), float(np.arctan2(*(b - a)[::-1]))))
-        out[-1] = goal
-        return tuple(out)
+        ways = itertools.pairwise([start[:2], *corners])
+        out = [(float(b[0]), float(b[1]), float(np.arctan2(*(b - a)[::-1]))) for a, b in ways]
+        return (*out[:-1], goal)
 
     def _search(self, a: Array, b: Array) -> list[Array] | None:
         """A* over a grid of 0.1 m between two points and a margin about them."""
@@ -333,31 +301,31 @@ class Decider:
                 new = cost[here] + float(np.hypot(i, j))
                 if new < cost.get(there, np.inf):
                     cost[there], came[there] = new, here
-                    heapq.heappush(
-                        queue, (new + float(np.hypot(there[0] - goal[0], there[1] - goal[1])), there)
-                    )
+                    rest = float(np.hypot(there[0] - goal[0], there[1] - goal[1]))
+                    heapq.heappush(queue, (new + rest, there))
         return None
 
 
 def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms excepted, that holds a point seen from the feet; empty where none does."""
     model = figure.model
-    geoms, positions, matrices = _trunk_shapes(figure)
+    geoms, positions, matrices = remembered(
+        figure.robot.memory, "figure.shapes", lambda: _trunk_shapes(figure)
+    )
     kinds = mujoco.mjtGeom
     away = local - positions
     for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
         g = int(geoms[i])
         x, size = matrices[i].T @ away[i], model.geom_size[g]
         kind = model.geom_type[g]
-        if kind == kinds.mjGEOM_BOX:
-            held = bool((np.abs(x) <= size).all())
-        elif kind == kinds.mjGEOM_CAPSULE:
+        if kind == kinds.mjGEOM_CAPSULE:
             x[2] -= np.clip(x[2], -size[1], size[1])
-            held = bool(x @ x <= size[0] ** 2)
+        if kind == kinds.mjGEOM_BOX:
+            held = (np.abs(x) <= size).all()
         elif kind == kinds.mjGEOM_ELLIPSOID:
-            held = bool(((x / size) ** 2).sum() <= 1.0)
+            held = ((x / size) ** 2).sum() <= 1.0
         else:
-            held = bool(x @ x <= size[0] ** 2)
+            held = x @ x <= size[0] ** 2
         if held:
             return str(model.body(int(model.geom_bodyid[g])).name).replace("_", " ")
     return ""
@@ -365,22 +333,13 @@ def inside_body(figure: Figure, local: Array) -> str:
 
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
-    known: tuple[NDArray[np.int64], Array, Array] | None = figure.robot.memory.get("figure.shapes")
-    if known is None:
-        model, data = figure.model, figure.data
-        data.qpos[:] = figure.home
-        mujoco.mj_kinematics(model, data)
-        arms: set[int] = set()
-        trunk = figure.robot.frame(figure.trunk).body
-        for frame in figure.hands.values():
-            body = figure.robot.frame(frame).body
-            while body not in (0, trunk):
-                arms.add(body)
-                body = int(model.body_parentid[body])
-        geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, list(arms)))
-        known = geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
-        figure.robot.memory["figure.shapes"] = known
-    return known
+    model, data, frame = figure.model, figure.data, figure.robot.frame
+    data.qpos[:] = figure.home
+    mujoco.mj_kinematics(model, data)
+    trunk = frame(figure.trunk).body
+    arms = [body for hand in figure.hands.values() for body in chain(model, frame(hand).body, trunk)]
+    geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, arms))
+    return geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
 
 
 def decide(

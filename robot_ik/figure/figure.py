@@ -7,21 +7,20 @@ two feet there can walk.  Angles rad, lengths m, world axes with z up; the floor
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
-
-Array = NDArray[np.float64]
 
 SIDES = ("left", "right")
 GRAVITY = 9.81
@@ -30,6 +29,15 @@ RATE = 60.0
 
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom
+_Made = TypeVar("_Made")
+
+
+def remembered(memory: dict[str, Any], key: str, make: Callable[[], _Made]) -> _Made:
+    """What ``make`` gives, made once and kept under a name."""
+    if key not in memory:
+        memory[key] = make()
+    found: _Made = memory[key]
+    return found
 
 
 def rotation(axis: str, angle: ArrayLike) -> Array:
@@ -40,6 +48,11 @@ def rotation(axis: str, angle: ArrayLike) -> Array:
     out[..., i, i] = out[..., j, j] = c
     out[..., i, j], out[..., j, i], out[..., k, k] = -s, s, 1.0
     return out
+
+
+def in_stance_frame(stance: Array, point: Array) -> Array:
+    """A point (3,) of the world seen from a stance (x, y, heading)."""
+    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
 
 def minimum_jerk(s: ArrayLike) -> Array:
@@ -100,21 +113,13 @@ def lowest_points(model: mujoco.MjModel, geoms: list[int], up: Array) -> tuple[A
 
 @dataclass(frozen=True)
 class Sole:
-    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point.
+    """How a foot rolls on a floor: its frame when the foot, pitched, stands on its lowest point."""
 
-    Attributes:
-        pitch: (a,) toes down positive.
-        height: (a,) of the foot's frame over the floor.
-        rolled: (a,) how far the frame has come forward from flat: the integral of the height, for a
-            point that rolls without slip moves by dx = h dθ.
-        front, rear: (x, half width) of the flat part where the weight may stand, in the foot's frame.
-    """
-
-    pitch: Array
-    height: Array
-    rolled: Array
-    front: float
-    rear: float
+    pitch: Array  # (a,) toes down positive
+    height: Array  # (a,) of the foot's frame over the floor
+    rolled: Array  # (a,) forward from flat: rolling without slip moves it by dx = h dθ
+    front: float  # x of the end of the flat part where the weight may stand, in the foot's frame
+    rear: float  # likewise
 
     def stand(self, pitch: ArrayLike) -> tuple[Array, Array]:
         """(forward, height) of the foot's frame at ``pitch``."""
@@ -124,59 +129,37 @@ class Sole:
 
 @dataclass(frozen=True)
 class Foot:
-    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it.
-
-    Attributes:
-        frame: Name of the frame on the sole under the ankle, x to the toes, z up.
-        parts: Body and collision geoms of each rigid part: the foot, then its toes.
-        toes: Index in q and in dq of the hinge of the toes, if there is one.
-        sole: How it rolls.
-        thigh, shank: Lengths, m.
-        ankle: (3,) the ankle seen from the frame.
-        hip: (3,) the hip seen from the frame ``pelvis``.
-    """
+    """A foot: its frame, the shapes that touch the floor, its toes and the leg above it."""
 
     side: str
-    frame: str
-    parts: tuple[tuple[int, tuple[int, ...]], ...]
-    toes: tuple[int, int] | None
-    sole: Sole
-    thigh: float
-    shank: float
-    ankle: Array
-    hip: Array
+    frame: str  # on the sole under the ankle, x to the toes, z up
+    parts: tuple[tuple[int, tuple[int, ...]], ...]  # body and collision geoms of foot and toes
+    toes: tuple[int, int] | None  # index in q and in dq of their hinge, if there is one
+    sole: Sole  # how it rolls
+    thigh: float  # m
+    shank: float  # m
+    ankle: Array  # (3,) seen from the frame
+    hip: Array  # (3,) seen from the frame ``pelvis``
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """What a figure is.  Made by ``load_figure``; never changes.
+    """What a figure is.  Made by ``load_figure``; never changes."""
 
-    Attributes:
-        robot: Its model, all joints active.
-        hands: Frame of each hand by side; empty for a figure without arms.
-        feet: ``Foot`` by side, left and right.
-        gaze, neck: Frame whose x axis looks, and the joints that may serve it.
-        pelvis, trunk: Frames.
-        home, bent: (nq,) standing at ease and deeply bent.
-        speeds: (nv,) joint speed limits, rad/s, by name of the set.
-        stance: (3,) x, y, heading of the middle between the feet at home.
-        apart: Half the distance of the feet at home.
-        workspace: Tables that solves fill in, by name: one thread uses a figure at a time.
-    """
-
-    robot: Robot
-    hands: Mapping[str, str]
-    feet: Mapping[str, Foot]
-    gaze: str | None
-    neck: tuple[str, ...]
-    pelvis: str
-    trunk: str
-    home: Array
-    bent: Array
-    speeds: Mapping[str, Array]
-    apart: float
+    robot: Robot  # all joints active
+    hands: Mapping[str, str]  # frame of each by side; empty for a figure without arms
+    feet: Mapping[str, Foot]  # by side, left and right
+    gaze: str | None  # frame whose x axis looks
+    neck: tuple[str, ...]  # joints that may serve it
+    pelvis: str  # frame
+    trunk: str  # frame
+    home: Array  # (nq,) standing at ease
+    bent: Array  # (nq,) deeply bent
+    speeds: Mapping[str, Array]  # (nv,) joint speed limits, rad/s, by name of the set
+    apart: float  # half the distance of the feet at home
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
+    # Tables that solves fill in, by name: one thread uses a figure at a time.
     workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -210,10 +193,7 @@ class Figure:
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
         key = f"figure.stiffness {list(rows.items())}"
-        known = self.robot.memory.get(key)
-        if known is None:
-            known = self.robot.memory[key] = _by_pattern(self.robot, rows, 0.0)
-        return np.asarray(known)
+        return remembered(self.robot.memory, key, lambda: _by_pattern(self.robot, rows, 0.0))
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
@@ -291,17 +271,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         )  # fmt: skip
     feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
     bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
-    apart = (
-        abs(
-            float(
-                (
-                    robot.forward(robot.home, parts.feet["left"]).position
-                    - robot.forward(robot.home, parts.feet["right"]).position
-                )[1]
-            )
-        )
-        / 2
-    )
+    left, right = (float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES)
     return Figure(
         robot=robot,
         hands={side: parts.hands[side] for side in SIDES if side in parts.hands},
@@ -314,7 +284,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         bent=bent,
         speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()}
         or {"daily": np.full(robot.nv, np.inf)},
-        apart=apart,
+        apart=abs(left - right) / 2,
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
@@ -347,7 +317,12 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
         joint = int(model.body_jntadr[below[0]])
         toes = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     position, matrix = np.array(robot.frame(frame).local.position), robot.frame(frame).local.rotation
-    hip, knee, ankle = _leg(model, data, body, robot.frame(pelvis).body, frame)
+    leg = rotation_points(model, data, body, robot.frame(pelvis).body)
+    if len(leg) != 3:
+        raise ModelError(
+            f"the leg of {frame!r} rotates about {len(leg)} points, not about hip, knee and ankle"
+        )
+    ankle, knee, hip = leg
     foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
     at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
     return Foot(
@@ -356,21 +331,24 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
     )  # fmt: skip
 
 
-def _leg(model: mujoco.MjModel, data: mujoco.MjData, foot: int, pelvis: int, name: str) -> list[Array]:
-    """Hip, knee and ankle in the world at qpos0: the three points about which the joints of a leg rotate."""
+def rotation_points(model: mujoco.MjModel, data: mujoco.MjData, body: int, top: int) -> list[Array]:
+    """The points (3,), world, about which the joints of a limb rotate, from its last body up to ``top``."""
     found: list[Array] = []
-    while foot not in (0, pelvis):
-        first = int(model.body_jntadr[foot])
-        for joint in range(first, first + int(model.body_jntnum[foot])):
-            anchor = data.xanchor[joint]
+    for part in chain(model, body, top):
+        first = int(model.body_jntadr[part])
+        for anchor in data.xanchor[first : first + int(model.body_jntnum[part])]:
             if not any(np.linalg.norm(anchor - other) < 1e-3 for other in found):
                 found.append(anchor.copy())
-        foot = int(model.body_parentid[foot])
-    if len(found) != 3:
-        raise ModelError(
-            f"the leg of {name!r} rotates about {len(found)} points, not about hip, knee and ankle"
-        )
-    return found[::-1]
+    return found
+
+
+def chain(model: mujoco.MjModel, body: int, top: int) -> list[int]:
+    """A body and those above it, below ``top``."""
+    found = []
+    while body not in (0, top):
+        found.append(body)
+        body = int(model.body_parentid[body])
+    return found
 
 
 def _sole(model: mujoco.MjModel, geoms: tuple[int, ...], position: Array, matrix: Array) -> Sole:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.figure.figure import SIDES, Figure
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # A foot rotates by so much in a step at most, rad: legs do not cross, and the outer knee does not stretch.
 _STEP_TURN = np.radians(22.0)
@@ -114,22 +112,20 @@ def prints_of(figure: Figure, q: Array) -> tuple[Footprint, Footprint]:
     """Where the feet stand at q."""
     found = []
     for side, name in enumerate(SIDES):
-        position, matrix = figure.pose(q, figure.feet[name].frame)
-        found.append(
-            Footprint(
-                side, float(position[0]), float(position[1]), float(np.arctan2(matrix[1, 0], matrix[0, 0]))
-            )
-        )
+        (x, y, _), matrix = figure.pose(q, figure.feet[name].frame)
+        yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+        found.append(Footprint(side, float(x), float(y), yaw))
     return found[0], found[1]
 
 
 def stance_of(left: Footprint, right: Footprint) -> Array:
     """(3,) x, y, heading of the middle."""
-    heading = left.yaw + _wrapped(right.yaw - left.yaw) / 2
+    heading = left.yaw + wrapped(right.yaw - left.yaw) / 2
     return np.array([(left.x + right.x) / 2, (left.y + right.y) / 2, heading])
 
 
-def _wrapped(angle: float) -> float:
+def wrapped(angle: float) -> float:
+    """The same angle from -π to π."""
     return float((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
@@ -141,16 +137,12 @@ def walk_prints(
     The first step is shorter and so is the last; the foot inside the turn begins, so that legs do not cross.
     """
     a, half = stance_of(*start), figure.apart
-    b = np.array([goal[0], goal[1], a[2] + _wrapped(goal[2] - a[2])])
+    b = np.array([goal[0], goal[1], a[2] + wrapped(goal[2] - a[2])])
     d = float(np.linalg.norm(b[:2] - a[:2]))
     u = np.linspace(0.0, 1.0, 400)[:, None]
     ta, tb = (d * np.array([np.cos(p[2]), np.sin(p[2])]) for p in (a, b))
-    curve = (
-        (2 * u**3 - 3 * u**2 + 1) * a[:2]
-        + (u**3 - 2 * u**2 + u) * ta
-        + (3 * u**2 - 2 * u**3) * b[:2]
-        + (u**3 - u**2) * tb
-    )
+    curve = (2 * u**3 - 3 * u**2 + 1) * a[:2] + (u**3 - 2 * u**2 + u) * ta
+    curve += (3 * u**2 - 2 * u**3) * b[:2] + (u**3 - u**2) * tb
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
     tangent = np.gradient(curve, axis=0)
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
@@ -169,9 +161,7 @@ def walk_prints(
     out = list(start)
     for k in range(n):
         last = k == n - 1
-        middle = (
-            b if last else np.array([np.interp(share[k], pace, v) for v in (curve[:, 0], curve[:, 1], yaw)])
-        )
+        middle = b if last else np.array([np.interp(share[k], pace, v) for v in (*curve.T, yaw)])
         # Feet that hardly pass each other keep farther apart.
         lateral = half + (gait.width / 2 - half) * min(1.0, (ways[k] / gait.length) ** 2)
         width, toes = (half, 0.0) if last else (lateral, np.radians(gait.toe_out_deg))
@@ -187,7 +177,7 @@ def shuffle_prints(figure: Figure, start: tuple[Footprint, Footprint], goal: Arr
     The foot on the side of the motion goes first and the other follows beside it, so that legs never cross.
     """
     a, half = stance_of(*start), figure.apart
-    angle, displacement = _wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
+    angle, displacement = wrapped(goal[2] - a[2]), np.asarray(goal[:2]) - a[:2]
     c, s = np.cos(a[2]), np.sin(a[2])
     forward, lateral = c * displacement[0] + s * displacement[1], -s * displacement[0] + c * displacement[1]
     paces = max(abs(angle) / np.radians(30.0), float(np.hypot(forward / 0.3, lateral / 0.2)))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +14,11 @@ from robot_ik.figure.figure import RATE, Figure
 from robot_ik.kernels import whole_body
 from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.whole_body import HARD
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Work that is done a little at a time yields between its parts and returns its result.
 _Result = TypeVar("_Result")
+_Given = ParamSpec("_Given")
 Slices = Generator[None, None, _Result]
 SLICE, _STEPS = 60, 8
 """Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
@@ -33,18 +33,18 @@ def finished(slices: Slices[_Result]) -> _Result:
             return cast(_Result, end.value)
 
 
+def at_once(work: Callable[_Given, Slices[_Result]]) -> Callable[_Given, _Result]:
+    """Work in slices as a function that does all of it."""
+    return lambda *given, **options: finished(work(*given, **options))
+
+
 class FrameRows:
     """What a run of frames shall do: rows of ``kernels.whole_body``, frame by frame."""
 
     def __init__(self, figure: Figure, frames: int) -> None:
         self.figure, self.frames = figure, frames
-        self._kind: list[int] = []
-        self._node: list[int] = []
-        self._local: list[Array] = []
-        self._axes: list[int] = []
-        self._share: list[Array] = []
-        self._target: list[Array] = []
-        self._weight: list[Array] = []
+        # Of each row its kind, node, local, axes and share, as the kernel has them, its targets and weights.
+        self._rows: list[tuple[int, int, Array, int, Array, Array, Array]] = []
 
     def _add(
         self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
@@ -57,13 +57,9 @@ class FrameRows:
             share[[self.figure.addresses(joint)[1] for joint in joints]] = 1.0
         row = np.zeros((self.frames, 12))
         row[:, 3 if kind == whole_body.ROTATION else 0 :][:, : target.shape[-1]] = target
-        self._kind.append(kind)
-        self._node.append(node)
-        self._local.append(local)
-        self._axes.append(sum(1 << "xyz".index(axis) for axis in axes))
-        self._share.append(share)
-        self._target.append(row)
-        self._weight.append(np.broadcast_to(np.asarray(weight, dtype=float), self.frames))
+        bits = sum(1 << "xyz".index(axis) for axis in axes)
+        weights = np.broadcast_to(np.asarray(weight, dtype=float), self.frames)
+        self._rows.append((kind, node, local, bits, share, row, weights))
 
     def position(self, frame: str, target: Array, weight: ArrayLike = HARD, axes: str = "xyz") -> None:
         """A frame's origin at (3,) or (n, 3)."""
@@ -90,18 +86,18 @@ class FrameRows:
         """No angular momentum about the centre of mass between a frame and the one before."""
         self._add(whole_body.MOMENTUM, None, np.zeros(3), weight)
 
-    def feet(self, positions: Mapping[str, Array], matrices: Mapping[str, Array]) -> None:
+    def feet(self, poses: Mapping[str, tuple[Array, Array]], weight: ArrayLike = HARD) -> None:
         """Both feet, by side: (3,) or (n, 3), and (3, 3) or (n, 3, 3)."""
         for side, foot in self.figure.feet.items():
-            self.position(foot.frame, positions[side])
-            self.orientation(foot.frame, matrices[side])
+            self.position(foot.frame, poses[side][0], weight)
+            self.orientation(foot.frame, poses[side][1], weight)
 
-    def solve(
+    def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
         steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Frames:  # fmt: skip
-        """The frames.
+    ) -> Slices[Frames]:  # fmt: skip
+        """The frames, some at a time.
 
         Args:
             posture: (nq,) or (n, nq) wanted where the rows leave freedom.
@@ -115,19 +111,6 @@ class FrameRows:
             rest: A step shorter than this (rad, m) was the last …
             close: … if hard rows are this close.
         """
-        return finished(
-            self.slices(
-                posture, stiffness, start, second, limits=limits, speeds=speeds, dt=dt, steps=steps,
-                rest=rest, close=close,
-            )
-        )  # fmt: skip
-
-    def slices(
-        self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
-    ) -> Slices[Frames]:  # fmt: skip
-        """As ``solve``, some frames at a time: the same bits."""
         each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
         ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
         n, nq = self.frames, self.figure.robot.nq
@@ -144,6 +127,8 @@ class FrameRows:
                 yield
         return found
 
+    solve = at_once(slices)
+
     def prepare(
         self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
         speeds: str | None = "daily", dt: float = 1.0 / RATE,
@@ -151,10 +136,11 @@ class FrameRows:
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
         robot = self.figure.robot
         stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
+        *_, targets, weights = zip(*self._rows, strict=True)
         ready = PreparedRows(
             robot.tree.handle,
-            np.ascontiguousarray(np.stack(self._target, axis=1)),
-            np.ascontiguousarray(np.stack(self._weight, axis=1)),
+            np.ascontiguousarray(np.stack(targets, axis=1)),
+            np.ascontiguousarray(np.stack(weights, axis=1)),
             np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
             np.array(stiffness),
         )
@@ -164,15 +150,16 @@ class FrameRows:
     def _table(
         self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
     ) -> NDArray[np.int64]:
-        robot, groups = self.figure.robot, len(self._kind)
+        robot, groups = self.figure.robot, len(self._rows)
+        kind, node, local, axes, share, *_ = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, nv, hard = robot.tree.size, robot.nv, 3 * groups
         arrays: dict[str, NDArray[Any]] = {
-            "kind": np.array(self._kind, dtype=np.int64),
-            "node": np.array(self._node, dtype=np.int64),
-            "local": np.array(self._local).reshape(groups, 12),
-            "axes": np.array(self._axes, dtype=np.int64),
-            "share": np.array(self._share),
+            "kind": np.array(kind, dtype=np.int64),
+            "node": np.array(node, dtype=np.int64),
+            "local": np.array(local).reshape(groups, 12),
+            "axes": np.array(axes, dtype=np.int64),
+            "share": np.array(share),
             "inertia": self.figure.inertia,
             "stiffness": np.ascontiguousarray(stiffness),
             "lower": lower,
@@ -195,21 +182,13 @@ class FrameRows:
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with their tables.  All but the tables may change between solves, in place.
+    """Rows with their tables.  All but the tables may change between solves, in place."""
 
-    Attributes:
-        tree, body: Tables of the kernel.
-        target: (frames, groups, 12), in the order in which the rows were added.
-        weight: (frames, groups).
-        posture: (frames, nq).
-        stiffness: (nv,).
-    """
-
-    tree: NDArray[np.int64]
-    target: Array
-    weight: Array
-    posture: Array
-    stiffness: Array
+    tree: NDArray[np.int64]  # tables of the kernel
+    target: Array  # (frames, groups, 12), in the order in which the rows were added
+    weight: Array  # (frames, groups)
+    posture: Array  # (frames, nq)
+    stiffness: Array  # (nv,)
     body: NDArray[np.int64] = field(init=False, repr=False)
 
     def table(self, name: str) -> NDArray[Any]:
@@ -228,14 +207,8 @@ class PreparedRows:
 
 @dataclass(frozen=True)
 class Frames:
-    """What ``FrameRows.solve`` found.
+    """What ``FrameRows.solve`` found."""
 
-    Attributes:
-        q: (n, nq).
-        miss: (n,) largest miss of a hard row in each frame, m or rad.
-        steps: (n,) steps taken.
-    """
-
-    q: Array
-    miss: Array
-    steps: NDArray[np.int64]
+    q: Array  # (n, nq)
+    miss: Array  # (n,) largest miss of a hard row in each frame, m or rad
+    steps: NDArray[np.int64]  # (n,) steps taken

@@ -27,9 +27,8 @@ from robot_ik.figure.balance import (
 )
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
 from robot_ik.figure.footprints import WALK, Footprint, Gait
-from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
-
-Array = NDArray[np.float64]
+from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
+from robot_ik.ports import Array
 
 AIR, HEEL, FLAT, TOE = range(4)
 CONTACTS = ("air", "heel", "flat", "toe")
@@ -145,32 +144,25 @@ class _Plan:
             drop = -values[-1] * gait.drop / (gait.flat * 2 * gait.time)
             pitch[rolling] = clamped_curve(knots, values, t[rolling], drop)
             away = (t >= fall.off) & (t < after.strike)
-            xy[away], yaw[away] = self._swing(side, fall, after, (t[away] - fall.off) / swing)
             s = (t[away] - fall.off) / swing
+            xy[away], yaw[away] = self._swing(side, fall, after, s)
             clear[away], air[away] = gait.lift * _arc(s, *gait.arch), True
             self.toes[side, rolling] = np.maximum(pitch, 0.0)[rolling]
             h = 1e-3  # toes stay level while the sole rolls, then go on with its speed and straighten
             around = clamped_curve(knots, values, fall.off + np.array([-h, 0.0, h]), drop)
             slope = (around[2] - around[0]) / (2 * h), float(np.diff(around, n=2)[0]) / h**2
-            loose = (t > fall.off) & (t < after.strike)
+            loose = away & (t > fall.off)
             offset = decay(around[1:2], np.array([slope[0]]), gait.level_time, np.array([slope[1]]))
             self.toes[side, loose] = np.maximum(offset(t[loose] - fall.off)[:, 0], 0.0)
         rolled, height = sole.stand(pitch)
         up = self._eased(falls, height + clear)
-        self.foot_positions[side] = np.column_stack(
-            [xy[:, 0] + rolled * np.cos(yaw), xy[:, 1] + rolled * np.sin(yaw), up]
-        )
+        forward = np.column_stack([np.cos(yaw), np.sin(yaw)])
+        self.foot_positions[side] = np.column_stack([xy + rolled[:, None] * forward, up])
         self.yaw[side], self.pitch[side] = yaw, pitch
-        self.contact[side] = np.where(
-            air, AIR, np.where(pitch < -1e-4, HEEL, np.where(pitch > 1e-4, TOE, FLAT))
-        )
+        self.contact[side] = np.select([air, pitch < -1e-4, pitch > 1e-4], [AIR, HEEL, TOE], FLAT)
 
     def _eased(self, falls: Sequence[_Footfall], up: Array) -> Array:
-        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt.
-
-        A level sole that turns on stands on its other end at once: on the floor it must, in the air the knee
-        need not follow.
-        """
+        """Heights (n,) of a foot whose lowest point passes from toe to heel in the air without a jolt."""
         soft, share = smooth(up, _EASE / (self.times[1] - self.times[0])), np.zeros(len(up))
         for fall, after in itertools.pairwise(falls):
             if np.isfinite(fall.off):
@@ -184,18 +176,14 @@ class _Plan:
         share = share - self.gait.arrive * s**5 * (1 - s) - self.gait.depart * s**2 * (1 - s) ** 4
         start = np.array([fall.print.x, fall.print.y])
         displacement = np.array([after.print.x, after.print.y]) - start
-        other = max(
-            (f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9), key=lambda f: f.strike
-        ).print
+        standing = (f for f in self.falls[1 - side] if f.strike <= fall.off + 1e-9)
+        other = max(standing, key=lambda f: f.strike).print
         beside = np.array([-np.sin(other.yaw), np.cos(other.yaw)]) * (1 - 2 * side)
         to = np.array([other.x, other.y])
         u = float(np.clip((to - start) @ displacement / max(displacement @ displacement, 1e-9), 0.0, 1.0))
         bulge = max(0.0, self.gait.gap - float((start + u * displacement - to) @ beside))
-        out = (
-            start
-            + displacement * share[:, None]
-            + beside * (bulge * 64 * (share * (1 - share)) ** 3)[:, None]
-        )
+        out = start + displacement * share[:, None]
+        out += beside * (bulge * 64 * (share * (1 - share)) ** 3)[:, None]
         return out, fall.print.yaw + (after.print.yaw - fall.print.yaw) * share
 
     def _phases(self) -> tuple[Array, Array]:
@@ -204,26 +192,18 @@ class _Plan:
         phase = 0.5 * (np.arange(len(strikes)) - self.prints[2].side)
         knots = np.concatenate([[strikes[0] - span], strikes, [strikes[-1] + span]])
         lin = np.interp(self.times, knots, np.concatenate([[phase[0] - 2], phase, [phase[-1] + 2]]))
-        go = minimum_jerk((self.times - _LEAN + 0.2) / 0.7) * (
-            1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7)
-        )
-        return lin, go
+        going = minimum_jerk((self.times - _LEAN + 0.2) / 0.7)
+        return lin, going * (1 - minimum_jerk((self.times - strikes[-1] + 0.2) / 0.7))
 
     def trunk(self) -> tuple[Array, Array, Array]:
         """Rotations of pelvis and chest (n, 3, 3), and the heading (n,)."""
         heading = self.yaw.mean(axis=0)
         angle, size = 2 * np.pi * self.phase, self.going * self.gait.swing_deg / 15.0
-        yaw, lean = (
-            np.radians(self.gait.turn_deg) * size * np.cos(angle),
-            np.radians(4.0) * size * np.sin(angle - 0.35),
-        )
-        tilt = np.radians(4.0) * self.going
+        yaw = np.radians(self.gait.turn_deg) * size * np.cos(angle)
+        lean = np.radians(4.0) * size * np.sin(angle - 0.35)
+        tilt, bow = np.radians(4.0) * self.going, np.radians(self.gait.lean_deg) * self.going
         pelvis = rotation("z", heading - yaw) @ rotation("x", lean) @ rotation("y", tilt)
-        chest = (
-            rotation("z", heading + 0.8 * yaw)
-            @ rotation("x", 0.15 * lean)
-            @ rotation("y", np.radians(self.gait.lean_deg) * self.going)
-        )
+        chest = rotation("z", heading + 0.8 * yaw) @ rotation("x", 0.15 * lean) @ rotation("y", bow)
         return pelvis, chest, heading
 
     def _leaving(self, side: int) -> Array:
@@ -233,10 +213,7 @@ class _Plan:
         return minimum_jerk(1.0 - away / _LEAVING)
 
     def pelvis_height(self, pelvis: Array, pelvis_xy: Array, knee_deg: float) -> Array:
-        """The highest pelvis that leaves the knees bent by that, as one wave a step.
-
-        pelvis_xy: (n, 2) of the pelvis.
-        """
+        """The highest pelvis, at (n, 2), that leaves the knees bent by that, as one wave a step."""
         gait, t = self.gait, self.times
         top = np.full(len(t), np.inf)
         for side, name in enumerate(SIDES):
@@ -279,24 +256,15 @@ def _arc(s: Array, rising: float, falling: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walk from rest to rest.
+    """A walk from rest to rest."""
 
-    Attributes:
-        frames: Its frames and how well their hard rows hold.
-        contact: (n, 2) AIR, HEEL, FLAT or TOE of each foot.
-        center, zmp: (n, 2) planned centre of mass and zero-moment point.
-        prints: Where the feet come to stand, the first two where they stood.
-        strikes: Times of the heel strikes, s.
-        falls: (print, strike, off) of every footfall by side: what a judge of the gait needs.
-    """
-
-    frames: Frames
-    contact: NDArray[np.int64]
-    center: Array
-    zmp: Array
-    prints: tuple[Footprint, ...]
-    strikes: tuple[float, ...]
-    falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]
+    frames: Frames  # and how well their hard rows hold
+    contact: NDArray[np.int64]  # (n, 2) AIR, HEEL, FLAT or TOE of each foot
+    center: Array  # (n, 2) planned centre of mass
+    zmp: Array  # (n, 2) planned zero-moment point
+    prints: tuple[Footprint, ...]  # the first two where the feet stood
+    strikes: tuple[float, ...]  # times of the heel strikes, s
+    falls: tuple[tuple[tuple[Footprint, float, float], ...], ...]  # print, strike, off, by side
 
 
 # The spine's two pitches are all but the same axis: against each other they rotate far for a little roll.
@@ -304,11 +272,11 @@ _STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 
-def walk(
+def walk_slices(
     figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
     gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
     corrections: int = 4,
-) -> Walk:  # fmt: skip
+) -> Slices[Walk]:  # fmt: skip
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
     Args:
@@ -321,19 +289,6 @@ def walk(
         dt: Time between frames, s.
         corrections: Rounds of the dynamics filter.
     """
-    return finished(
-        walk_slices(
-            figure, q, prints, gait, gaze_target=gaze_target, second=second, dt=dt, corrections=corrections
-        )
-    )
-
-
-def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
-    gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
-    corrections: int = 4,
-) -> Slices[Walk]:  # fmt: skip
-    """``walk``, a few milliseconds at a time."""
     yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
     plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
     yield
@@ -353,7 +308,7 @@ def walk_slices(
             shift = shift + compensate(error, plan.omega**2 * share, dt)
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
         frames = yield from _solve(plan, q, second, height, shift, gaze_target, dt)
-        offset = _pelvis_position(figure, frames.q) - plan.com - shift
+        offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
     return Walk(
@@ -361,38 +316,26 @@ def walk_slices(
     )
 
 
+walk = at_once(walk_slices)
+
+
 def solve_walk_once(
     figure: Figure, prints: Sequence[Footprint], gait: Gait = WALK, dt: float = 1.0 / RATE
 ) -> int:
-    """Solves the frames of a walk over ``prints`` once, without corrections.
-
-    Returns how many: what a frame costs.
-    """
+    """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
     height = plan.pelvis_height(pelvis, plan.com - 0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
     return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
 
 
-def _pelvis_position(figure: Figure, q: Array) -> Array:
-    return figure.poses(q, figure.pelvis)[0][:, :2]
-
-
 def _solve(
-    plan: _Plan,
-    q: Array,
-    second: Array | None,
-    height: Array,
-    shift: Array,
-    gaze_target: Array | None,
-    dt: float,
+    plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, gaze: Array | None, dt: float
 ) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
-    rows.feet(
-        {name: plan.foot_positions[side] for side, name in enumerate(SIDES)},
-        {s: rotation("z", plan.yaw[k]) @ rotation("y", plan.pitch[k]) for k, s in enumerate(SIDES)},
-    )  # fmt: skip
+    matrices = rotation("z", plan.yaw) @ rotation("y", plan.pitch)
+    rows.feet({side: (plan.foot_positions[k], matrices[k]) for k, side in enumerate(SIDES)})
     rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
     pelvis, chest, heading = plan.trunk()
     # What it does not come from at once: the pose it begins in goes over into the walk.
@@ -405,25 +348,19 @@ def _solve(
     if figure.gaze is not None:
         eyes, matrix = figure.pose(q, figure.gaze)
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
-        forward = (
-            np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
-            + 3.0 * rotation("z", heading)[:, :, 0]
-        )
-        to = forward if gaze_target is None else np.broadcast_to(gaze_target, forward.shape)
-        rows.aim(
-            figure.gaze,
-            before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None],
-            5.0,
-            figure.neck or None,
-        )
-    rows_posture = _posture(plan, q, start, go)
-    return (yield from rows.slices(rows_posture, figure.stiffnesses(_STIFF), q, second, dt=dt))
+        forward = 3.0 * rotation("z", heading)[:, :, 0]
+        forward += np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
+        to = forward if gaze is None else np.broadcast_to(gaze, forward.shape)
+        seen = before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None]
+        rows.aim(figure.gaze, seen, 5.0, figure.neck or None)
+    posture = _posture(plan, q, start, go)
+    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, second, dt=dt))
 
 
 def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
     """(n, nq): from the pose it stood in to home with swinging arms and level toes."""
     figure = plan.figure
-    swing = np.radians(plan.gait.swing_deg) / 0.26 * 0.26
+    swing = np.radians(plan.gait.swing_deg)
     # An arm is foremost when the other side's heel strikes.
     wave = np.cos(2 * np.pi * plan.phase + 0.15)
     postures = np.tile(figure.home, (len(plan.times), 1))

@@ -1,8 +1,7 @@
 """The jump: crouch, push, flight with the palm on the ball at the apex, landing.
 
 The centre of mass goes by quintics up to take-off and from landing, and by the parabola between; forwards
-it follows a
-zero-moment point from mid foot to the toes and back.  In flight the angular momentum is kept at zero.
+it follows a zero-moment point from mid foot to the toes and back.  In flight there is no angular momentum.
 """
 
 from __future__ import annotations
@@ -13,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import Motion, glance_time, in_stance_frame, placed_motion, quintic, to_stance
+from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
-from robot_ik.figure.frames import FrameRows, Frames, Slices, finished
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, minimum_jerk, rotation
+from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
-from robot_ik.figure.poses import STIFF, touches_itself
+from robot_ik.figure.poses import STIFF, pinned, touches_itself
 from robot_ik.kernels.whole_body import HARD
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 TAKE_OFF = 2.6
 """Fastest take-off of the centre of mass, m/s: trained men without run-up reach 2.4 to 2.9 (Bobbert et al.
@@ -63,30 +61,20 @@ crouch."""
 
 @dataclass(frozen=True, eq=False)
 class JumpPlan:
-    """Times and heights of a jump, all in closed form.
-
-    Attributes:
-        speed: Of the centre of mass at take-off, m/s.
-        low, high, landed: Height of the centre in the crouch, at take-off and when the landing is
-            absorbed, m.
-        ends: Times at which waiting, crouch, push, flight, absorption and rising end, s.
-        rising: From when on before take-off the heels rise, s.
-        palm: (3,) the ball seen from the centre of mass at the apex.
-        abduction: Of the other arm from the trunk in flight, rad.
-    """
+    """Times and heights of a jump, all in closed form."""
 
     figure: Figure = field(repr=False)
     ready: Array = field(repr=False)
     ball: Array
     arm: str
-    speed: float
-    wait: float
-    low: float
-    high: float
-    landed: float
-    ends: Array
-    rising: float
-    abduction: float = 0.0
+    speed: float  # of the centre of mass at take-off, m/s
+    wait: float  # height of the centre at first, m
+    low: float  # in the crouch
+    high: float  # at take-off
+    landed: float  # when the landing is absorbed
+    ends: Array  # of waiting, crouch, push, flight, absorption and rising, s
+    rising: float  # from when on before take-off the heels rise, s
+    abduction: float = 0.0  # of the other arm from the trunk in flight, rad
 
     @property
     def flight(self) -> float:
@@ -160,8 +148,7 @@ def _ready(figure: Figure) -> Array:
     """Standing with slightly bent knees."""
     rows = FrameRows(figure, 12)
     home = figure.home
-    poses = {side: figure.pose(home, foot.frame) for side, foot in figure.feet.items()}
-    rows.feet({s: p[0] for s, p in poses.items()}, {s: p[1] for s, p in poses.items()})
+    pinned(figure, home, rows)
     center = figure.center(home)
     share = minimum_jerk(np.linspace(0.1, 1, 12))[:, None]
     goal = np.array([_MIDDLE, 0.0, center[2] - _READY])
@@ -184,8 +171,7 @@ def _forward(plan: JumpPlan, error: tuple[Array, Array] | None = None) -> _Forwa
     """x'' = ω² (x − p), ω² = (g + z'') / z: at rest at take-off, after landing and at the end.
 
     p goes from mid foot to the toes and back, and bumps of it meet the end conditions, which are linear in
-    their
-    sizes.  ``error``: times and what the whole body's zero-moment point was off by.
+    their sizes.  ``error``: times and what the whole body's zero-moment point was off by.
     """
     T, dt = plan.ends, _FINE
     t = np.arange(0, T[5] + 0.3, dt)
@@ -237,34 +223,18 @@ def _feet(plan: JumpPlan, t: Array) -> tuple[Array, Array, NDArray[np.int64]]:
     rising = top * minimum_jerk((t - up + plan.rising) / plan.rising)
     falling = _LANDED * top * (1 - minimum_jerk((t - down) / (_HEELS * absorb)))
     pitch = np.where(air, top * (1 - (1 - _LANDED) * minimum_jerk(s)), np.where(t <= up, rising, falling))
-    lift = np.where(
-        air,
-        plan.height(t) - plan.high + _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3,
-        0.0,
-    )
+    tuck = _TUCK * min(1.0, (plan.speed / 2.2) ** 2) * 64 * (s * (1 - s)) ** 3
+    lift = np.where(air, plan.height(t) - plan.high + tuck, 0.0)
     contact = np.where(air, AIR, np.where(pitch > 1e-4, TOE, FLAT))
     return pitch, lift, contact
 
 
 def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
-    """Angles of the arms: backwards in the crouch, forwards and up in the push.
-
-    The acting one to its angle at the apex.
-    """
+    """Angles of the arms: backwards in the crouch, forwards and up in the push; at the apex as ``top``."""
     figure, arm, T = plan.figure, plan.arm, plan.ends
     other = "left" if arm == "right" else "right"
-    knots = np.array(
-        [
-            0.0,
-            T[1] - _EARLY,
-            T[2] - 0.03,
-            plan.apex - 0.05,
-            plan.apex + 0.05,
-            T[3] + 0.05,
-            T[4] + 0.2,
-            T[5] + 0.3,
-        ]
-    )
+    apex = (plan.apex - 0.05, plan.apex + 0.05)
+    knots = np.array([0.0, T[1] - _EARLY, T[2] - 0.03, *apex, T[3] + 0.05, T[4] + 0.2, T[5] + 0.3])
     grid = np.arange(0.0, knots[-1] + 0.1, 0.005)
 
     def curve(values: list[float]) -> Array:
@@ -318,35 +288,26 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
 
 
 def _frames(
-    plan: JumpPlan,
-    forward: _Forward,
-    top: Array,
-    t: Array,
-    start: Array,
-    dt: float,
-    before: Array | None = None,
+    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float, before: Array | None
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
     pitch, lift, contact = _feet(plan, t)
     rows = FrameRows(figure, n)
-    sole = figure.feet["left"].sole
-    rolled, height = sole.stand(pitch)
+    rolled, height = figure.feet["left"].sole.stand(pitch)
     air = contact == AIR
-    positions = {}
-    for side, foot in figure.feet.items():
-        at = figure.pose(plan.ready, foot.frame)[0]
-        positions[side] = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
-    matrix = rotation("y", pitch)
     # In the middle of the flight the feet give way before the centre of mass and the momentum do; where they
     # leave the floor and come back to it they are where the floor wants them.
     up, down = T[2] + _AFTER_TAKE_OFF, T[3] - _BEFORE_LANDING
     loose = (t > up) & (t < down)
     near_apex = minimum_jerk((t - up) / (plan.apex - up)) * minimum_jerk((down - t) / (down - plan.apex))
     standing = np.where(loose, 10.0 ** (3.5 - _YIELD * near_apex), HARD)
+    poses = {}
     for side, foot in figure.feet.items():
-        rows.position(foot.frame, positions[side], standing)
-        rows.orientation(foot.frame, matrix, standing)
+        at = figure.pose(plan.ready, foot.frame)[0]
+        position = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
+        poses[side] = position, rotation("y", pitch)
+    rows.feet(poses, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
     begin = minimum_jerk(t / T[0])[:, None]  # from where it stands
@@ -358,15 +319,9 @@ def _frames(
     still = still + (1 - minimum_jerk((t - T[3]) / _CALM)) * (t >= T[3])
     rows.momentum(500.0 * still**2)
     deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
-    rows.orientation(
-        figure.trunk,
-        rotation("y", np.radians(60.0) * deep),
-        np.where(
-            air,
-            4.0 * 10.0 ** (-_LEAN * near_apex),
-            40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0,
-        ),
-    )
+    on_floor = 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0
+    upright = np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), on_floor)
+    rows.orientation(figure.trunk, rotation("y", np.radians(60.0) * deep), upright)
     if figure.gaze is not None:
         eyes, gaze = figure.pose(start, figure.gaze)
         seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)
@@ -418,10 +373,10 @@ def _posture(
     return out
 
 
-def jump(
+def jump_slices(
     figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
     corrections: int = 3,
-) -> Motion:  # fmt: skip
+) -> Slices[Motion]:  # fmt: skip
     """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
 
     Args:
@@ -436,14 +391,6 @@ def jump(
     Raises:
         InvalidGoalError: Faster than a man jumps.
     """
-    return finished(jump_slices(figure, q, ball, arm, speed, dt=dt, corrections=corrections))
-
-
-def jump_slices(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
-    corrections: int = 3,
-) -> Slices[Motion]:  # fmt: skip
-    """``jump``, a few milliseconds at a time."""
     start, stance = to_stance(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     found: Motion | None = None
@@ -457,6 +404,9 @@ def jump_slices(
         yield
     assert found is not None
     return placed_motion(figure, found, stance)
+
+
+jump = at_once(jump_slices)
 
 
 def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices[Motion]:

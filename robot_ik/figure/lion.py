@@ -40,15 +40,10 @@ _FRAME = Budget(iterations=60, restarts=0)
 
 @dataclass(frozen=True)
 class PawDecision:
-    """Which paw reaches.
+    """Which paw reaches."""
 
-    Attributes:
-        paw: Its frame; None: the ball is in the reach set of none.
-        reason: A sentence.
-    """
-
-    paw: str | None
-    reason: str
+    paw: str | None  # its frame; None: the ball is in the reach set of none
+    reason: str  # a sentence
 
 
 def is_lion(robot: Robot) -> bool:
@@ -95,12 +90,11 @@ class Lion:
             return PawDecision(None, "there is no ball: its position is not finite")
         if position[2] < 0.0:
             return PawDecision(None, f"the ball lies {-1e3 * position[2]:.0f} mm under the floor")
-        for paw in sorted(
-            self.paws, key=lambda p: float(np.linalg.norm(self._prints[p].position - position))
-        ):
+        away = {paw: float(np.linalg.norm(self._prints[paw].position - position)) for paw in self.paws}
+        for paw in sorted(self.paws, key=away.__getitem__):
             if self._reaching(paw, position) is not None:
-                distance = float(np.linalg.norm(self._prints[paw].position - position))
-                return PawDecision(paw, f"{paw} is {distance:.2f} m away, and reaches it on the other three")
+                reason = f"{paw} is {away[paw]:.2f} m away, and reaches it on the other three"
+                return PawDecision(paw, reason)
         return PawDecision(None, "no paw reaches it while the other three stand")
 
     def reach(self, ball: ArrayLike, paw: str | None = None, *, rate: float = 60.0) -> Keyframes:
@@ -125,7 +119,8 @@ class Lion:
         end = None if position is None else self._reaching(paw, position)
         if position is None or end is None:
             raise TrajectoryError(f"{paw} does not reach {np.asarray(ball).tolist()} while the others stand")
-        lean = self._leaning(paw, position)
+        # All paws on the floor, the weight on the other three, his eyes on the ball.
+        lean = self._posed(self.paws, position, self._mass(paw), [])
         keys = [self.relaxed, lean, end, end, lean, self.relaxed]
         plan = Keyframes.through(
             self.robot, keys, durations=(LEAN, REACH, HOLD, REACH, LEAN), velocity=_SPEED
@@ -135,11 +130,9 @@ class Lion:
     def gaze_at(self, ball: ArrayLike) -> Array:
         """(nq,) relaxed, with his eyes on the ball as far as his neck goes, and all paws where they are."""
         position = _ball(ball)
-        return (
-            np.array(self.relaxed)
-            if position is None
-            else self._posed(self.paws, position, self._mass(None), [])
-        )
+        if position is None:
+            return np.array(self.relaxed)
+        return self._posed(self.paws, position, self._mass(None), [])
 
     def support(self, paw: str | None) -> Array:
         """(3, 2) or (4, 2): where the paws stand that do, the others than ``paw``."""
@@ -168,15 +161,11 @@ class Lion:
             body = int(model.body_parentid[body])
         return total
 
-    def _leaning(self, paw: str, ball: Array) -> Array:
-        """All paws on the floor, the weight on the other three, his eyes on the ball."""
-        return self._posed(self.paws, ball, self._mass(paw), [])
-
     def _posed(self, standing: Sequence[str], ball: Array, mass: Array, more: Sequence[Goal]) -> Array:
         goals = [
             *self._needed(standing, mass), *more,
             AimGoal("gaze", self._looked_at(ball), axis="x", soft=True),
-            PostureGoal(self.relaxed, joints={_root(self.robot): 0.3}, soft=True, priority=1),
+            PostureGoal(self.relaxed, joints={self.robot.joints[0]: 0.3}, soft=True, priority=1),
         ]  # fmt: skip
         return np.array(solve(self.robot, goals, solver="lm", start=self.relaxed, budget=_SEARCH).q)
 
@@ -184,7 +173,9 @@ class Lion:
         """The ball, or the limit of his gaze when it lies behind him."""
         eye = self.robot.forward(self.relaxed, "gaze").position
         to_ball = ball - eye
-        forward = self.robot.forward(self.relaxed, _body_of(self.robot)).rotation[:, 0]
+        base = self.robot.model.jnt_bodyid[int(self.robot.tree.joint_ids[0])]  # that the free joint carries
+        body = str(self.robot.model.body(int(base)).name)
+        forward = self.robot.forward(self.relaxed, body).rotation[:, 0]
         limit, lateral = np.radians(_GAZE_LIMIT_DEG), to_ball - float(to_ball @ forward) * forward
         if np.linalg.norm(lateral) < 1e-9 or np.arctan2(np.linalg.norm(lateral), to_ball @ forward) <= limit:
             return ball
@@ -254,13 +245,3 @@ def _ball(ball: ArrayLike) -> Array | None:
     """Its position, if it has one."""
     position = np.asarray(ball, dtype=float)
     return position if position.shape == (3,) and bool(np.isfinite(position).all()) else None
-
-
-def _body_of(robot: Robot) -> str:
-    """The body that the free base carries."""
-    joint = int(robot.tree.joint_ids[0])
-    return str(robot.model.body(int(robot.model.jnt_bodyid[joint])).name)
-
-
-def _root(robot: Robot) -> str:
-    return robot.joints[0]

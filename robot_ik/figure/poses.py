@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, lowest_points, rotation, shape_points
+from robot_ik.figure.figure import Figure, lowest_points, remembered, rotation, shape_points
 from robot_ik.figure.frames import FrameRows, Frames
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
 """Palm at most so far from the ball, centre of mass at least so far inside the soles' hull, self-contact
-at most so
-deep, m: what an admissible pose is."""
+at most so deep, m: what an admissible pose is."""
 REACH, BEND = "reach", "bend"
 
 # Posture weights: the girdle and the wrists are moved last, the arm first.
@@ -51,10 +49,7 @@ _FRESH = 6
 
 def pinned(figure: Figure, q: Array, rows: FrameRows) -> None:
     """Both feet stay where they are at q."""
-    poses = {side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()}
-    rows.feet(
-        {side: pose[0] for side, pose in poses.items()}, {side: pose[1] for side, pose in poses.items()}
-    )
+    rows.feet({side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()})
 
 
 def support_middle(figure: Figure) -> Array:
@@ -63,29 +58,26 @@ def support_middle(figure: Figure) -> Array:
     return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
 
 
+# Degrees of joints that a figure without bending keeps to: what separates ``reach`` from ``bend``.
+_UPRIGHT = {
+    "knee_pitch": (0.0, 25.0),
+    "hip_pitch": (-15.0, 30.0),
+    "torso_pitch": (-10.0, 10.0),
+    "pelvis_pitch": (-10.0, 10.0),
+}
+
+
 def limits_of(figure: Figure, kind: str) -> tuple[Array, Array]:
     """(nv,) lower and upper joint limits of a ``reach`` or a ``bend``."""
-    return upright_limits(figure) if kind == REACH else (figure.robot.lower, figure.robot.upper)
-
-
-def upright_limits(figure: Figure) -> tuple[Array, Array]:
-    """Joint limits of a figure that reaches without bending: what separates ``reach`` from ``bend``."""
-    if "figure.upright" not in figure.robot.memory:
-        figure.robot.memory["figure.upright"] = _upright(figure)
-    found: tuple[Array, Array] = figure.robot.memory["figure.upright"]
-    return found
+    if kind == REACH:
+        return remembered(figure.robot.memory, "figure.upright", lambda: _upright(figure))
+    return figure.robot.lower, figure.robot.upper
 
 
 def _upright(figure: Figure) -> tuple[Array, Array]:
     lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
-    box = {
-        "knee_pitch": (0.0, 25.0),
-        "hip_pitch": (-15.0, 30.0),
-        "torso_pitch": (-10.0, 10.0),
-        "pelvis_pitch": (-10.0, 10.0),
-    }
     for joint in figure.robot.joints:
-        for part, (low, high) in box.items():
+        for part, (low, high) in _UPRIGHT.items():
             if joint.endswith(part):
                 v = figure.addresses(joint)[1]
                 lower[v], upper[v] = max(lower[v], np.radians(low)), min(upper[v], np.radians(high))
@@ -100,17 +92,11 @@ def depth(figure: Figure, ball: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class FigurePose:
-    """How a figure would take a ball.
+    """How a figure would take a ball."""
 
-    Attributes:
-        q: (nq,) at home in its own frame.
-        miss: Distance of palm and ball, m.
-        flaw: Why it is not admissible, as text; empty where it is.
-    """
-
-    q: Array
-    miss: float
-    flaw: str
+    q: Array  # (nq,) at home in its own frame
+    miss: float  # distance of palm and ball, m
+    flaw: str  # why it is not admissible, as text; empty where it is
 
 
 def find_pose(figure: Figure, ball: Array, arm: str, kind: str, starts: Array | None = None) -> FigurePose:
@@ -218,17 +204,15 @@ def _scattered(figure: Figure, kind: str, rng: np.random.Generator) -> Array:
 class _Polish:
     """From a pose nearby to a ball, with no posture of its own: damped steps that each come nearer.
 
-    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3): a step
-    that comes no nearer is taken back and tried shorter.  The centre of mass is free while it is far enough
-    inside the soles, and held at the border else; so is what goes under the floor, where that is asked for.
+    The damping of Levenberg and Marquardt (Nocedal & Wright, *Numerical Optimization*, section 10.3).  The
+    centre of mass is free while it is far enough inside the soles, and held at the border else; so is what
+    goes under the floor, where that is asked for.
     """
 
     def __init__(self, figure: Figure, arm: str, kind: str) -> None:
         self.figure, self.arm, self.tried = figure, arm, 0
         rows = FrameRows(figure, 1)
-        for side, (position, matrix) in figure.feet_at_home.items():
-            rows.position(figure.feet[side].frame, position, _STAND)
-            rows.orientation(figure.feet[side].frame, matrix, _STAND)
+        rows.feet(figure.feet_at_home, _STAND)
         rows.position(figure.hands[arm], np.zeros(3), _PULL)
         rows.center(np.zeros(3), 0.0, axes="xy")
         rows.position(figure.hands[arm], np.array([0.0, 0.0, _CLEAR]), 0.0, axes="z")  # of what is lowest
@@ -272,9 +256,7 @@ class _Polish:
                 damping = max(0.2 * damping, 1e-4)
                 if short < 0.4 * AT_BALL and off < 3e-5 and outside is None:
                     break
-            elif not held and (
-                found[2] is not None or found[3] is not None
-            ):  # again, along the border that it went over
+            elif not held and any(border is not None for border in found[2:]):  # again, along it
                 outside, low, held = *found[2:], True
             else:
                 damping *= 5.0
@@ -289,8 +271,8 @@ class _Polish:
     ) -> tuple[float, float, Array | None, tuple[int, Array] | None]:
         """What is short of the ball (with feet, balance and floor), how far the feet are off, what to hold.
 
-        That is where balance is, and the node and position of what is under the floor.  By the solver's own
-        forward pass: MuJoCo judges the pose that is found.
+        That is where balance is, and the node and position of what is under the floor, by the solver's own
+        forward pass.
         """
         _, normal, offset = support(self.figure)
         center, n = self.center[:2], 2 * len(self.feet)
@@ -312,11 +294,7 @@ class _Polish:
 
 
 def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
-    key = f"polish {arm} {kind}"
-    if key not in figure.workspace:
-        figure.workspace[key] = _Polish(figure, arm, kind)
-    made: _Polish = figure.workspace[key]
-    return made
+    return remembered(figure.workspace, f"polish {arm} {kind}", lambda: _Polish(figure, arm, kind))
 
 
 def _attempt(
@@ -326,8 +304,7 @@ def _attempt(
     start, s = figure.home, np.minimum(1.0, np.arange(1, _STEPS + 1) / (0.75 * _STEPS))
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
     rows = FrameRows(figure, _STEPS)
-    feet = figure.feet_at_home
-    rows.feet({s: pose[0] for s, pose in feet.items()}, {s: pose[1] for s, pose in feet.items()})
+    rows.feet(figure.feet_at_home)
     here = figure.center_at_home[:2]
     path = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
     rows.center(path, upright, axes="xy")
@@ -353,33 +330,29 @@ def support(figure: Figure) -> tuple[Array, Array, Array]:
 
     A point p is inside by the least of ``normals @ p - offsets``.
     """
-    known: tuple[Array, Array, Array] | None = figure.robot.memory.get("figure.support")
-    if known is None:
-        found, data = [], figure.data
-        data.qpos[:] = figure.home
-        mujoco.mj_kinematics(figure.model, data)
-        for foot in figure.feet.values():
-            for body, geoms in foot.parts:
-                matrix = data.xmat[body].reshape(3, 3)
-                points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
-                world = data.xpos[body] + points @ matrix.T
-                found.append(world[world[:, 2] < 0.003, :2])
-        corners = hull(np.concatenate(found))
-        edge = np.concatenate([corners[1:], corners[:1]]) - corners
-        normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
-        known = figure.robot.memory["figure.support"] = corners, normal, (normal * corners).sum(axis=1)
-    return known
+    return remembered(figure.robot.memory, "figure.support", lambda: _support(figure))
+
+
+def _support(figure: Figure) -> tuple[Array, Array, Array]:
+    found, data = [], figure.data
+    data.qpos[:] = figure.home
+    mujoco.mj_kinematics(figure.model, data)
+    for body, geoms in (part for foot in figure.feet.values() for part in foot.parts):
+        matrix = data.xmat[body].reshape(3, 3)
+        points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
+        world = data.xpos[body] + points @ matrix.T
+        found.append(world[world[:, 2] < 0.003, :2])
+    corners = hull(np.concatenate(found))
+    edge = np.concatenate([corners[1:], corners[:1]]) - corners
+    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    return corners, normal, (normal * corners).sum(axis=1)
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> FigurePose:
     """A pose with its miss and why it is not admissible, by MuJoCo; contacts are looked at last."""
-    data = figure.data
     _, normal, offset = support(figure)
-    center = figure.center(q)
-    hand = figure.robot.frame(figure.hands[arm])
-    palm = data.xpos[hand.body] + data.xmat[hand.body].reshape(3, 3) @ hand.local.position
-    miss = float(np.linalg.norm(palm - ball))
-    flaw = ""
+    miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
+    center, flaw = figure.center(q), ""
     if miss > AT_BALL:
         flaw = f"the hand stays {100 * miss:.0f} cm away"
     elif hard > 1e-4:
@@ -416,20 +389,19 @@ def touches_itself(figure: Figure, q: Array) -> bool:
     return False
 
 
-def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
-    """The lowest body but for the soles, which point of it (3,) in its frame, and that point's height, m.
+def _no_soles(figure: Figure) -> NDArray[np.int64]:
+    """Colliding geoms that are no soles."""
+    soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
+    return np.flatnonzero((figure.model.geom_contype != 0) & ~np.isin(figure.model.geom_bodyid, soles))
 
-    At ``q`` (nq,), or as the figure's ``data`` is.
-    """
+
+def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
+    """The lowest body but for the soles, which point of it (3,) in its frame, and that point's height, m."""
     model, data = figure.model, figure.data
     if q is not None:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-    may_not: NDArray[np.int64] | None = figure.robot.memory.get("figure.floor")
-    if may_not is None:
-        soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
-        may_not = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, soles))
-        figure.robot.memory["figure.floor"] = may_not
+    may_not = remembered(figure.robot.memory, "figure.floor", lambda: _no_soles(figure))
     least: tuple[int, Array, float] = 0, np.zeros(3), np.inf
     near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():

@@ -1,12 +1,7 @@
-"""A figure that runs: commands in, frames and the decision out; no front end, camera or bus is known here.
-
-    session = FigureSession(load_abilities(load_figure()))
-    session.send(SetBall((1.5, 0.4, 1.2)))
-    frame = session.step()            # 60 times a second
+"""A figure that runs: commands in (``send``), frames and the decision out (``step``, 60 times a second).
 
 *Active*: it follows the ball while it moves.  *Passive*: ``StartPassive`` freezes the ball and the figure
-acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).  ``send`` only queues;
-``step`` acts.
+acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).
 """
 
 from __future__ import annotations
@@ -19,26 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import (
-    Motion,
-    in_stance_frame,
-    join,
-    rest_of,
-    rest_slices,
-    stop_walk,
-    take_slices,
-    walk_motion,
-)
+from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, Figure
-from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints
+from robot_ik.figure.figure import RATE, Figure, in_stance_frame
+from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints, wrapped
 from robot_ik.figure.frames import SLICE, Slices
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
-from robot_ik.ports import JointSink
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array, JointSink
 
 
 @dataclass(frozen=True)
@@ -86,29 +70,17 @@ Command = SetBall | SetMode | StartPassive | ResetFigure | PlaceFigure | SetObst
 
 @dataclass(frozen=True, eq=False)
 class FigureFrame:
-    """One frame.
+    """One frame."""
 
-    Attributes:
-        t: Time since the session began, s.
-        q: (nq,).
-        action: What it does: ``stand``, ``reach``, ``bend``, ``jump``, ``walk``, ``rest``.
-        phase: 0 to 1 within the action.
-        contact: (2,) of the feet: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``.
-        zmp: (2,) planned zero-moment point, or NaN.
-        ball: (3,) what it acts on, or NaN.
-        decision: The latest.
-        speeds: Set of joint speed limits that holds.
-    """
-
-    t: float
-    q: Array
-    action: str
-    phase: float
-    contact: NDArray[np.int64]
-    zmp: Array
-    ball: Array
-    decision: Decision
-    speeds: str = "daily"
+    t: float  # time since the session began, s
+    q: Array  # (nq,)
+    action: str  # what it does: ``stand``, ``reach``, ``bend``, ``jump``, ``walk``, ``rest``
+    phase: float  # 0 to 1 within the action
+    contact: NDArray[np.int64]  # (2,) of the feet: ``gait.AIR``, ``HEEL``, ``FLAT``, ``TOE``
+    zmp: Array  # (2,) planned zero-moment point, or NaN
+    ball: Array  # (3,) what it acts on, or NaN
+    decision: Decision  # the latest
+    speeds: str = "daily"  # set of joint speed limits that holds
 
 
 # A ball that moved by less than this is where it was, m; a motion is not replaced more often than this,
@@ -130,21 +102,13 @@ _NEAR, _TURN_IN_PLACE = 1.0, np.radians(50.0)
 
 @dataclass(eq=False)
 class _Planning:
-    """A motion that is being planned.
-
-    Attributes:
-        slices: The work.
-        each: Slices in a frame.
-        start: (nq,) where a walk begins.
-        gait: How it walks.
-        replaces: It is the end of the walk under way.
-    """
+    """A motion that is being planned."""
 
     slices: Slices[Motion] | Slices[Walk]
-    each: int = _SLICES
-    start: Array | None = None
+    each: int = _SLICES  # in a frame
+    start: Array | None = None  # (nq,) where a walk begins
     gait: Gait = WALK
-    replaces: bool = False
+    replaces: bool = False  # it is the end of the walk under way
 
 
 _WAITING = Decision("nothing", None, "nothing has been asked yet")
@@ -300,7 +264,8 @@ class FigureSession:
             return
         start, walked, gait = self._walk
         self._walk, self._waypoints, self._after = None, [], None
-        if len(walked.frames.q) - self._index < 1.2 * _settled(walked, self.dt):
+        settled = len(walked.frames.q) - int(walked.strikes[-1] / self.dt)  # frames after the last strike
+        if len(walked.frames.q) - self._index < 1.2 * settled:
             return
         slices = stop_walk(self.figure, start, walked, self._index - 1 + _LOOKAHEAD, gait, self.dt)
         each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _LOOKAHEAD)))
@@ -391,26 +356,23 @@ class FigureSession:
         figure, q = self.figure, self._q
         here, goal = figure.stance(q), np.array(self._waypoints[0])
         offset = goal[:2] - here[:2]
-        distance = float(np.linalg.norm(offset))
-        course = float(np.arctan2(offset[1], offset[0]))
+        distance, course = float(np.linalg.norm(offset)), float(np.arctan2(offset[1], offset[0]))
         gait, prints = SHUFFLE, prints_of(figure, q)
         if distance < _NEAR:
             self._waypoints.pop(0)
-            if distance < _AT_STAND and abs(_heading_change(here[2], goal[2])) < 0.02:
+            if distance < _AT_STAND and abs(wrapped(goal[2] - here[2])) < 0.02:
                 self._end()
                 return
             steps = shuffle_prints(figure, prints, goal)
-        elif abs(_heading_change(here[2], course)) > _TURN_IN_PLACE:
+        elif abs(wrapped(course - here[2])) > _TURN_IN_PLACE:
             steps = shuffle_prints(figure, prints, np.array([here[0], here[1], course]))
         else:
             gait = WALK
-            aligned = abs(_heading_change(course, goal[2])) <= _TURN_IN_PLACE
+            aligned = abs(wrapped(goal[2] - course)) <= _TURN_IN_PLACE
             if aligned:
                 self._waypoints.pop(0)
             end = goal if aligned else np.array([goal[0], goal[1], course])
             steps = walk_prints(figure, prints, end, gait)
-            if not aligned:
-                self._waypoints[0] = (float(goal[0]), float(goal[1]), float(goal[2]))
         slices = walk_slices(figure, q, steps, gait, dt=self.dt)
         self._planning, self._motion = _Planning(slices, start=q, gait=gait), None
 
@@ -425,12 +387,3 @@ class FigureSession:
         self._motion, self._walk, self._planning = None, None, None
         if walked and not self._waypoints:
             self._served = None
-
-
-def _heading_change(a: float, b: float) -> float:
-    return float((b - a + np.pi) % (2 * np.pi) - np.pi)
-
-
-def _settled(walked: Walk, dt: float) -> int:
-    """Frames from the last strike to the end of a walk."""
-    return len(walked.frames.q) - int(walked.strikes[-1] / dt)

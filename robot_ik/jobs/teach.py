@@ -22,8 +22,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.hand_calibration import require_limp
-from robot_ik.motion.recording import approach, playable
-from robot_ik.motion.trajectory import Trajectory
+from robot_ik.motion.trajectory import Trajectory, approach, playable
 from robot_ik.ports import JointSink
 from robot_ik.reading import read_json
 from robot_ik.tables import Several, Table, check_table

@@ -24,7 +24,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import stale_time
-from robot_ik.motion.recording import APPROACH
+from robot_ik.motion.trajectory import APPROACH
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot

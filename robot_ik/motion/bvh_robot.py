@@ -33,24 +33,14 @@ _END = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Node:
-    """Where a robot rotates: joints of one body about one point.
-
-    Attributes:
-        name: Of the BVH joint.
-        parent: Node above; -1: none.
-        position: (3,) at qpos0, BVH axes, metres.
-        joints: Ids of MuJoCo's joints, in order.
-        axes: (k, 3) of hinges at qpos0, BVH axes.
-        kind: Of its joints (MuJoCo's); -1: the still root of a robot that stands fast.
-        body: MuJoCo's body.
-    """
+    """Where a robot rotates: joints of one body about one point."""
 
     name: str
-    parent: int
-    position: Array
-    joints: tuple[int, ...]
-    axes: Array
-    kind: int
+    parent: int  # -1: none
+    position: Array  # (3,) at qpos0, BVH axes, metres
+    joints: tuple[int, ...]  # ids of MuJoCo's, in order
+    axes: Array  # (k, 3) of hinges at qpos0, BVH axes
+    kind: int  # of its joints (MuJoCo's); -1: the still root of a robot that stands fast
     body: int
 
     @property
@@ -69,20 +59,24 @@ class _Node:
         return (*position_channels, *rotations, *(name for name in _EULER if name not in rotations))
 
 
+def data_at_rest(model: mujoco.MjModel) -> mujoco.MjData:
+    """MuJoCo's kinematics at qpos0."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = model.qpos0
+    mujoco.mj_kinematics(model, data)
+    return data
+
+
 def _nodes(robot: Robot) -> list[_Node]:
     """Where the robot rotates, parents first.
 
     Raises:
         UnsupportedJointError: A slide, or joints of several kinds about one point.
     """
-    model = robot.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.model, data_at_rest(robot.model)
     nodes: list[_Node] = []
     last: dict[int, int] = {0: -1}  # body -> the last node at or above it
-    floats = model.njnt and model.jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE
-    if not floats:
+    if not model.njnt or model.jnt_type[0] != mujoco.mjtJoint.mjJNT_FREE:
         nodes.append(_Node("base", -1, np.zeros(3), (), np.zeros((0, 3)), -1, 0))
         last[0] = 0
     for body in range(1, model.nbody):
@@ -102,12 +96,9 @@ def _nodes(robot: Robot) -> list[_Node]:
                 groups.append([j])
         for k, group in enumerate(groups):
             name = model.body(body).name or f"body_{body}"
-            nodes.append(
-                _Node(
-                    name if k == len(groups) - 1 else f"{name}_{k}", above, BVH_AXES @ data.xanchor[group[0]],
-                    tuple(group), data.xaxis[group] @ BVH_AXES.T, int(model.jnt_type[group[0]]), body,
-                )
-            )  # fmt: skip
+            name = name if k == len(groups) - 1 else f"{name}_{k}"
+            at, axes = BVH_AXES @ data.xanchor[group[0]], data.xaxis[group] @ BVH_AXES.T
+            nodes.append(_Node(name, above, at, tuple(group), axes, int(model.jnt_type[group[0]]), body))
             above = len(nodes) - 1
         last[body] = above
     return nodes
@@ -130,8 +121,8 @@ def export_bvh(motion: Keyframes, rate: float = 60.0, *, scale: float = CENTIMET
     qpos = np.array([robot.qpos(q) for q in frames.q])
     joints, columns = [], []
     for n, node in enumerate(nodes):
-        above = nodes[node.parent].position if node.parent >= 0 else np.zeros(3)
-        x, y, z = (scale * (node.position - above)).tolist() if node.parent >= 0 else (0.0, 0.0, 0.0)
+        above = nodes[node.parent if node.parent >= 0 else n].position  # the root has no offset
+        x, y, z = (scale * (node.position - above)).tolist()
         ends = None if any(other.parent == n for other in nodes) else _end_of(robot, node, scale)
         joints.append(BvhJoint(node.name, node.parent, (x, y, z), node.channels, ends))
         columns.append(_channels_of(robot, node, qpos, scale))
@@ -184,9 +175,7 @@ def _rotation_of(model: mujoco.MjModel, node: _Node, qpos: Array) -> Array:
 
 def _rest_rotation(model: mujoco.MjModel, body: int) -> Array:
     """(3, 3) the axes at qpos0 in which a ball's quaternion is: the body's without its joint."""
-    data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
-    mujoco.mj_kinematics(model, data)
+    data = data_at_rest(model)
     parent = data.xmat[model.body_parentid[body]].reshape(3, 3)
     return np.asarray(parent @ _matrices(model.body_quat[None, body])[0])
 

@@ -8,7 +8,6 @@ Every step keeps the joints' speed limits: where the hand is faster, the figure 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Sequence
 
 import mujoco
@@ -18,6 +17,7 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
 from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal, vector
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -88,9 +88,7 @@ class Drag:
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
-        self._grip: tuple[str, Array] | None = (
-            None  # a frame of the grabbed body, and the offset of its point
-        )
+        self._grip: tuple[str, Array] | None = None  # a frame of the grabbed body, the offset of its point
         self.dragged: str | None = None
         self.place(robot.home if start is None else start)
         for frame in pinned:
@@ -110,8 +108,7 @@ class Drag:
         """Puts the robot somewhere else at once: pins and the dragged point are taken anew from there."""
         self.q = np.array(self.robot.check_q(q))
         self.q.flags.writeable = False
-        for frame in self._pins:
-            self._pins[frame] = self._pin_of(frame)
+        self._pins = {frame: self._pin_of(frame) for frame in self._pins}
         self._moved()
 
     def take(self, frame: str | None) -> None:
@@ -197,9 +194,8 @@ class Drag:
         if target is not None and self.dragged is not None:
             self._point = self.robot.forward(self.q, self.dragged).position
             displacement = wanted - self._point
-            wanted = self._point + displacement * min(
-                1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12)
-            )
+            share = min(1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12))
+            wanted = self._point + share * displacement
         return np.array(self._towards(wanted, self._mass))
 
     def shift_weight(self, onto: str | Sequence[str], seconds: float = 1.0) -> Iterator[Array]:
@@ -226,19 +222,13 @@ class Drag:
         displacement = np.append((np.mean(positions, axis=0) - begin)[:2], 0.0)
         self._mass = begin
         self._moved()
-        share, pace = 0.0, 1.0 / max(1, round(seconds * self.rate))
-        x = 0.0
-        while share < 1.0:
-            x = min(1.0, x + pace)
-            wanted = x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+        square = float(displacement @ displacement)
+        share, x, pace = 0.0, np.zeros(()), 1.0 / max(1, round(seconds * self.rate))
+        while share < 1.0 - 1e-9:
+            x = np.minimum(1.0, x + pace)
             before = np.array(self._mass)
-            q = self._towards(self._point, begin + wanted * displacement)
-            share = (
-                float((self._mass - begin) @ displacement / max(float(displacement @ displacement), 1e-12))
-                if displacement.any()
-                else 1.0
-            )
-            share = 1.0 if share > 1.0 - 1e-9 else share
+            q = self._towards(self._point, begin + minimum_jerk(x) * displacement)
+            share = float((self._mass - begin) @ displacement / max(square, 1e-12)) if square > 0.0 else 1.0
             yield np.array(q)
             if x >= 1.0 and not np.abs(self._mass - before).max() > 0.0:
                 return  # it goes no farther: pins and limits
@@ -286,10 +276,8 @@ class Drag:
         else:
             self._problem.exchange(goals)
         found = self._solver.solve(self._problem, self.q)
-        needed = any(not goal.soft for goal in goals)
-        if needed and not found.converged:
-            return None
-        return np.array(found.q) if math.isfinite(float(found.q.sum())) else None
+        holds = found.converged or all(goal.soft for goal in goals)
+        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 
 
 def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:

@@ -13,10 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from robot_ik.errors import ConfigError, TrajectoryError, close_matches
+from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, close_matches
 from robot_ik.files import write_atomically
-from robot_ik.kernels.tree import Q_WIDTH
-from robot_ik.motion.keyframes import Keyframes
+from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
+from robot_ik.inverse_kinematics import solve
+from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
+from robot_ik.motion.keyframes import Keyframes, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.reading import shown
 from robot_ik.tables import Several, Table, read_table
@@ -118,13 +120,9 @@ class KeyPoses:
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
+        durations, loop = wanted.durations or 0.0, wanted.loop
         return Keyframes.through(
-            self.robot,
-            keys,
-            durations=wanted.durations or 0.0,
-            speed=speed,
-            velocity=velocity,
-            loop=wanted.loop,
+            self.robot, keys, durations=durations, speed=speed, velocity=velocity, loop=loop
         )
 
     def save(self, path: Path | str) -> None:
@@ -136,12 +134,9 @@ class KeyPoses:
         lines = ["schema = 1", f"robot = {_quoted(self.robot.name)}"]
         for name, q in self.poses.items():
             lines += ["", f"[poses.{_quoted(name)}]  # rad, m; quaternions w x y z"]
-            for joint, values in _by_joint(self.robot, q):
-                lines.append(
-                    f"{_quoted(joint)} = {values[0]!r}"
-                    if len(values) == 1
-                    else f"{_quoted(joint)} = {values!r}"
-                )
+            for joint, numbers in _numbers_of_joints(self.robot).items():
+                values = q[numbers].tolist()
+                lines.append(f"{_quoted(joint)} = {values[0] if len(values) == 1 else values!r}")
         for name, motion in self.motions.items():
             lines += ["", f"[motions.{_quoted(name)}]"]
             lines.append(f"poses = [{', '.join(map(_quoted, motion.poses))}]")
@@ -207,20 +202,20 @@ def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file
             close = close_matches(joint, robot.joints)
             problem = "unknown joint" + (f" (did you mean {close[0]!r}?)" if close else "")
             raise ConfigError(problem, file=file, key=key, allowed=f"a joint of {robot.name!r}")
-        k = robot.joints.index(joint)
-        width, first = Q_WIDTH[int(robot.tree.kind[k])], int(robot.tree.qadr[k])
+        numbers = _numbers_of_joints(robot)[joint]
+        width = numbers.stop - numbers.start
         values = [value] if isinstance(value, int | float) else list(value)
         if len(values) != width:
             allowed = "a number, rad or m" if width == 1 else f"{width} numbers"
             raise ConfigError(f"{shown(value)} is not right", file=file, key=key, allowed=allowed)
-        q[first : first + width] = values
+        q[numbers] = values
     return q
 
 
-def _by_joint(robot: Robot, q: Array) -> Iterator[tuple[str, list[float]]]:
-    """The numbers of every joint."""
-    for joint, kind, first in zip(robot.joints, robot.tree.kind, robot.tree.qadr, strict=True):
-        yield joint, q[int(first) : int(first) + Q_WIDTH[int(kind)]].tolist()
+def _numbers_of_joints(robot: Robot) -> dict[str, slice]:
+    """Where every joint's numbers stand in q."""
+    starts = zip(robot.joints, robot.tree.kind.tolist(), robot.tree.qadr.tolist(), strict=True)
+    return {joint: slice(first, first + Q_WIDTH[kind]) for joint, kind, first in starts}
 
 
 def _quoted(name: str) -> str:
@@ -232,3 +227,52 @@ def _unknown(what: str, name: str, known: Iterable[str]) -> TrajectoryError:
     close = close_matches(name, list(known))
     hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known) or 'none'}"
     return TrajectoryError(f"there is no {what} {name!r}", hint=hint)
+
+
+# ------------------------------------------------------------------------------------------
+# Poses made from others: with joints at other angles, with frames brought to positions.
+
+_FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
+
+
+def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
+    """(nq,) by name: those of the file, and the keyframes of the model that it does not have."""
+    places = qpos_addresses(robot)
+    keys = [robot.model.key(k) for k in range(robot.model.nkey)]
+    return {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
+
+
+def with_joint(robot: Robot, q: Array, joint: str, value: float) -> Array:
+    """The pose (nq,) with one joint at another value: degrees of a hinge, metres of a slide.
+
+    Raises:
+        UnknownJointError: No such joint.
+        ValueError: It is neither, or the value is not finite.
+    """
+    if joint not in robot.joints:
+        raise UnknownJointError(joint, robot.joints)
+    k = robot.joints.index(joint)
+    kind = int(robot.tree.kind[k])
+    if kind not in (HINGE, SLIDE) or not np.isfinite(value):
+        raise ValueError(f"{joint} is no hinge and no slide, or {value} is not finite")
+    changed = np.array(q)
+    changed[int(robot.tree.qadr[k])] = np.radians(value) if kind == HINGE else value
+    return changed
+
+
+def pose_reaching(robot: Robot, q: Array, positions: Mapping[str, Sequence[float]]) -> Array | None:
+    """The pose near ``q`` that brings frames to positions while the other feet stay where they are.
+
+    Args:
+        robot: Whose.
+        q: (nq,) where it starts.
+        positions: Frame -> x, y, z in the world, m.
+
+    Returns:
+        (nq,), or None: out of reach.
+    """
+    goals: list[Goal] = [PositionGoal(frame, position) for frame, position in positions.items()]
+    feet = [frame for frame in robot.file.tools if frame.endswith(_FEET) and frame not in positions]
+    goals += [PoseGoal.at(frame, robot.forward(q, frame)) for frame in feet]
+    found = solve(robot, [*goals, PostureGoal(q=q, soft=True)], solver="lm", start=q)
+    return np.array(found.q) if found.converged else None

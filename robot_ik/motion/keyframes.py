@@ -9,8 +9,6 @@ keys, and turns smoothly from one to the next where it does not.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -19,15 +17,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
-from robot_ik.motion.trajectory import Trajectory, require_positive
+from robot_ik.motion.timing import minimum_jerk
+from robot_ik.motion.trajectory import Trajectory, csv_numbers, csv_table, require_positive
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv, shown
+from robot_ik.reading import read_csv
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -65,7 +64,7 @@ def qpos_addresses(robot: Robot) -> list[int]:
 def sign_continuous(robot: Robot, q: ArrayLike) -> Array:
     """(n, nq) the same poses; each quaternion has length one and the sign nearer to the row before."""
     rows = np.array(q, dtype=float)
-    for first in _quaternions(robot):
+    for first in _rotations(robot, robot.tree.qadr):
         wxyz = rows[:, first : first + 4]
         size = np.linalg.norm(wxyz, axis=1, keepdims=True)
         if not (size > 1e-9).all():
@@ -79,16 +78,10 @@ def sign_continuous(robot: Robot, q: ArrayLike) -> Array:
     return rows
 
 
-def _quaternions(robot: Robot) -> list[int]:
-    """Where quaternions begin in q."""
-    kinds = zip(robot.tree.kind, robot.tree.qadr, strict=True)
+def _rotations(robot: Robot, addresses: NDArray[np.int64]) -> list[int]:
+    """Where quaternions begin in q (``tree.qadr``), or rotation vectors in dq (``tree.vadr``)."""
+    kinds = zip(robot.tree.kind, addresses, strict=True)
     return [int(a) + (3 if kind == FREE else 0) for kind, a in kinds if kind in (BALL, FREE)]
-
-
-def _rotation_blocks(robot: Robot) -> list[int]:
-    """Where rotation vectors begin in dq."""
-    kinds = zip(robot.tree.kind, robot.tree.vadr, strict=True)
-    return [int(v) + (3 if kind == FREE else 0) for kind, v in kinds if kind in (BALL, FREE)]
 
 
 # ------------------------------------------------------------------------------ the motion
@@ -115,26 +108,24 @@ class Displacement:
     def between(cls, first: Array, last: Array) -> Displacement:
         """What takes a free joint's numbers (7,) ``first`` to the position and heading of ``last``."""
         heading = _heading(last[3:]) - _heading(first[3:])
-        c, s = math.cos(heading), math.sin(heading)
-        x, y = float(first[0]), float(first[1])
-        return cls(float(last[0]) - c * x + s * y, float(last[1]) - s * x - c * y, heading)
+        x, y = cls(heading=heading)._moved(float(first[0]), float(first[1]))
+        return cls(float(last[0]) - x, float(last[1]) - y, heading)
 
     def times(self, count: int) -> Displacement:
         """The same, ``count`` times over."""
         total = Displacement()
         for _ in range(count):
-            c, s = math.cos(self.heading), math.sin(self.heading)
-            total = Displacement(
-                c * total.x - s * total.y + self.x, s * total.x + c * total.y + self.y,
-                total.heading + self.heading,
-            )  # fmt: skip
+            total = Displacement(*self._moved(total.x, total.y), total.heading + self.heading)
         return total
+
+    def _moved(self, x: float, y: float) -> tuple[float, float]:
+        c, s = math.cos(self.heading), math.sin(self.heading)
+        return c * x - s * y + self.x, s * x + c * y + self.y
 
     def move(self, q: Array) -> None:
         """Moves the numbers (7,) of a free joint in place."""
-        c, s = math.cos(self.heading), math.sin(self.heading)
         x, y, _, qw, qx, qy, qz = q.tolist()
-        q[0], q[1] = c * x - s * y + self.x, s * x + c * y + self.y
+        q[0], q[1] = self._moved(x, y)
         c, s = math.cos(0.5 * self.heading), math.sin(0.5 * self.heading)
         q[3:] = c * qw - s * qz, c * qx - s * qy, c * qy + s * qx, c * qz + s * qw
 
@@ -216,12 +207,10 @@ class Keyframes:
         keys = [robot.check_q(pose, f"pose {k}") for k, pose in enumerate(poses)]
         if loop and keys and not _closed(robot, keys[0], keys[-1]):
             keys.append(keys[0])
-        top = speed * np.broadcast_to(
-            robot.velocity if velocity is None else np.asarray(velocity, dtype=float), robot.nv
-        )
-        least = np.maximum(
-            np.broadcast_to(np.asarray(durations, dtype=float), max(len(keys) - 1, 0)), _SHORTEST
-        )
+        limits = robot.velocity if velocity is None else np.asarray(velocity, dtype=float)
+        top = speed * np.broadcast_to(limits, robot.nv)
+        wanted = np.broadcast_to(np.asarray(durations, dtype=float), max(len(keys) - 1, 0))
+        least = np.maximum(wanted, _SHORTEST)
         motion = cls(robot, np.append(0.0, np.cumsum(least)), keys, loop=loop)
         for _ in range(_TIMING_ROUNDS):
             over = motion.peak_velocity_of_segments() / top
@@ -305,7 +294,7 @@ class Keyframes:
             where = -second / (3.0 * third)
             middle = np.abs(first - second * second / (3.0 * third))
         peak = np.maximum(ends, np.where((where > 0.0) & (where < 1.0), middle, 0.0))
-        for v in _rotation_blocks(self.robot):
+        for v in _rotations(self.robot, self.robot.tree.vadr):
             peak[:, v : v + 3] = np.linalg.norm(peak[:, v : v + 3], axis=1, keepdims=True)
         return np.asarray(peak / np.diff(self.times)[:, None])
 
@@ -341,7 +330,7 @@ class Keyframes:
         rows = []
         for t in times.tolist():
             x = (t - begin) / seconds if seconds > 0.0 else float(t >= begin) * 2.0 - 1.0
-            share = 0.0 if x <= 0.0 else 1.0 if x >= 1.0 else x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+            share = float(minimum_jerk(np.clip(x, 0.0, 1.0)))
             one = self._held(t)
             if share > 0.0:
                 two = other._held(t - begin)
@@ -357,12 +346,8 @@ class Keyframes:
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(["t", *column_names(self.robot)])
-        rows = np.column_stack([self.times, self.q]).tolist()
-        writer.writerows([[repr(value) for value in row] for row in rows])
-        write_atomically(Path(path), stream.getvalue())
+        text = csv_table(["t", *column_names(self.robot)], np.column_stack([self.times, self.q]))
+        write_atomically(Path(path), text)
 
     @classmethod
     def load_csv(cls, path: Path | str, robot: Robot, *, loop: bool = False) -> Keyframes:
@@ -380,9 +365,8 @@ class Keyframes:
         head = [cell.strip() for cell in rows[0][1]] if rows else []
         wanted = column_names(robot)
         if not head or head[0] not in ("t", "time_s") or len(rows) < 2:
-            raise ConfigError(
-                "is no table of frames", file=file, key="line 1", allowed="t, a column a joint; rows"
-            )
+            allowed = "t, a column a joint; rows"
+            raise ConfigError("is no table of frames", file=file, key="line 1", allowed=allowed)
         missing = [name for name in wanted if name not in head]
         if missing:
             raise ConfigError(
@@ -390,7 +374,8 @@ class Keyframes:
                 file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
             )  # fmt: skip
         columns = [0, *(head.index(name) for name in wanted)]
-        table = np.array([_row(row, columns, len(head), file, line) for line, row in rows[1:]])
+        width = len(head)
+        table = np.array([csv_numbers(row, columns, width, file, k, _LARGEST) for k, row in rows[1:]])
         return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
 
     # --------------------------------------------------------------------------- fitting
@@ -431,7 +416,7 @@ class Keyframes:
     def _slopes(self, speeds: Array, gaps: Array) -> Array:
         """(n, nv) speed at every key: none at the ends, and where a degree of freedom turns back."""
         slopes = np.zeros((len(gaps) + 1, self.robot.nv))
-        slopes[1:-1] = _harmonic(speeds[:-1], speeds[1:], gaps[:-1], gaps[1:])
+        slopes[1:-1] = monotone_slope(speeds[:-1], speeds[1:], gaps[:-1, None], gaps[1:, None])
         if self.loop and len(gaps):
             before = speeds[-1].copy()
             v, rotation = None, np.eye(2)
@@ -440,7 +425,7 @@ class Keyframes:
                 c, s = math.cos(self._base[1].heading), math.sin(self._base[1].heading)
                 rotation = np.array([[c, -s], [s, c]])
                 before[v : v + 2] = rotation.T @ before[v : v + 2]
-            slopes[0] = slopes[-1] = _harmonic(before, speeds[0], gaps[-1], gaps[0])
+            slopes[0] = slopes[-1] = monotone_slope(before, speeds[0], gaps[-1], gaps[0])
             if v is not None:
                 slopes[-1, v : v + 2] = rotation @ slopes[0, v : v + 2]
         return slopes
@@ -448,7 +433,7 @@ class Keyframes:
     def _coefficients(self, ways: Array, gaps: Array, slopes: Array) -> Array:
         """(n - 1, 3, nv) of s³, s², s."""
         begin, end = slopes[:-1] * gaps[:, None], slopes[1:] * gaps[:, None]
-        for v in _rotation_blocks(self.robot):
+        for v in _rotations(self.robot, self.robot.tree.vadr):
             end[:, v : v + 3] = _inverse_right_jacobian(ways[:, v : v + 3], end[:, v : v + 3])
         return np.stack([begin + end - 2.0 * ways, 3.0 * ways - 2.0 * begin - end, begin], axis=1)
 
@@ -540,11 +525,11 @@ def _closed(robot: Robot, first: Array, last: Array) -> bool:
     return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < _SLACK)
 
 
-def _harmonic(one: Array, two: Array, before: Array | float, after: Array | float) -> Array:
-    """The speed at a key between speeds ``one`` and ``two``: 0 where they differ in sign."""
-    before, after = np.asarray(before), np.asarray(after)
-    if np.ndim(one) == 2:
-        before, after = before[:, None], after[:, None]
+def monotone_slope(one: Array, two: Array, before: Array, after: Array) -> Array:
+    """The slope at a key between slopes ``one`` and ``two`` of the gaps ``before`` and ``after`` it.
+
+    Their weighted harmonic mean, 0 where they differ in sign (Fritsch & Butland, as above).
+    """
     left, right = 2.0 * after + before, after + 2.0 * before
     # Next to no speed on one side: their harmonic mean is none.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -560,20 +545,3 @@ def _inverse_right_jacobian(rotation_vector: Array, rate: Array) -> Array:
         k = np.where(square < 1e-6, 1.0 / 12.0, (1.0 - half / np.tan(half)) / square)
     once = np.cross(rotation_vector, rate)
     return np.asarray(rate + 0.5 * once + k * np.cross(rotation_vector, once))
-
-
-def _row(row: list[str], columns: Sequence[int], width: int, file: Path, line: int) -> list[float]:
-    try:
-        if len(row) != width:
-            raise ValueError
-        numbers = [float(row[k]) for k in columns]
-        if not all(abs(number) <= _LARGEST for number in numbers):  # NaN neither
-            raise ValueError
-        return numbers
-    except ValueError:
-        raise ConfigError(
-            f"got {shown(','.join(row), str)}",
-            file=file,
-            key=f"line {line}",
-            allowed=f"{width} cells, joints as numbers up to {_LARGEST:g}",
-        ) from None

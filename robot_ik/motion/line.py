@@ -157,26 +157,15 @@ def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, 
     return near
 
 
+@dataclass(frozen=True)
 class _Tracer:
-    """Solves points on one line, each from its neighbour.
+    """Solves points on one line, each from its neighbour."""
 
-    Args:
-        robot: Its joint names and limits appear in errors.
-        frame: The frame that runs straight.
-        line: Where it runs.
-        near: The joint vector (nq,) of a pose nearest to a start, None where there is none.
-        max_jump: Largest change of one joint from point to point.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        line: _Line,
-        near: Callable[[Pose, Array], Array | None],
-        max_jump: float,
-    ) -> None:
-        self.robot, self.frame, self.line, self.near, self.max_jump = robot, frame, line, near, max_jump
+    robot: Robot  # its joint names and limits appear in errors
+    frame: str
+    line: _Line
+    near: Callable[[Pose, Array], Array | None]  # the joint vector (nq,) of a pose nearest to a start
+    max_jump: float  # largest change of one joint from point to point
 
     def solve(self, s: float, start: Array) -> Array | None:
         """Joint vector (nq,) of the point ``s`` nearest to ``start``, None where there is none."""

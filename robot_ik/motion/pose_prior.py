@@ -44,7 +44,7 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
     flip = np.array([-1.0, 1.0, -1.0])  # a rotation vector in a mirror across y
     for k, joint in enumerate(robot.joints):
         kind, to = int(robot.tree.kind[k]), int(robot.tree.qadr[k])
-        fellow = _other_side(joint)
+        fellow = other_side(joint)
         if fellow not in robot.joints:
             raise InvalidGoalError(f"joint {joint!r} of {robot.name!r} has no fellow {fellow!r}")
         other = robot.joints.index(fellow)
@@ -63,11 +63,11 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
     return np.asarray(out[0] if np.ndim(q) == 1 else out)
 
 
-def _other_side(name: str) -> str:
-    for one, two in (("left", "right"), ("right", "left")):
-        if one in name:
-            return name.replace(one, two)
-    return name
+def other_side(name: str) -> str:
+    """``left_…`` of ``right_…`` and the other way round; the same for what has no side."""
+    if "left" in name:
+        return name.replace("left", "right")
+    return name.replace("right", "left")
 
 
 def thinned(x: Array, count: int, seed: int = 0) -> NDArray[np.int64]:

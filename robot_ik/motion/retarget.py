@@ -1,19 +1,16 @@
 """Motion capture onto a figure of other proportions: by inverse kinematics, never by copying angles.
 
 Lengths are taken from the two skeletons: the root's path and steps scale with the legs, the trunk with the
-trunk, arms with the arms.  So the figure's units and size do not matter, and neither does the height of
-the recording's floor: the lowest ankle of the take stands on ours.  Feet are needed goals; a foot that rests
-in the take is pinned where it rests.  Hands, elbows, pelvis and head are soft goals: the nearest that the
-feet allow.  How the rest pose of the file is drawn counts for rotations of feet, pelvis and head only: they
-are those against the rest pose, in which the figure is taken to stand upright, toes forward.
+trunk, arms with the arms; the lowest ankle of the take stands on our floor.  Feet are needed goals, pinned
+where they rest in the take; hands, elbows, pelvis and head are soft ones.  Rotations are those against the
+rest pose, in which the figure is taken to stand upright, toes forward.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,6 +23,7 @@ from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.motion.bvh import Bvh
+from robot_ik.motion.bvh_robot import data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -166,9 +164,7 @@ class _Measures:
     """The figure's own lengths and frames, upright at qpos0."""
 
     def __init__(self, robot: Robot, bodies: Mapping[str, str]) -> None:
-        data = mujoco.MjData(robot.model)
-        data.qpos[:] = robot.model.qpos0
-        mujoco.mj_kinematics(robot.model, data)
+        data = data_at_rest(robot.model)
         names = {robot.model.body(b).name: b for b in range(robot.model.nbody)}
         for role, body in bodies.items():
             if body not in names:
@@ -186,15 +182,12 @@ class _Measures:
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
         """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
         model, foot = robot.model, robot.model.body(self.frames[role]).id
-        below = {foot}
+        below = [foot]
         for body in range(foot + 1, model.nbody):
             if int(model.body_parentid[body]) in below:
-                below.add(body)
+                below.append(body)
         origin = self.positions[role] + self.offsets[role]
-        positions = [
-            data.site_xpos[s] - origin for s in range(model.nsite) if int(model.site_bodyid[s]) in below
-        ]
-        return np.array([np.zeros(3), *positions])
+        return np.vstack([np.zeros(3), data.site_xpos[np.isin(model.site_bodyid, below)] - origin])
 
     def foot_height(self, robot: Robot, q: Array) -> list[float]:
         """Height of both foot frames."""
@@ -203,11 +196,8 @@ class _Measures:
 
 def _length(positions: Mapping[str, Array], *roles: str) -> float:
     """Mean over both sides of the length along these parts of a limb."""
-    total = 0.0
-    for side in SIDES:
-        for one, two in pairwise(positions[f"{side}_{role}"] for role in roles):
-            total += float(np.linalg.norm(two - one))
-    return total / len(SIDES)
+    limbs = [[positions[f"{side}_{role}"] for role in roles] for side in SIDES]
+    return float(np.linalg.norm(np.diff(limbs, axis=1), axis=2).sum()) / len(SIDES)
 
 
 def _middle(positions: Mapping[str, Array], role: str) -> Array:
@@ -244,9 +234,8 @@ def _alignment(rest: Mapping[str, Array], up: str) -> Array:
     left = rest["left_hip"] - rest["right_hip"]
     left = left - z * float(left @ z)
     if not np.linalg.norm(left) > 1e-9:
-        raise TrajectoryError(
-            "in the file's rest pose the hips are not beside each other", hint="another rest"
-        )
+        problem = "in the file's rest pose the hips are not beside each other"
+        raise TrajectoryError(problem, hint="another rest")
     y = left / np.linalg.norm(left)
     return np.stack([np.cross(y, z), y, z])
 
@@ -281,11 +270,8 @@ def _targets(
         _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
         for k, side in enumerate(SIDES)
     ]
-    head = [Pose.from_rotation(rotation) for rotation in deltas["head"]]
-    hips = [
-        Pose.from_rotation(rotation, position)
-        for rotation, position in zip(deltas["pelvis"], pelvis, strict=True)
-    ]
+    head = list(map(Pose.from_rotation, deltas["head"]))
+    hips = list(map(Pose.from_rotation, deltas["pelvis"], pelvis))
     return _Targets(hips, head, (feet[0], feet[1]), (hands[0], hands[1]), (elbows[0], elbows[1]), rests), legs
 
 
@@ -296,10 +282,8 @@ def _hand_direction(
     j = joints[f"{side}_wrist"]
     bone = next((np.array(other.offset) for other in bvh.joints if other.parent == j), None)
     bone = np.array(bvh.joints[j].end) if bone is None and bvh.joints[j].end is not None else bone
-    along = (
-        positions[:, j] - positions[:, joints[f"{side}_elbow"]] if bone is None else rotations[:, j] @ bone
-    )
-    if not np.linalg.norm(along, axis=1).min() > 1e-9:
+    along = rotations[:, j] @ (np.zeros(3) if bone is None else bone)
+    if not np.linalg.norm(along, axis=1).min() > 1e-9:  # none, or of no length: as the forearm
         along = positions[:, j] - positions[:, joints[f"{side}_elbow"]]
     return np.asarray(along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12))
 
@@ -333,18 +317,11 @@ def _foot_path(
     positions = ankle + rotations @ ours.offsets[f"{side}_ankle"]
     lowest = (positions[:, None, :] + ours.soles[side] @ rotations.transpose(0, 2, 1))[..., 2].min(axis=1)
     positions[:, 2] -= np.minimum(lowest, 0.0)
-    free = [
-        Pose.from_rotation(rotation, position)
-        for rotation, position in zip(rotations, positions, strict=True)
-    ]
-    path = list(free)
+    path = list(map(Pose.from_rotation, rotations, positions))
     fade = max(1, round(_PIN_BLEND * rate))
     for first, end in _runs(rests):
-        heading = math.atan2(
-            float(rotations[first:end, 1, 0].mean()), float(rotations[first:end, 0, 0].mean())
-        )
-        position = np.array([pose.position for pose in free[first:end]]).mean(axis=0)
-        half = 0.5 * heading
+        half = 0.5 * math.atan2(*rotations[first:end, 1::-1, 0].mean(axis=0).tolist())  # of its heading
+        position = positions[first:end].mean(axis=0)
         pin = Pose((position[0], position[1], 0.0), (math.cos(half), 0.0, 0.0, math.sin(half)))
         path[first:end] = [pin] * (end - first)
         for step in range(1, fade):
@@ -418,16 +395,8 @@ def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q:
         for side, feet in zip(SIDES, wanted.feet, strict=True)
     ]
     hips = wanted.pelvis[k]
-    goals.append(
-        PoseGoal(
-            bodies["pelvis"],
-            hips.position,
-            hips.wxyz,
-            soft=True,
-            position_weight=_PELVIS,
-            angle_weight=_PELVIS / 4,
-        )
-    )
+    pelvis = PoseGoal(bodies["pelvis"], hips.position, hips.wxyz, soft=True, position_weight=_PELVIS)
+    goals.append(replace(pelvis, angle_weight=_PELVIS / 4))
     goals.append(OrientationGoal(bodies["head"], wanted.head[k].wxyz, weight=_HEAD, soft=True))
     for role, weight, paths in (("wrist", _HAND, wanted.hands), ("elbow", _ELBOW, wanted.elbows)):
         goals += [
@@ -443,9 +412,7 @@ def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> 
     q, miss = np.array(robot.home), np.zeros((len(wanted.pelvis), 2))
     base = free_base(robot)
     if base is not None:
-        q[base : base + 3] = wanted.pelvis[0].position + (
-            q[base : base + 3] - robot.forward(q, bodies["pelvis"]).position
-        )
+        q[base : base + 3] += wanted.pelvis[0].position - robot.forward(q, bodies["pelvis"]).position
     problem: Problem | None = None
     for k in range(len(wanted.pelvis)):
         goals = _goals(robot, bodies, wanted, k, robot.home)

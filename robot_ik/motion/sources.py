@@ -119,50 +119,28 @@ class CurveSource:
 
     @classmethod
     def circle(
-        cls,
-        frame: str,
-        center: ArrayLike,
-        radius: float,
-        period: float,
-        *,
-        normal: ArrayLike = (0.0, 0.0, 1.0),
-        wxyz: ArrayLike | None = None,
-    ) -> CurveSource:
+        cls, frame: str, center: ArrayLike, radius: float, period: float, *,
+        normal: ArrayLike = (0.0, 0.0, 1.0), wxyz: ArrayLike | None = None,
+    ) -> CurveSource:  # fmt: skip
         """A circle of ``radius`` m around ``center`` (3,), once in ``period`` s.
 
         It runs counter-clockwise about ``normal``; ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
-        middle, across, up = _plane(center, radius, period, normal)
-
-        def position(t: float) -> Array:
-            angle = 2.0 * np.pi * t / period
-            return np.asarray(middle + radius * (np.cos(angle) * across + np.sin(angle) * up))
-
-        return cls(frame, _oriented(position, wxyz))
+        point = _in_plane(center, radius, period, normal, lambda angle: (np.cos(angle), np.sin(angle)))
+        return cls(frame, _oriented(point, wxyz))
 
     @classmethod
     def lemniscate(
-        cls,
-        frame: str,
-        center: ArrayLike,
-        radius: float,
-        period: float,
-        *,
-        normal: ArrayLike = (0.0, 0.0, 1.0),
-        wxyz: ArrayLike | None = None,
-    ) -> CurveSource:
+        cls, frame: str, center: ArrayLike, radius: float, period: float, *,
+        normal: ArrayLike = (0.0, 0.0, 1.0), wxyz: ArrayLike | None = None,
+    ) -> CurveSource:  # fmt: skip
         """A figure of eight (lemniscate of Gerono) in the plane of ``normal``.
 
         ``radius`` m to each side of ``center`` (3,) and half that across, once in ``period`` s;
         ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
-        middle, across, up = _plane(center, radius, period, normal)
-
-        def position(t: float) -> Array:
-            angle = 2.0 * np.pi * t / period
-            return np.asarray(middle + radius * np.sin(angle) * (across + np.cos(angle) * up))
-
-        return cls(frame, _oriented(position, wxyz))
+        shape = lambda angle: (np.sin(angle), np.sin(angle) * np.cos(angle))  # noqa: E731
+        return cls(frame, _oriented(_in_plane(center, radius, period, normal, shape), wxyz))
 
     def poll(self, now: float) -> PoseGoal | PositionGoal:
         """Where the curve is at ``now``."""
@@ -227,8 +205,11 @@ def _oriented(
     return lambda t: Pose(position(t), rotation.wxyz)
 
 
-def _plane(center: ArrayLike, radius: float, period: float, normal: ArrayLike) -> tuple[Array, Array, Array]:
-    """Center and two unit vectors (3,) that span the plane of ``normal``; right-handed with it."""
+def _in_plane(
+    center: ArrayLike, radius: float, period: float, normal: ArrayLike,
+    shape: Callable[[float], tuple[float, float]],
+) -> Callable[[float], Array]:  # fmt: skip
+    """A curve (3,) of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
     middle, axis = np.asarray(center, dtype=float), np.asarray(normal, dtype=float)
     numbers = np.concatenate([middle.ravel(), axis.ravel(), [radius, period]])
     length = float(np.linalg.norm(axis))
@@ -245,4 +226,5 @@ def _plane(center: ArrayLike, radius: float, period: float, normal: ArrayLike) -
     helper = np.eye(3)[int(np.argmin(np.abs(axis)))]  # the world axis least along the normal
     up = np.cross(axis, helper)
     up /= np.linalg.norm(up)
-    return middle, np.cross(up, axis), up
+    plane = radius * np.array([np.cross(up, axis), up])  # right-handed with the normal
+    return lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane

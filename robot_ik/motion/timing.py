@@ -22,6 +22,11 @@ _QUINTIC_PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
 _STILL = 1e-9
 
 
+def minimum_jerk(x: Array) -> Array:
+    """Progress (n,) from 0 to 1 with the phase x (n,), without speed and acceleration at both ends."""
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+
+
 @dataclass(frozen=True)
 class Profile:
     """Progress from 0 to 1, at rest at both ends.
@@ -62,11 +67,7 @@ def quintic(velocity: float, acceleration: float) -> Profile:
     """
     slow = _QUINTIC_PEAK_VELOCITY / velocity
     heavy = float(np.sqrt(_QUINTIC_PEAK_ACCELERATION / acceleration))
-
-    def progress(phase: Array) -> Array:
-        return phase**3 * (10.0 - 15.0 * phase + 6.0 * phase * phase)
-
-    return Profile(max(slow, heavy), progress)
+    return Profile(max(slow, heavy), minimum_jerk)
 
 
 PROFILES: dict[str, Callable[[float, float], Profile]] = {"trapezoid": trapezoid, "quintic": quintic}
@@ -128,9 +129,7 @@ def fastest_timing(s: Array, q: Array, velocity: Array, acceleration: Array, spe
 
 def _derivative(q: Array, s: Array) -> Array:
     """dq/ds (n, nq) at the knots: second order inside and, where there are three knots, at the ends."""
-    if len(s) > 2:
-        return np.asarray(np.gradient(q, s, axis=0, edge_order=2))
-    return np.asarray(np.gradient(q, s, axis=0))
+    return np.asarray(np.gradient(q, s, axis=0, edge_order=2 if len(s) > 2 else 1))
 
 
 def _bounds(

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
-from robot_ik.motion.timing import PROFILES
+from robot_ik.motion.timing import PROFILES, minimum_jerk
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv
+from robot_ik.reading import read_csv, shown
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -143,11 +145,9 @@ class Trajectory:
                 f"times must increase, but sample {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
                 hint="sort the samples and drop those of equal time",
             )
-        t.flags.writeable = False
-        samples.flags.writeable = False
-        object.__setattr__(self, "times", t)
-        object.__setattr__(self, "q", samples)
-        object.__setattr__(self, "joints", names)
+        t.flags.writeable = samples.flags.writeable = False
+        for name, value in (("times", t), ("q", samples), ("joints", names)):
+            object.__setattr__(self, name, value)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -212,9 +212,7 @@ class Trajectory:
         return np.asarray(np.diff(self.q, axis=0) / np.diff(self.times)[:, None])
 
     def save_csv(self, path: Path | str) -> None:
-        """Writes a header (time_s, joint names) and one row a sample, in full precision.
-
-        The file appears whole or not at all.
+        """Writes a header (time_s, joint names) and one row a sample, in full precision; whole or not at all.
 
         Raises:
             OutputError: The folder is missing or not writable.
@@ -223,12 +221,7 @@ class Trajectory:
 
     def csv_text(self) -> str:
         """What ``save_csv`` writes."""
-        stream = io.StringIO()
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow([_TIME_COLUMN, *self.joints])
-        rows = np.column_stack([self.times, self.q]).tolist()
-        writer.writerows([[repr(value) for value in row] for row in rows])
-        return stream.getvalue()
+        return csv_table([_TIME_COLUMN, *self.joints], np.column_stack([self.times, self.q]))
 
     @classmethod
     def load_csv(cls, path: Path | str) -> Trajectory:
@@ -242,7 +235,8 @@ class Trajectory:
         head = rows[0] if rows else []
         if head[:1] != [_TIME_COLUMN] or len(head) < 2:
             raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
-        samples = [_numbers(row, len(head), source, line) for line, row in enumerate(rows[1:], start=2)]
+        columns = range(len(head))
+        samples = [csv_numbers(row, columns, len(head), source, k) for k, row in enumerate(rows[1:], 2)]
         if not samples:
             raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
         table = np.array(samples)
@@ -252,16 +246,26 @@ class Trajectory:
             raise ConfigError(str(error), file=source) from error
 
 
-def _numbers(row: list[str], count: int, file: Path, line: int) -> list[float]:
-    try:
-        values = [float(cell) for cell in row]
-    except ValueError:
-        values = []
-    if len(values) != count:
-        raise ConfigError(
-            f"got {','.join(row)[:60]!r}", file=file, key=f"line {line}", allowed=f"{count} numbers"
-        )
-    return values
+def csv_table(head: list[str], rows: Array) -> str:
+    """A header and rows (n, k) in full precision as CSV."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([map(repr, row) for row in rows.tolist()])
+    return stream.getvalue()
+
+
+def csv_numbers(
+    row: list[str], columns: Sequence[int], width: int, file: Path, line: int, most: float | None = None
+) -> list[float]:
+    """The numbers (up to ``most``) in columns of a row that shall be so wide, or ``ConfigError``."""
+    with contextlib.suppress(ValueError):
+        numbers = [float(row[k]) for k in columns] if len(row) == width else None
+        if numbers and (most is None or all(abs(number) <= most for number in numbers)):  # NaN neither
+            return numbers
+    allowed = f"{width} numbers" if most is None else f"{width} cells, joints as numbers up to {most:g}"
+    got = f"got {shown(','.join(row), str)}"
+    raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed)
 
 
 # ------------------------------------------------------------------------------ joint move
@@ -296,8 +300,7 @@ def joint_move(
         TrajectoryError: Wrong length, a number that is not finite, or a goal outside the limits.
         UnsupportedJointError: The robot has ball or free joints.
     """
-    first = joint_vector(robot, start, "start")
-    last = joint_vector(robot, goal_q, "goal")
+    first, last = joint_vector(robot, start, "start"), joint_vector(robot, goal_q, "goal")
     require_inside(robot, last)
     top, push = motion_limits(robot, speed, velocity, acceleration)
     require_positive("rate", rate, "Hz")
@@ -317,10 +320,6 @@ def joint_move(
     else:
         count, q = 1, np.stack([first, last])
     return Trajectory(np.arange(count + 1) / rate, q, robot.joints)
-
-
-# ------------------------------------------------------------------------------------------
-# `RecorderSink`: keeps what was sent, and gives it back as a `Trajectory`.
 
 
 class RecorderSink:
@@ -353,11 +352,10 @@ class RecorderSink:
             raise TrajectoryError(
                 f"recorder got {now:.6g} s after {self._times[-1]:.6g} s", hint="clear() it before a new run"
             )
-        if self._times and now == self._times[-1]:
-            self._times.pop()
-            self._q.pop()
-        self._times.append(float(now))
-        self._q.append(np.array(q, dtype=float))
+        if not self._times or now != self._times[-1]:
+            self._times.append(float(now))
+            self._q.append(np.empty(0))
+        self._q[-1] = np.array(q, dtype=float)
 
     def clear(self) -> None:
         """Forgets everything."""
@@ -374,3 +372,66 @@ class RecorderSink:
             raise TrajectoryError("nothing was recorded", hint="pass the recorder to execute() or follow()")
         times = np.array(self._times)
         return Trajectory(times - times[0], np.stack(self._q), self.joints)
+
+
+# ------------------------------------------------------------------------------------------
+# A motion that a hand has shown, made such that an arm can repeat it: whole ticks read at uneven times have
+# steps in them that no hand has made, and a hand keeps no velocity caps.
+
+
+APPROACH = 0.25
+"""Share of the caps on the approach to where a recording begins."""
+
+SMOOTHING = 0.1
+"""s over which a recording is averaged before it is played."""
+
+
+class MotionCaps(Protocol):
+    """What an arm allows, as its file says: names of joints, (n,) limits and caps, rad, rad/s, rad/s²."""
+
+    @property
+    def rate_hz(self) -> float: ...
+
+    @property
+    def names(self) -> tuple[str, ...]: ...
+
+    @property
+    def lower(self) -> Array: ...
+
+    @property
+    def upper(self) -> Array: ...
+
+    @property
+    def velocity(self) -> Array: ...
+
+    @property
+    def acceleration(self) -> Array: ...
+
+
+def playable(motion: Trajectory, caps: MotionCaps, speed: float) -> tuple[Trajectory, float]:
+    """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
+    smooth = smoothed(motion, caps.rate_hz)
+    q = np.clip(smooth.q, caps.lower, caps.upper)
+    needed = float((Trajectory(smooth.times, q, motion.joints).peak_velocity / caps.velocity).max())
+    stretch = max(1.0 / speed, needed)
+    return Trajectory(stretch * smooth.times, q, motion.joints).resampled(caps.rate_hz), stretch
+
+
+def smoothed(motion: Trajectory, rate: float) -> Trajectory:
+    """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does."""
+    count = math.ceil(motion.duration * rate) + 1
+    q = np.array([motion.at(motion.times[0] + k / rate) for k in range(count)])
+    width = max(round(SMOOTHING * rate), 1)
+    padded = np.pad(q, ((width - 1, width - 1), (0, 0)), "edge")
+    mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
+    return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
+
+
+def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
+    """From rest to rest by a quintic, at ``APPROACH`` of the caps; its peaks: 1.875 d/T and 5.774 d/T^2."""
+    distance = np.abs(there - here)
+    fast = 1.875 * distance / (APPROACH * caps.velocity)
+    soft = np.sqrt(5.774 * distance / (APPROACH * caps.acceleration))
+    seconds = max(float(np.max([fast, soft])), 2.0 / caps.rate_hz)
+    t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
+    return Trajectory(t, here + np.outer(minimum_jerk(t / seconds), there - here), caps.names)

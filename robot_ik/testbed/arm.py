@@ -1,10 +1,7 @@
-"""A servo arm that follows the first instance of the testbed.
+"""A servo arm that follows the first instance of the testbed, or repeats what a hand has shown it.
 
 One thread drives the arm, at the arm's own rate; the session only leaves the newest joint angles for it.
 So a slow page never makes a late bus cycle, and a session that stops leaving angles makes the arm hold.
-The limiter of the arm stands between: a ball that jumps makes the arm walk.
-
-The same thread records what a hand shows the limp arm, and repeats it.
 """
 
 from __future__ import annotations
@@ -22,8 +19,7 @@ from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.health import ServoState, read_states
 from robot_ik.hardware.watchdogs import ExitGuard
-from robot_ik.motion.recording import approach, playable
-from robot_ik.motion.trajectory import RecorderSink, Trajectory
+from robot_ik.motion.trajectory import RecorderSink, Trajectory, approach, playable
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
 
@@ -39,30 +35,18 @@ _CLOSE_LIMIT = 10.0
 
 @dataclass(frozen=True, eq=False)
 class ArmView:
-    """What is seen of the arm.
+    """What is seen of the arm."""
 
-    Attributes:
-        state: Of the arm's life cycle, as text.
-        mode: What was asked for last.
-        port: Where it is.
-        q: (nq,) measured joint angles, in the robot's order; None before the first reading.
-        xpos, xquat: Bodies' poses at the measured angles; None when not known.
-        apart: Largest distance of a joint from what the session commands, rad or m.
-        servos: Currents, temperatures, errors.
-        recorded: Seconds that a hand has shown; 0: nothing.
-        message: What went wrong, in one sentence; empty: nothing.
-    """
-
-    state: str
-    mode: ArmMode
-    port: str
-    q: Array | None
-    xpos: Array | None
+    state: str  # of the arm's life cycle, as text
+    mode: ArmMode  # what was asked for last
+    port: str  # where it is
+    q: Array | None  # (nq,) measured joint angles, in the robot's order; None before the first reading
+    xpos: Array | None  # bodies' poses at the measured angles; None when not known
     xquat: Array | None
-    apart: float
-    servos: tuple[ServoState, ...]
-    recorded: float
-    message: str
+    apart: float  # largest distance of a joint from what the session commands, rad or m
+    servos: tuple[ServoState, ...]  # currents, temperatures, errors
+    recorded: float  # seconds that a hand has shown; 0: nothing
+    message: str  # what went wrong, in one sentence; empty: nothing
 
 
 class ArmLink:

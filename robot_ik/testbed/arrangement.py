@@ -32,20 +32,13 @@ _SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where instances and their labels stand.
+    """Where instances and their labels stand."""
 
-    Attributes:
-        offsets: (n, 3) of each instance from the world's origin, metres.
-        labels: (n, 3) on the floor in front of each instance.
-        forward, right: (2,) unit vectors on the floor as the first view sees them.
-        extent: Of the model, metres.
-    """
-
-    offsets: Array
-    labels: Array
-    forward: Array
+    offsets: Array  # (n, 3) of each instance from the world's origin, metres
+    labels: Array  # (n, 3) on the floor in front of each instance
+    forward: Array  # (2,) unit vectors on the floor as the first view sees them
     right: Array
-    extent: float
+    extent: float  # of the model, metres
 
 
 def arranged(robot: Robot, count: int) -> Arrangement:

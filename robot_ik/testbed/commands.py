@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -20,6 +20,10 @@ from robot_ik.files import write_atomically
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.tables import Wxyz, config_error, keys_of
 
+if TYPE_CHECKING:
+    from robot_ik.testbed.session import View
+
+_Value = TypeVar("_Value")
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Point = Annotated[tuple[Number, Number, Number], Field(strict=False, description="3 numbers within 1e6")]
 Index = Annotated[int, Field(ge=0, le=3)]
@@ -27,9 +31,9 @@ Count = Literal[1, 2, 4]
 Motion = Literal["curve", "random", "hand"]
 GoalKind = Literal["pose", "position", "aim", "line", "plane"]
 
-COUNTS: tuple[Count, ...] = (1, 2, 4)
-MOTIONS: tuple[Motion, ...] = ("curve", "random", "hand")
-GOAL_KINDS: tuple[GoalKind, ...] = ("pose", "position", "aim", "line", "plane")
+COUNTS: tuple[Count, ...] = get_args(Count)
+MOTIONS: tuple[Motion, ...] = get_args(Motion)
+GOAL_KINDS: tuple[GoalKind, ...] = get_args(GoalKind)
 FORMAT = 1
 
 
@@ -239,65 +243,39 @@ def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
 
 
 def checked_command(command: Command) -> Command:
-    """The command, with its values checked as those of a file are.
-
-    Raises:
-        ConfigError: A value that it does not take.
-    """
+    """The command with its values checked as those of a file are, or ``ConfigError``."""
     return command_from({"command": command.key(), **asdict(command)}, "command")
 
 
 @dataclass(frozen=True)
 class Start:
-    """What a session begins with.
+    """What a session begins with."""
 
-    Attributes:
-        robot: A name of the catalogue or the path of a model.
-        count: Instances side by side.
-        methods: One for each of four instances; of fewer the first count.  Empty: the robot's usual ones.
-        seed: Of the random positions of the ball.
-        rate: Ticks a second, Hz.
-    """
-
-    robot: str = "puma560"
-    count: Count = 1
+    robot: str = "puma560"  # a name of the catalogue or the path of a model
+    count: Count = 1  # instances side by side
+    # One for each instance; empty: the usual ones.
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
-    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1
-    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0
+    seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1  # of the ball's random positions
+    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0  # ticks a second, Hz
 
 
 def checked_start(start: Start) -> Start:
-    """What a session begins with, checked as the first line of a log is.
-
-    Raises:
-        ConfigError: A value that it does not take.
-    """
+    """What a session begins with, checked as the first line of a log is, or ``ConfigError``."""
     made: Start = _checked(Start, asdict(start), "start")
     return made
 
 
 @dataclass(frozen=True)
 class CommandLog:
-    """Everything that decides what a session does.
+    """Everything that decides what a session does."""
 
-    Attributes:
-        start: What it began with.
-        commands: (tick, command): which took effect before which tick, in order.
-        ticks: How many ticks it ran; 0 when the file does not say.
-        digest: Of its last view; empty when the file does not say.
-    """
-
-    start: Start
-    commands: tuple[tuple[int, Command], ...]
-    ticks: int = 0
-    digest: str = ""
+    start: Start  # what it began with
+    commands: tuple[tuple[int, Command], ...]  # which took effect before which tick, in order
+    ticks: int = 0  # how many it ran; 0 when the file does not say
+    digest: str = ""  # of its last view; empty when the file does not say
 
     def save(self, path: Path) -> None:
-        """Writes the file; what was there is replaced.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes the file, or raises ``OutputError``; what was there is replaced."""
         write_atomically(path, self.text())
 
     def text(self) -> str:
@@ -349,3 +327,53 @@ class CommandLog:
             else:
                 commands.append((tick, command_from(values, here)))
         return cls(start, tuple(commands), ticks, digest)
+
+
+# ---------------------------------------------------------------------------------------------- keys
+
+STEP = 0.02
+"""Metres of one nudge of the ball."""
+# In the order in which a key goes through them where there is no menu.
+_CYCLE = ("dls", "lm", "analytic", "sdls", "pseudoinverse", "transpose", "bfgs", "ccd", "fabrik")
+
+
+@dataclass(frozen=True)
+class Key:
+    """One row of ``KEYMAP``.
+
+    The window has the keys of the first thesis.  The page cannot: its 3D view moves the camera with
+    W A S D Q E and the arrows, and has no switch for that.
+    """
+
+    about: str  # what it does, as text
+    browser: str  # the key on the page; empty: none, because a control is there
+    window: str  # the key in MuJoCo's window; empty: none
+    command: Callable[[View], Command] | None  # in this state; None: shows or hides the overlay
+
+
+def _next(values: tuple[_Value, ...], value: object) -> _Value:
+    return values[(values.index(value) + 1) % len(values) if value in values else 0]
+
+
+KEYMAP: tuple[Key, ...] = (
+    Key("start / pause", "space", "Space", lambda view: SetRunning(not view.running)),
+    Key("reset", "R", "R", lambda view: Reset()),
+    Key("ball: curve, random, by hand", "I", "I", lambda view: SetMotion(_next(MOTIONS, view.motion))),
+    Key("one robot", "1", "1", lambda view: SetCount(COUNTS[0])),
+    Key("compare two", "2", "2", lambda view: SetCount(COUNTS[1])),
+    Key("compare four", "4", "4", lambda view: SetCount(COUNTS[2])),
+    Key(
+        "next method of robot 1", "M", "M", lambda view: SetMethod(0, _next(_CYCLE, view.instances[0].method))
+    ),
+    Key("next kind of goal", "K", "K", lambda view: SetGoalKind(_next(GOAL_KINDS, view.kind))),
+    Key("joint limits on / off", "O", "O", lambda view: SetLimits(not view.limits)),
+    Key("branches of robot 1", "B", "B", lambda view: ShowBranches(not view.show_branches)),
+    Key("ball along +x", "T", "Up", lambda view: Nudge((STEP, 0.0, 0.0))),
+    Key("ball along -x", "G", "Down", lambda view: Nudge((-STEP, 0.0, 0.0))),
+    Key("ball along +y", "F", "Left", lambda view: Nudge((0.0, STEP, 0.0))),
+    Key("ball along -y", "H", "Right", lambda view: Nudge((0.0, -STEP, 0.0))),
+    Key("ball up", "Y", "W", lambda view: Nudge((0.0, 0.0, STEP))),
+    Key("ball down", "N", "S", lambda view: Nudge((0.0, 0.0, -STEP))),
+    Key("trails and labels / overlay on, off", "L", "L", None),
+)
+"""Every key, once."""

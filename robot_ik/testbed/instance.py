@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -25,7 +25,6 @@ from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
 from robot_ik.testbed.commands import DragLink
 from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, retarget
-from robot_ik.testbed.statistics import History, Statistics, Window
 
 TRAIL = 120
 """Places of the tool that a trail has."""
@@ -34,42 +33,95 @@ _TOLERANCE = Tolerance()
 _DRAG_SPEED = 10.0  # times the joints' limits: what is drawn is as quick as a mouse; an arm has its limiter
 
 
-@dataclass(frozen=True, eq=False)
-class InstanceView:
-    """What is seen of an instance; arrays are copies.
+WINDOW = 1000
+"""Solves that the statistics cover, as in S12's program."""
 
-    Attributes:
-        method, options: Name of its method; (name, value) of each of its options.
-        q: (nq,) joint angles, rad or m.
-        xpos, xquat: (nbody, 3) and (nbody, 4) poses of MuJoCo's bodies, world, wxyz.
-        status: How the last solve ended, as text; why it cannot be solved, where it cannot.
-        able: Whether its method can serve what is asked.
-        note: What it does otherwise than the others, as text.
-        miss, angle: Metres and radians of the tool off what the ball asks, by MuJoCo's kinematics.
-        iterations: Steps of the last solve.
-        manipulability: Product of the singular values of the tool's Jacobian.
-        statistics: Of the last second.
-        goals: (name, metres, radians) that each goal was missed by at the last full second, by MuJoCo.
-        trail: (n, 3) where the tool was, oldest first.
-        errors: (n, 2) history: miss in metres, manipulability.
+
+@dataclass(frozen=True)
+class Statistics:
+    """Of the last ``count`` solves, at most ``WINDOW``."""
+
+    count: int = 0  # how many solves these numbers cover
+    mean: float = (
+        0.0  # s of processor time of a solve, without waiting for others; a page's times are no benchmark
+    )
+    p99: float = 0.0
+    iterations: float = 0.0  # mean steps of a solve
+    solved: float = 0.0  # share of solves that met the ball's goal, 0 to 1; goals beside it do not count
+
+
+class Window:
+    """The last solves of one instance."""
+
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, int, bool]] = deque(maxlen=WINDOW)
+
+    def add(self, seconds: float, iterations: int, solved: bool) -> None:
+        """One solve more."""
+        self._rows.append((seconds, iterations, solved))
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._rows.clear()
+
+    def statistics(self) -> Statistics:
+        """Of what is in the window."""
+        if not self._rows:
+            return Statistics()
+        rows = np.array(self._rows, dtype=float)
+        mean, iterations, solved = rows.mean(axis=0).tolist()
+        return Statistics(len(rows), mean, float(np.percentile(rows[:, 0], 99)), iterations, solved)
+
+
+class History:
+    """The last rows of a series, oldest first.
+
+    Args:
+        length: How many rows are kept.
+        width: Numbers in a row.
     """
 
-    method: str
-    options: tuple[tuple[str, Any], ...]
-    q: Array
-    xpos: Array
-    xquat: Array
-    status: str
-    able: bool
-    note: str
-    miss: float
-    angle: float
-    iterations: int
-    manipulability: float
-    statistics: Statistics
-    goals: tuple[tuple[str, float, float], ...]
-    trail: Array
-    errors: Array
+    def __init__(self, length: int, width: int) -> None:
+        # Twice as long, so that a full one is moved once in ``length`` rows and not in each.
+        self._rows, self._length, self._end = np.zeros((2 * length, width)), length, 0
+
+    def add(self, row: Array | float) -> None:
+        """One row (width,) more."""
+        if self._end == len(self._rows):
+            self._rows[: self._length] = self._rows[self._length :]
+            self._end = self._length
+        self._rows[self._end] = row
+        self._end += 1
+
+    def clear(self) -> None:
+        """Forgets all."""
+        self._end = 0
+
+    def rows(self) -> Array:
+        """(n, width) a copy."""
+        return self._rows[max(0, self._end - self._length) : self._end].copy()
+
+
+@dataclass(frozen=True, eq=False)
+class InstanceView:
+    """What is seen of an instance; arrays are copies."""
+
+    method: str  # its name
+    options: tuple[tuple[str, Any], ...]  # (name, value) of each of the method's options
+    q: Array  # (nq,) joint angles, rad or m
+    xpos: Array  # (nbody, 3) positions of MuJoCo's bodies, world
+    xquat: Array  # (nbody, 4) their orientations, wxyz
+    status: str  # how the last solve ended, or why nothing can be solved, as text
+    able: bool  # whether its method can serve what is asked
+    note: str  # what it does otherwise than the others, as text
+    miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
+    angle: float  # rad, likewise
+    iterations: int  # steps of the last solve
+    manipulability: float  # product of the singular values of the tool's Jacobian
+    statistics: Statistics  # of the last second
+    goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
+    trail: Array  # (n, 3) where the tool was, oldest first
+    errors: Array  # (n, 2) history: miss in m, manipulability
 
 
 class Instance:
@@ -138,18 +190,16 @@ class Instance:
         self._drag = None
         if self.solver is None:
             return
-        if self.refused:
-            self._status = self.refused
-        else:
+        solution, self._status = None, self.refused
+        if not self.refused:
             wanted = goals.all(ball, self.solver)
             if self._problem is None:
                 self._problem = Problem(self.robot, wanted, budget=BUDGET)
             solution = self._solved(self.solver, self._problem, wanted)
-            self._measure(goals, ball)
-            if solution is not None:
-                self._window.add(self._seconds, solution.iterations, self._met())
-            return
         self._measure(goals, ball)
+        if solution is not None:
+            met = self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
+            self._window.add(self._seconds, solution.iterations, met)
 
     def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
         """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
@@ -158,13 +208,7 @@ class Instance:
         self._measure(goals, ball)
 
     def drag(self, drag: DragLink, goals: RobotGoals, ball: Pose) -> None:
-        """Brings a grabbed point to where the mouse is; what the goals keep stays where it is.
-
-        Args:
-            drag: What is dragged.
-            goals: What is kept, and what the miss is measured by meanwhile.
-            ball: Likewise.
-        """
+        """Brings a grabbed point to where the mouse is; what the goals keep stays where it is."""
         held = drag.body, drag.grip
         try:
             if self._drag is None or self._held != held:
@@ -180,9 +224,9 @@ class Instance:
             self._drag, self._status = None, str(error).splitlines()[0]
         self._measure(goals, ball)
 
-    def _solved(self, solver: Solver, problem: Problem, wanted: Sequence[Goal]) -> Solution | None:
+    def _solved(self, solver: Solver, problem: Problem, wanted: list[Goal]) -> Solution | None:
         try:
-            retarget(problem, list(wanted))
+            retarget(problem, wanted)
             begin = time.thread_time()
             solution = solver.solve(problem, self.q)
             self._seconds = time.thread_time() - begin
@@ -201,9 +245,6 @@ class Instance:
         self._trail.add(position)
         self._errors.add(np.array((self.miss, self.manipulability)))
 
-    def _met(self) -> bool:
-        return self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
-
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""
         values = np.linalg.svd(self.robot.jacobian(self.q), compute_uv=False)
@@ -221,23 +262,11 @@ class Instance:
         items = () if self.solver is None else dataclasses.fields(self.solver)
         options = tuple((item.name, getattr(self.solver, item.name)) for item in items)
         return InstanceView(
-            "" if self.solver is None else self.solver.name,
-            options,
-            self.q.copy(),
-            self.data.xpos.copy(),
-            self.data.xquat.copy(),
-            self._status,
-            not self.refused,
-            self.note,
-            self.miss,
-            self.angle,
-            self._iterations,
-            self.manipulability,
-            self._statistics,
-            self._goals,
-            self._trail.rows(),
+            "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
+            self.data.xquat.copy(), self._status, not self.refused, self.note, self.miss, self.angle,
+            self._iterations, self.manipulability, self._statistics, self._goals, self._trail.rows(),
             self._errors.rows(),
-        )
+        )  # fmt: skip
 
 
 def off(goals: RobotGoals, rotation: Array, position: Array, ball: Pose) -> tuple[float, float]:
@@ -278,25 +307,16 @@ FigureMode = Literal["active", "passive"]
 
 @dataclass(frozen=True)
 class FigureView:
-    """What is seen of a figure that decides.
+    """What is seen of a figure that decides."""
 
-    Attributes:
-        mode: ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command.
-        action, phase: What it does now, and how far it has come, from 0 to 1.
-        decision, arm: What it decided to do, and with which arm; empty: none.
-        reason: Why, in one sentence.
-        then: What it does where it walks to; empty: it does not walk.
-        waiting: Passive, and not asked to act yet.
-    """
-
-    mode: FigureMode
-    action: str
-    phase: float
-    decision: str
-    arm: str
-    reason: str
-    then: str
-    waiting: bool
+    mode: FigureMode  # it follows the ball, or acts on the ball as it was at the command
+    action: str  # what it does now
+    phase: float  # how far that has come, 0 to 1
+    decision: str  # what it decided to do
+    arm: str  # with which arm; empty: none
+    reason: str  # why, in one sentence
+    then: str  # what it does where it walks to; empty: it does not walk
+    waiting: bool  # passive, and not asked to act yet
 
 
 class ActingFigure:

@@ -1,24 +1,122 @@
-"""What a session needs that must load or compile, made ready beside its loop."""
+"""What a session needs that must load or compile: made ready beside its loop, compiled in other processes.
+
+Python compiles one thing at a time, and holds up all other threads of its process meanwhile: the page would
+stutter for half a minute.  What these processes have compiled the session takes from the cache; should one
+fail, the session compiles it.
+
+    python -m robot_ik.testbed.preparing setup < JSON       all of a setup
+    python -m robot_ik.testbed.preparing steps dls lm       the steps of methods, without their loops
+    python -m robot_ik.testbed.preparing drag puma560       what dragging a part needs
+
+Each writes a line for every function that it has compiled.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import inspect
 import logging
+import os
 import queue
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import IO, Any
+
+from numba import types
+from numba.core import event
+from pydantic import TypeAdapter
 
 from robot_ik.errors import RobotIkError
+from robot_ik.goals import Goal
 from robot_ik.kernels import jit
 from robot_ik.kernels.priorities import lm_levels
+from robot_ik.kernels.residuals import open_goals
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.workspace import open_work
+from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers.base import Solver
+from robot_ik.solvers import SOLVERS
+from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.testbed.commands import Command, SetRobot
-from robot_ik.testbed.compiling import Compilers, is_compiled
-from robot_ik.testbed.setup import Ready, RobotGoals, Setup, first_ball, prepare, warm_drag
+from robot_ik.testbed.setup import BUDGET, Ready, RobotGoals, Setup, first_ball, prepare, warm_drag
 
 _log = logging.getLogger(__name__)
+
+_NICE = 10  # of the processes: the page, and the browser that loads it, come first
+ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
+"""What the loop of a method takes, as numba types: addresses of tree, goals and work; options."""
+_STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more
+_SETUP = TypeAdapter(Setup)  # how the setup reaches the process
+
+
+def is_compiled(robot: Robot, goals: Sequence[Goal], solver: Solver) -> bool:
+    """Whether the loop of a method for such goals is in the cache; True where that is not known."""
+    if not isinstance(solver, IterativeSolver):
+        return True
+    return jit.compiled(solver.kernel_for(Problem(robot, list(goals), budget=BUDGET)))
+
+
+class Compilers:
+    """Runs the processes, one job at a time."""
+
+    def __init__(self) -> None:
+        self._running: list[subprocess.Popen[bytes]] = []
+        self._lock, self._over = threading.Lock(), False
+
+    def setup(self, setup: Setup, missing: Sequence[Solver], say: Callable[[str], None]) -> None:
+        """Returns when all of a setup, some of whose solvers are missing, is compiled, or that has failed."""
+        names = list(dict.fromkeys(solver.name for solver in missing))
+        steps = [name for name in reversed(names) if step_of(name) is not None]
+        if steps and (os.cpu_count() or 1) > 1:  # from the other end: they meet in the middle
+            self._start("steps", *steps)
+        # What a figure can do is found once, and by the session, which says how far that has come.
+        whole = self._start("setup", given=_SETUP.dump_json(replace(setup, figure="off")))
+        self._follow(whole, " and ".join(names), say)
+
+    def drag(self, robot: str, say: Callable[[str], None]) -> None:
+        """Returns when what dragging needs is compiled, or that has failed."""
+        self._follow(self._start("drag", robot), "what dragging parts needs", say)
+
+    def close(self) -> None:
+        """Ends them, and starts no more."""
+        with self._lock:
+            self._over = True
+            self._end()
+
+    def _end(self) -> None:
+        for process in self._running:
+            process.kill()
+            process.wait()
+            assert process.stdout is not None
+            process.stdout.close()
+        self._running = []
+
+    def _start(self, *arguments: str, given: bytes = b"") -> subprocess.Popen[bytes] | None:
+        with self._lock, contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
+            if not self._over and sys.executable:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", __name__, *arguments],
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                )  # fmt: skip
+                self._running.append(process)
+                assert process.stdin is not None
+                process.stdin.write(given)
+                process.stdin.close()
+                return process
+        return None
+
+    def _follow(self, process: subprocess.Popen[bytes] | None, what: str, say: Callable[[str], None]) -> None:
+        """Waits for a process and says how far it is; then the others are not needed either."""
+        if process is not None:
+            assert process.stdout is not None
+            with contextlib.suppress(ValueError):  # closed meanwhile: the session is over
+                for count, _ in enumerate(process.stdout, start=1):
+                    say(f"compiling {what}, once on this machine: {count} functions so far …")
+        with self._lock:
+            self._end()
 
 
 @dataclass(frozen=True)
@@ -79,21 +177,17 @@ class Preparer:
         self._jobs.put(Preparer)
 
     def _work(self) -> None:
-        while True:
-            job = self._jobs.get()
-            if job is Preparer:
-                return
+        while (job := self._jobs.get()) is not Preparer:
             self._do(job)  # type: ignore[arg-type]
 
     def _do(self, command: Command | None) -> None:
         self._text = "preparing …"
         try:
             wanted = self._setup if command is None else self._setup.after(command)
+            robot = self._robot
             if isinstance(command, SetRobot):
                 self._say(f"loading {command.name} …")
                 robot = load_robot(wanted.robot)
-            else:
-                robot = self._robot
             ready = prepare(wanted, robot, self._ready, self._say, self._compile)
         except RobotIkError as error:
             self._done(SetupDone(command, error=str(error).splitlines()[0]))
@@ -136,3 +230,63 @@ class Preparer:
 
     def _say(self, text: str) -> None:
         self._text = text
+
+
+# ---------------------------------------------------------------------------------------- the processes
+
+
+class _Reporter(event.Listener):
+    """Writes a line for every function that was compiled."""
+
+    def __init__(self, out: IO[str]) -> None:
+        self._out = out
+
+    def on_start(self, event: Any) -> None: ...
+
+    def on_end(self, event: Any) -> None:
+        with contextlib.suppress(OSError):  # the parent has closed its end of the pipe
+            self._out.write(event.data["dispatcher"].py_func.__name__ + "\n")
+            self._out.flush()
+
+
+def step_of(name: str) -> Any:
+    """The compiled step of a method; None where it is none by itself."""
+    module = sys.modules[SOLVERS[name].__module__]
+    for found in vars(module).values():
+        function = getattr(found, "py_func", None)
+        if function is None or function.__module__ != module.__name__:
+            continue
+        if function.__name__.endswith("_step") and tuple(inspect.signature(function).parameters) == _STEP:
+            return found
+    return None
+
+
+def compile_step(name: str) -> None:
+    """Compiles the step of a method, and with it what lies below: its loop finds that in the cache."""
+    step, open_options = step_of(name), vars(sys.modules[SOLVERS[name].__module__])["open_options"]
+
+    def take(tree: Any, goal: Any, work: Any, options: Any) -> None:
+        step(open_tree(tree), open_goals(goal), open_work(work), open_options(options))
+
+    jit.outlined(take).compile(ARGUMENTS)  # type: ignore[attr-defined]
+
+
+def main(arguments: Sequence[str]) -> None:
+    """One process; see the module."""
+    if hasattr(os, "nice"):
+        os.nice(_NICE)
+    # Standard output is a pipe to the parent, which counts its lines.
+    event.register("numba:compile", _Reporter(sys.stdout))
+    job, *names = arguments
+    if job == "setup":
+        setup = _SETUP.validate_json(sys.stdin.buffer.read())
+        prepare(setup, load_robot(setup.robot), None, lambda text: None)
+    elif job == "drag":
+        warm_drag(load_robot(names[0]))
+    else:
+        for name in names:
+            compile_step(name)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

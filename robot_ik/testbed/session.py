@@ -16,8 +16,9 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -27,39 +28,10 @@ from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, short_switch_interval
 from robot_ik.robot import Robot, load_robot
-from robot_ik.testbed.commands import (
-    Act,
-    Command,
-    CommandLog,
-    Count,
-    DragLink,
-    GoalKind,
-    Motion,
-    MoveGoal,
-    Nudge,
-    PickBranch,
-    Release,
-    Reset,
-    SetArm,
-    SetMotion,
-    SetRobot,
-    SetRunning,
-    SetSpeed,
-    Start,
-    checked_command,
-    checked_start,
-)
+from robot_ik.testbed import commands
 from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
-from robot_ik.testbed.setup import (
-    ExtraGoal,
-    Ready,
-    Setup,
-    branches_of,
-    first_ball,
-    usual_extras,
-    usual_kind,
-)
+from robot_ik.testbed.setup import ExtraGoal, Ready, Setup, branches_of, completed, first_ball
 
 if TYPE_CHECKING:
     from robot_ik.testbed.arm import ArmLink, ArmView
@@ -86,48 +58,30 @@ class BranchView:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A session at one tick; nothing in it changes any more.
+    """A session at one tick; nothing in it changes any more."""
 
-    Attributes:
-        tick, now: Ticks taken, and their time in seconds.
-        robot: Name or path as it was asked for.
-        motion, running, speed: How the ball moves.
-        ball: Its pose, world.
-        kind: What it asks of the tool.
-        extras: Goals beside it.
-        limits, show_branches: Whether they are on.
-        dragged: Body that is dragged; empty: none.
-        instances: One to four.
-        branches: Of the first instance, where they are asked for.
-        busy: What is prepared beside the loop, as text; empty: nothing.
-        message: An error in one sentence, for some seconds.
-        arm: The servo arm that the first instance drives; None without.
-        figure: The first instance, where it is a figure that decides by itself.
-        can_act: Whether this robot is a figure that can.
-    """
-
-    tick: int
+    tick: int  # ticks taken, and their time in seconds
     now: float
-    robot: str
-    motion: Motion
+    robot: str  # name or path as it was asked for
+    motion: commands.Motion  # how the ball moves
     running: bool
     speed: float
-    ball: Pose
-    kind: GoalKind
-    extras: tuple[ExtraGoal, ...]
-    limits: bool
+    ball: Pose  # its pose, world
+    kind: commands.GoalKind  # what it asks of the tool
+    extras: tuple[ExtraGoal, ...]  # goals beside it
+    limits: bool  # whether they are on
     show_branches: bool
-    dragged: str
-    instances: tuple[InstanceView, ...]
-    branches: tuple[BranchView, ...]
-    busy: str
-    message: str
-    arm: ArmView | None
-    figure: FigureView | None
-    can_act: bool
+    dragged: str  # body that is dragged; empty: none
+    instances: tuple[InstanceView, ...]  # one to four
+    branches: tuple[BranchView, ...]  # of the first instance, where they are asked for
+    busy: str  # what is prepared beside the loop, as text; empty: nothing
+    message: str  # an error in one sentence, for some seconds
+    arm: ArmView | None  # the servo arm that the first instance drives; None without
+    figure: FigureView | None  # the first instance, where it is a figure that decides by itself
+    can_act: bool  # whether this robot is a figure that can
 
     @property
-    def count(self) -> Count:
+    def count(self) -> commands.Count:
         """Instances side by side."""
         return len(self.instances)  # type: ignore[return-value]
 
@@ -150,7 +104,7 @@ class View:
         return seen.hexdigest()[:32]
 
 
-class Session:
+class Session(AbstractContextManager["Session"]):
     """One model, one ball, one to four instances that follow it.
 
     Args:
@@ -163,20 +117,20 @@ class Session:
     """
 
     def __init__(
-        self, start: Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
+        self, start: commands.Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
     ) -> None:
-        self.start = checked_start(Start() if start is None else start)
+        self.start = commands.checked_start(commands.Start() if start is None else start)
         setup = Setup.of(self.start)
         for choice in setup.choices:
             choice.solver()
-        self._queue: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._log: list[tuple[int, Command]] = []
+        self._queue: queue.SimpleQueue[commands.Command] = queue.SimpleQueue()
+        self._log: list[tuple[int, commands.Command]] = []
         self._period = 1.0 / self.start.rate
         self._tick, self._phase = 0, 0.0
-        self._motion: Motion = "curve"
+        self._motion: commands.Motion = "curve"
         self._running, self._speed = True, 1.0
         self._message: tuple[str, int] = ("", 0)
-        self._drag: DragLink | None = None
+        self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
         self._figure: ActingFigure | None = None
@@ -192,7 +146,7 @@ class Session:
 
     # --------------------------------------------------------------------------------- from any thread
 
-    def send(self, command: Command) -> None:
+    def send(self, command: commands.Command) -> None:
         """Takes a command from any thread; it takes effect with the next tick, or when it is prepared."""
         self._queue.put(command)
 
@@ -211,9 +165,6 @@ class Session:
         self._preparer.close()
         if self.arm is not None:
             self.arm.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
@@ -248,21 +199,20 @@ class Session:
         if self._drag is not None:
             self._follow_drag(self._drag, ready)
         else:
-            for one in self.instances[0 if self._figure is None else 1 :]:
+            for one in self.instances[int(self._figure is not None) :]:
                 one.solve(ready.goals, self._ball)
         if self._figure is not None:
             first, q = self.instances[0], self._figure.step(self._ball.position)
             first.stand(q, self._figure.view().action, ready.goals, self._ball)
-        slow = self._tick % _SLOW_TICKS == 0
         for one in self.instances:
-            if slow:
+            if self._tick % _SLOW_TICKS == 0:
                 one.measure_manipulability()
             if self._tick % round(self.start.rate) == 0:
                 one.measure_statistics(ready.goals, self._ball)
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
 
-    def _follow_drag(self, drag: DragLink, ready: Ready) -> None:
+    def _follow_drag(self, drag: commands.DragLink, ready: Ready) -> None:
         for one in self.instances:
             one.drag(drag, ready.goals, self._ball)
 
@@ -274,7 +224,8 @@ class Session:
 
     def view(self) -> View:
         """What is seen now."""
-        setup = self._ready.setup if self._ready is not None else None
+        setup = completed(Setup(self.name) if self._ready is None else self._ready.setup, self.robot)
+        assert setup.kind is not None and setup.extras is not None
         text, until = self._message
         return View(
             tick=self._tick,
@@ -284,10 +235,10 @@ class Session:
             running=self._running,
             speed=self._speed,
             ball=self._ball,
-            kind=usual_kind(self.robot) if setup is None or setup.kind is None else setup.kind,
-            extras=usual_extras(self.robot) if setup is None or setup.extras is None else setup.extras,
-            limits=setup is None or setup.limits,
-            show_branches=setup is not None and setup.branches,
+            kind=setup.kind,
+            extras=setup.extras,
+            limits=setup.limits,
+            show_branches=setup.branches,
             dragged=self._drag.body if self._drag is not None else "",
             instances=tuple(one.view() for one in self.instances),
             branches=self._branches,
@@ -298,9 +249,9 @@ class Session:
             can_act=self.robot.file.figure is not None,
         )
 
-    def log(self) -> CommandLog:
+    def log(self) -> commands.CommandLog:
         """All that took effect up to now, and the digest of the present view."""
-        return CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
+        return commands.CommandLog(self.start, tuple(self._log), self._tick, self.view().digest())
 
     def ball_path(self) -> Array:
         """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
@@ -311,47 +262,41 @@ class Session:
 
     # ---------------------------------------------------------------------------------------- commands
 
-    def _take(self, command: Command) -> None:
+    def _take(self, command: commands.Command) -> None:
         """Does what was asked; what cannot be done is said in the view, never raised."""
         if isinstance(command, SetupDone):
             self._adopt(command)
             return
         try:
-            command = checked_command(command)
+            command = commands.checked_command(command)
         except RobotIkError as error:
             self._say(str(error).splitlines()[0])
             return
         if command.rebuilds:
             self._preparer.ask(command)
-            return
-        if isinstance(command, DragLink) and not self._preparer.can_drag:
+        elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
             self._say("parts can be dragged in a moment: what that needs is being compiled")
-            return
-        self._log.append((self._tick, command))
-        self._apply(command)
+        else:
+            self._log.append((self._tick, command))
+            self._apply(command)
 
-    def _apply(self, command: Command) -> None:
+    def _apply(self, command: commands.Command) -> None:
         match command:
-            case SetMotion(motion):
+            case commands.SetMotion(motion):
                 self._motion = motion
-            case SetRunning(running):
+            case commands.SetRunning(running):
                 self._running = running
-            case SetSpeed(speed):
+            case commands.SetSpeed(speed):
                 self._speed = speed
-            case MoveGoal(position, wxyz):
+            case commands.MoveGoal(position, wxyz):
                 self._move_ball(np.array(position), wxyz)
-            case Nudge(step):
+            case commands.Nudge(step):
                 self._move_ball(np.array(self._ball.position) + step, None)
-            case DragLink():
+            case commands.DragLink():
                 self._grab(command)
-            case Release():
-                if self._drag is not None:
-                    if self._running and self._ready is not None:
-                        # A slow browser's drag may come with its end in one tick: where it ended counts.
-                        self._follow_drag(self._drag, self._ready)
-                    self._ball = self.instances[min(self._drag.instance, len(self.instances) - 1)].tool_pose()
-                    self._drag, self._motion = None, "hand"
-            case Reset():
+            case commands.Release():
+                self._release()
+            case commands.Reset():
                 self._phase, self._motion, self._running, self._drag = 0.0, "curve", True, None
                 self._begin_random()
                 for one in self.instances:
@@ -359,30 +304,36 @@ class Session:
                 if self._figure is not None:
                     self._figure.reset()
                     self._motion = "hand"
-            case Act():
+            case commands.Act():
                 if self._figure is None:
                     self._say("no figure decides: switch it on in the tab Figure")
                 else:
                     self._figure.act()
-            case PickBranch(index):
+            case commands.PickBranch(index):
                 if index < len(self._branches):
                     self.instances[0].move_to(self._branches[index].q)
                 else:
                     self._say("there is no branch of that number")
-            case SetArm():
-                self._set_arm(command)
+            case commands.SetArm(state):
+                if self.arm is None:
+                    self._say("there is no arm: start with --bus sim, pty or a port")
+                else:
+                    self.arm.ask(state)
 
-    def _set_arm(self, command: SetArm) -> None:
-        if self.arm is None:
-            self._say("there is no arm: start with --bus sim, pty or a port")
-        else:
-            self.arm.ask(command.state)
+    def _release(self) -> None:
+        """The ball goes to where the tool of the dragged robot is."""
+        drag = self._drag
+        if drag is not None:
+            if self._running and self._ready is not None:
+                # A slow browser's drag may come with its end in one tick: where it ended counts.
+                self._follow_drag(drag, self._ready)
+            self._ball = self.instances[min(drag.instance, len(self.instances) - 1)].tool_pose()
+            self._drag, self._motion = None, "hand"
 
     def _move_ball(self, position: Array, wxyz: Sequence[float] | None) -> None:
         """By hand from now on; never farther than a robot of this size could use."""
         self._motion = "hand"
-        radius = _REACH * float(self.robot.model.stat.extent)
-        middle = np.array(self.robot.model.stat.center)
+        radius, middle = _REACH * float(self.robot.model.stat.extent), self.robot.model.stat.center
         away = position - middle
         distance = float(np.linalg.norm(away))
         position = position if distance <= radius else middle + away * (radius / distance)
@@ -390,15 +341,13 @@ class Session:
         if np.linalg.norm(orientation) > 1e-6:
             self._ball = Pose(position, orientation / np.linalg.norm(orientation))
 
-    def _grab(self, command: DragLink) -> None:
-        body = mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body)
-        if body <= 0:
+    def _grab(self, command: commands.DragLink) -> None:
+        if mujoco.mj_name2id(self.robot.model, mujoco.mjtObj.mjOBJ_BODY, command.body) <= 0:
             self._say(f"this part cannot be dragged: {command.body or 'it has no name'}")
-            return
-        if self._figure is not None:
+        elif self._figure is not None:
             self._say("the figure decides by itself: drag the ball")
-            return
-        self._drag = command
+        else:
+            self._drag = command
 
     def _adopt(self, found: SetupDone) -> None:
         """What was prepared takes effect now."""
@@ -409,7 +358,7 @@ class Session:
             self._log.append((self._tick, found.command))
         before, self._ready = self._ready, found.ready
         ready = found.ready
-        if isinstance(found.command, SetRobot) or ready.setup.robot != self.name:
+        if isinstance(found.command, commands.SetRobot) or ready.setup.robot != self.name:
             self.name = ready.setup.robot
             self._phase, self._motion, self._drag = 0.0, "curve", None
             self._stand(ready.robot, ready.setup.count)
@@ -472,7 +421,7 @@ class Session:
         self._message = text, self._tick + round(MESSAGE_SECONDS * self.start.rate)
 
 
-def replayed(log: CommandLog) -> Iterator[Session]:
+def replayed(log: commands.CommandLog) -> Iterator[Session]:
     """The session of a log, tick by tick; the last one is over all its commands.
 
     Raises:
@@ -488,7 +437,7 @@ def replayed(log: CommandLog) -> Iterator[Session]:
             yield session
 
 
-def last_view(log: CommandLog) -> View:
+def last_view(log: commands.CommandLog) -> View:
     """The view at the end of a log; of an empty one, after one tick."""
     log = log if log.ticks or log.commands else dataclasses.replace(log, ticks=1)
     for session in replayed(log):
@@ -506,14 +455,8 @@ def run(
 ) -> None:
     """The only loop of a front end: ticks in real time, and draws each ``every``-th view.
 
-    It runs on absolute deadlines; after a stall it goes on from there and does not hurry.
-
-    Args:
-        session: Ticks at its own rate.
-        draw: Shows a view.
-        stop: Ends the loop.
-        every: Ticks for each view that is drawn.
-        now: The clock, seconds.
+    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set; after a stall it goes
+    on from there and does not hurry.
     """
     step, due, count = 1.0 / session.start.rate, now(), 0
     with short_switch_interval():

@@ -38,21 +38,7 @@ from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import Solver
-from robot_ik.testbed.commands import (
-    Command,
-    Count,
-    GoalKind,
-    SetCount,
-    SetExtraGoal,
-    SetFigure,
-    SetGoalKind,
-    SetLimits,
-    SetMethod,
-    SetOption,
-    SetRobot,
-    ShowBranches,
-    Start,
-)
+from robot_ik.testbed import commands
 
 BUDGET = Budget(iterations=200)
 """Of one solve: steps and not seconds, so that a replay gives the same bits."""
@@ -103,82 +89,63 @@ class ExtraGoal:
 
 @dataclass(frozen=True)
 class Setup:
-    """What is solved.
+    """What is solved."""
 
-    Attributes:
-        robot: A name of the catalogue or the path of a model.
-        count: Instances side by side.
-        choices: Of four instances; the first ``count`` are used.
-        kind: What the ball asks of the tool; None: what suits the robot.
-        extras: Goals beside the ball's, whose own priority is that of ``ball``; None: what suits the robot.
-        limits: Whether joint limits hold.
-        branches: Whether all branches of a closed form are looked for.
-        figure: ``off``; else the first instance decides by itself, in that mode.
-    """
-
-    robot: str
-    count: Count = 1
-    choices: tuple[MethodChoice, ...] = ()
-    kind: GoalKind | None = None
-    extras: tuple[ExtraGoal, ...] | None = None
-    limits: bool = True
-    branches: bool = False
-    figure: Literal["off", "active", "passive"] = "off"
+    robot: str  # a name of the catalogue or the path of a model
+    count: commands.Count = 1  # instances side by side
+    choices: tuple[MethodChoice, ...] = ()  # of four instances; the first ``count`` are used
+    kind: commands.GoalKind | None = None  # what the ball asks; None: what suits the robot
+    extras: tuple[ExtraGoal, ...] | None = None  # the ball's own priority is that of ``ball``; None: as suits
+    limits: bool = True  # whether joint limits hold
+    branches: bool = False  # whether all branches of a closed form are looked for
+    figure: Literal["off", "active", "passive"] = "off"  # the first instance decides by itself
 
     @classmethod
-    def of(cls, start: Start) -> Setup:
+    def of(cls, start: commands.Start) -> Setup:
         """What a session begins with."""
         return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
 
-    def after(self, command: Command) -> Setup:
+    def after(self, command: commands.Command) -> Setup:
         """What is solved after a command that rebuilds.
 
         Raises:
             ConfigError: It names a goal that there is not.
         """
         match command:
-            case SetRobot(name):
+            case commands.SetRobot(name):
                 return Setup(name, self.count, self.choices)
-            case SetCount(count):
+            case commands.SetCount(count):
                 return replace(self, count=count)
-            case SetMethod(k, method):
+            case commands.SetMethod(k, method):
                 return self._with_choice(k, MethodChoice(method))
-            case SetOption(k, name, value):
+            case commands.SetOption(k, name, value):
                 old = self.choices[k]
                 options = tuple(sorted((dict(old.options) | {name: value}).items()))
                 return self._with_choice(k, MethodChoice(old.method, options))
-            case SetGoalKind(kind):
+            case commands.SetGoalKind(kind):
                 return replace(self, kind=kind)
-            case SetLimits(on):
+            case commands.SetLimits(on):
                 return replace(self, limits=on)
-            case ShowBranches(on):
+            case commands.ShowBranches(on):
                 return replace(self, branches=on)
-            case SetExtraGoal():
+            case commands.SetExtraGoal():
                 return self._with_extra(command)
-            case SetFigure(mode):
+            case commands.SetFigure(mode):
                 return replace(self, figure=mode)
         raise TypeError(f"{command!r} rebuilds nothing")
 
     def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
 
-    def _with_extra(self, command: SetExtraGoal) -> Setup:
-        extras = self.extras or ()
-        names = [extra.name for extra in extras]
-        if command.name not in names:
+    def _with_extra(self, command: commands.SetExtraGoal) -> Setup:
+        extras = {extra.name: extra for extra in self.extras or ()}
+        if command.name not in extras:
             raise ConfigError(
                 f"there is no goal {command.name!r}",
-                file="command", key="name", allowed=", ".join(names) or "none with this robot",
+                file="command", key="name", allowed=", ".join(extras) or "none with this robot",
             )  # fmt: skip
-        return replace(
-            self,
-            extras=tuple(
-                replace(extra, on=command.on, priority=command.priority)
-                if extra.name == command.name
-                else extra
-                for extra in extras
-            ),
-        )
+        changed = replace(extras[command.name], on=command.on, priority=command.priority)
+        return replace(self, extras=tuple((extras | {command.name: changed}).values()))
 
 
 class RobotGoals:
@@ -189,7 +156,7 @@ class RobotGoals:
         balanced: Whether the centre of mass stays over its position.
     """
 
-    def __init__(self, robot: Robot, kind: GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
+    def __init__(self, robot: Robot, kind: commands.GoalKind, extras: tuple[ExtraGoal, ...]) -> None:
         self.robot, self.kind = robot, kind
         self.priority = next(extra.priority for extra in extras if extra.name == "ball")
         self._extras = [
@@ -269,7 +236,7 @@ def is_figure(robot: Robot) -> bool:
     return robot.nq > robot.nv and bool(robot.file.gallery and robot.file.gallery.keep)
 
 
-def usual_kind(robot: Robot) -> GoalKind:
+def usual_kind(robot: Robot) -> commands.GoalKind:
     """A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet."""
     return "position" if is_figure(robot) or robot.nv < 6 else "pose"
 
@@ -297,39 +264,24 @@ def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Ready:
-    """A setup that the loop can solve at once.
+    """A setup that the loop can solve at once."""
 
-    Attributes:
-        setup: With what suits the robot filled in.
-        robot: Within its limits; the robot of every instance.
-        goals: What is asked.
-        solvers: One for each instance.
-        loaded: The robot within the limits of its model.
-        curve: The ball's path; the tool can follow it.
-        refused: For each instance why its method cannot serve these goals; empty where it can.
-        abilities: Of a figure that decides by itself; None: it does not.
-    """
-
-    setup: Setup
-    robot: Robot
-    goals: RobotGoals
-    solvers: tuple[Solver, ...]
-    loaded: Robot
-    curve: CurveSource
-    refused: tuple[str, ...]
-    abilities: Abilities | None
+    setup: Setup  # with what suits the robot filled in
+    robot: Robot  # within its limits; the robot of every instance
+    goals: RobotGoals  # what is asked
+    solvers: tuple[Solver, ...]  # one for each instance
+    loaded: Robot  # the robot within the limits of its model
+    curve: CurveSource  # the ball's path; the tool can follow it
+    refused: tuple[str, ...]  # why each instance's method cannot serve these goals; empty where it can
+    abilities: Abilities | None  # of a figure that decides by itself; None: it does not
 
 
 def completed(setup: Setup, robot: Robot) -> Setup:
     """The setup with what suits the robot where nothing was chosen."""
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
     choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
-    return replace(
-        setup,
-        choices=choices,
-        kind=setup.kind or usual_kind(robot),
-        extras=usual_extras(robot) if setup.extras is None else setup.extras,
-    )
+    extras = usual_extras(robot) if setup.extras is None else setup.extras
+    return replace(setup, choices=choices, kind=setup.kind or usual_kind(robot), extras=extras)
 
 
 def prepare(
@@ -374,8 +326,7 @@ def prepare(
         curve = reachable_curve(used, goals, able[0] if able else MethodChoice(_CURVE_METHOD).solver())
     abilities = None
     if setup.figure != "off":
-        kept = before is not None and before.loaded is loaded
-        abilities = before.abilities if before is not None and kept else None
+        abilities = before.abilities if before is not None and before.loaded is loaded else None
         abilities = abilities or _abilities(loaded, say)
     return Ready(setup, used, goals, solvers, loaded, curve, tuple(refused), abilities)
 
@@ -388,11 +339,10 @@ def _abilities(robot: Robot, say: Callable[[str], None]) -> Abilities:
     """
     figure = load_figure(robot)
     say("reading what the figure can do …")
-
-    def progress(done: int, whole: int) -> None:
-        say(f"finding out what the figure can do: {100 * done // max(whole, 1)} % …")
-
-    return load_abilities(figure, progress=progress)
+    finding = "finding out what the figure can do"
+    return load_abilities(
+        figure, progress=lambda done, whole: say(f"{finding}: {100 * done // max(whole, 1)} % …")
+    )
 
 
 def warm_drag(robot: Robot) -> None:
@@ -403,17 +353,14 @@ def warm_drag(robot: Robot) -> None:
 def _tried(robot: Robot, goals: RobotGoals, solver: Solver, ball: Pose) -> str:
     """Compiles what the goals need; why the method cannot serve them, in one sentence, or nothing."""
     try:
-        _try(robot, goals.all(ball, solver), solver)
+        wanted = goals.all(ball, solver)
+        problem = Problem(robot, wanted, budget=BUDGET)
+        solver.load(problem)
+        retarget(problem, wanted)
+        solver.solve(problem, robot.home)
     except RobotIkError as error:
         return str(error).splitlines()[0]
     return ""
-
-
-def _try(robot: Robot, goals: list[Goal], solver: Solver) -> None:
-    problem = Problem(robot, goals, budget=BUDGET)
-    solver.load(problem)
-    retarget(problem, goals)
-    solver.solve(problem, robot.home)
 
 
 def retarget(problem: Problem, goals: list[Goal]) -> None:
@@ -472,7 +419,7 @@ def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource
     q, problem = robot.home, None
     for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):
         wanted = goals.all(curve.poll(float(t)).target, solver)
-        problem = Problem(robot, wanted, budget=BUDGET) if problem is None else problem
+        problem = problem or Problem(robot, wanted, budget=BUDGET)
         try:
             retarget(problem, wanted)
             solution = solver.solve(problem, q)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from robot_ik.cli import sim_bus
+from robot_ik.cli import console, sim_bus
 from robot_ik.robot_file import catalogue
 from tests.waiting import wait_for
 
@@ -170,8 +171,8 @@ def test_the_name_of_a_port_that_is_there_is_not_taken_over(
 
 def test_all_signals_that_end_it_are_caught_and_given_back() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        before = signal.getsignal(number)
-        with sim_bus._ended_by_signal() as ended:
+        before, ended = signal.getsignal(number), threading.Event()
+        with console.on_signals(lambda number, frame, ended=ended: ended.set(), *sim_bus.ENDING):
             assert signal.getsignal(number) is not before and not ended.is_set()
             signal.raise_signal(number)
             assert ended.is_set()

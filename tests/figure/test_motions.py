@@ -1,7 +1,5 @@
 """Walk, reach, bend, jump and interruptions, judged by MuJoCo on the true shapes (``bench.figure``)."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,7 +7,7 @@ from numpy.typing import NDArray
 from robot_ik.bench.figure import MotionMeasure, measure_gait, measure_motion
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.actions import Motion, bend, reach
+from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
 from robot_ik.figure.figure import Figure, rotation
 from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
@@ -90,26 +88,23 @@ def test_small_steps_lead_anywhere_without_crossing_legs(
     assert end[:2] == pytest.approx(goal[:2], abs=1e-6) and abs(np.cos(end[2] - goal[2])) > 1 - 1e-9
 
 
-Action = Callable[[Figure, Array, Array, str], Motion]
-
-
 @pytest.mark.parametrize(
-    ("act", "ball"),
+    ("kind", "ball"),
     [
-        (reach, (0.45, -0.25, 1.35)),
-        (reach, (0.3, -0.15, 1.85)),
-        (bend, (0.45, -0.25, 0.25)),
-        (bend, (0.5, 0.0, 0.4)),
-        (reach, (0.31, -0.07, 0.87)),  # so near that the fastest way changes a joint's speed at once
-        (reach, (0.21, -0.17, 1.65)),  # straight there the forearm would touch the belly
-        (reach, (0.475, -0.025, 0.845)),  # as fast as the hand may, the weight would be beside the soles
+        ("reach", (0.45, -0.25, 1.35)),
+        ("reach", (0.3, -0.15, 1.85)),
+        ("bend", (0.45, -0.25, 0.25)),
+        ("bend", (0.5, 0.0, 0.4)),
+        ("reach", (0.31, -0.07, 0.87)),  # so near that the fastest way changes a joint's speed at once
+        ("reach", (0.21, -0.17, 1.65)),  # straight there the forearm would touch the belly
+        ("reach", (0.475, -0.025, 0.845)),  # as fast as the hand may, the weight would be beside the soles
     ],
 )
-def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball: tuple[float, ...]) -> None:
+def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, kind: str, ball: tuple[float, ...]) -> None:
     """Anywhere in the world: the same motion, placed."""
     stance = (1.0, 2.0, 0.7)
     there = rotation("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
-    motion = act(figure, figure.placed(figure.home, *stance), there, "right")
+    motion = take(figure, figure.placed(figure.home, *stance), there, "right", kind)
     assert figure.robot.measure(motion.q[-1], "right_hand").position == pytest.approx(there, abs=1e-3)
     measure = measure_motion(figure, motion.q, motion.contact)
     require_feet(measure)
@@ -118,7 +113,7 @@ def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, act: Action, ball:
 
 
 def test_a_bend_found_from_a_random_pose_keeps_its_toes_on_the_floor(figure: Figure) -> None:
-    motion = bend(figure, figure.home, np.array([0.28, -0.08, 0.17]), "right")
+    motion = take(figure, figure.home, np.array([0.28, -0.08, 0.17]), "right", "bend")
     measure = measure_motion(figure, motion.q, motion.contact)
     require_feet(measure)
     assert measure.inside == 1.0

@@ -12,8 +12,9 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
-from robot_ik.testbed.commands import DragLink, MoveGoal, Release, SetArm
+from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
@@ -34,7 +35,6 @@ from robot_ik.testbed.frontends.panels import (
 )
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.frontends.widgets import Control, page, pressed
-from robot_ik.testbed.keymap import KEYMAP, Key
 from robot_ik.testbed.session import Session, View
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
 
 
-class Page:
+class Page(AbstractContextManager["Page"]):
     """The front end ``browser``; a context manager.
 
     Args:
@@ -97,9 +97,6 @@ class Page:
             self._camera.close()
         self._page_server.close()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *exc: object) -> None:
         self.close()
 
@@ -139,9 +136,8 @@ class Page:
                 "<kbd>robot-ik video FILE OUT.mp4</kbd> films it.</small>"
             )
         )
-        button = gui.add_button(
-            "Save the command log", icon=viser.Icon.DOWNLOAD, hint="As a file of this browser"
-        )
+        hint = "As a file of this browser"
+        button = gui.add_button("Save the command log", icon=viser.Icon.DOWNLOAD, hint=hint)
 
         def save(event: Any) -> None:
             if event.client is not None:
@@ -160,16 +156,13 @@ class Page:
         Control(self._axes, self._show_axes)
         self._reach = gui.add_checkbox("Reach", False, hint="Places of the tool at random joint angles")
         Control(self._reach, self._show_reach)
-        Control(
-            gui.add_checkbox("Dark", self._page_server.dark, hint="For all browsers that look"),
-            self._page_server.theme,
-        )
+        dark = gui.add_checkbox("Dark", self._page_server.dark, hint="For all browsers that look")
+        Control(dark, self._page_server.theme)
         if self._camera is not None:
             pictures = gui.add_checkbox("Camera pictures", False, hint="Four a second: a quarter of a core")
             Control(pictures, self._camera.switch)
-        wheel = gui.add_button(
-            "Hand over", icon=viser.Icon.STEERING_WHEEL, hint="The next browser that acts drives"
-        )
+        hint = "The next browser that acts drives"
+        wheel = gui.add_button("Hand over", icon=viser.Icon.STEERING_WHEEL, hint=hint)
         pressed(wheel, lambda _: self.gate.hand_over())
 
     def _readings(self, gui: viser.GuiApi) -> None:
@@ -224,7 +217,8 @@ class Page:
         async def _(event: Any) -> None:
             if event.client is not None and self._scene is not None:
                 position = np.array(self._gizmo.position) - self._scene.offsets[0]
-                self.session.send(MoveGoal(_floats(position), _four(self._gizmo.wxyz)))
+                w, *xyz = (float(value) for value in self._gizmo.wxyz)
+                self.session.send(MoveGoal(_floats(position), (w, *_floats(xyz))))
 
     def _rebuild(self, view: View) -> BrowserScene:
         """Robot or number of instances have changed."""
@@ -430,8 +424,3 @@ class _CameraThread:
 def _floats(values: Any) -> tuple[float, float, float]:
     x, y, z = (float(value) for value in values)
     return x, y, z
-
-
-def _four(values: Any) -> tuple[float, float, float, float]:
-    w, x, y, z = (float(value) for value in values)
-    return w, x, y, z

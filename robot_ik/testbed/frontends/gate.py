@@ -62,6 +62,9 @@ HEADERS: Mapping[str, str] = {
 }
 
 
+_NO_TOKEN = "open the address with its token, as printed at the start"
+
+
 class Malformed(ValueError):
     """No page of ours sends such a message."""
 
@@ -125,7 +128,7 @@ class Gate:
         if (upgrade and not origin) or any(one.lower() != f"http://{host[0].lower()}" for one in origin):
             return "only pages of this server may connect"
         if upgrade and self.token and not self._right(self._cookie(connection, request)):
-            return "open the address with its token, as printed at the start"
+            return _NO_TOKEN
         return ""
 
     def _right(self, token: str) -> bool:
@@ -157,9 +160,7 @@ class Gate:
             cookie = f"{self._cookie_name(connection)}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             return _plain(http.HTTPStatus.SEE_OTHER, "", {"Location": "/", "Set-Cookie": cookie})
         if not self._right(self._cookie(connection, request)):
-            return _plain(
-                http.HTTPStatus.FORBIDDEN, "open the address with its token, as printed at the start"
-            )
+            return _plain(http.HTTPStatus.FORBIDDEN, _NO_TOKEN)
         return None
 
     # ------------------------------------------------------------------------------------- messages
@@ -433,17 +434,7 @@ def _require_address(host: str, port: int) -> None:
 def open_server(
     host: str = "127.0.0.1", port: int = 8080, *, token: bool = False, names: tuple[str, ...] = ()
 ) -> tuple[viser.ViserServer, Gate]:
-    """A viser server behind a gate.
-
-    Args:
-        host: Address to listen at; one that others can reach always gets a token.
-        port: The next free one is taken where it is busy.
-        token: Ask for a token on loopback, too: other users of the machine reach the port.
-        names: Further names under which this machine is known.
-
-    Raises:
-        ViewerError: Another viser than the one this is made for, or the address cannot be used.
-    """
+    """A viser server behind a gate; arguments and errors as those of ``PageServer``."""
     if not viser.__version__.startswith(_VISER):
         raise ViewerError(
             f"the page is made for viser {_VISER}x, and {viser.__version__} is installed",

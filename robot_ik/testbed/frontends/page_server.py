@@ -9,7 +9,7 @@ import asyncio
 import contextlib
 import zipfile
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from viser import ClientHandle, _icons
@@ -23,7 +23,7 @@ _LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
 _DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
 
 
-class PageServer:
+class PageServer(contextlib.AbstractContextManager["PageServer"]):
     """What listens for browsers; a context manager.
 
     Args:
@@ -92,9 +92,6 @@ class PageServer:
         """Stops the server."""
         with quiet():
             self.server.stop()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import html
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -20,47 +20,29 @@ from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
 from robot_ik.robot import Robot
+from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
-from robot_ik.testbed.commands import (
-    COUNTS,
-    GOAL_KINDS,
-    MOTIONS,
-    Act,
-    PickBranch,
-    Reset,
-    SetArm,
-    SetCount,
-    SetExtraGoal,
-    SetFigure,
-    SetGoalKind,
-    SetLimits,
-    SetMethod,
-    SetMotion,
-    SetOption,
-    SetRobot,
-    SetRunning,
-    SetSpeed,
-    ShowBranches,
+from robot_ik.testbed.frontends.widgets import (
+    Control,
+    Send,
+    is_usual,
+    label_of,
+    option_widget,
+    page,
+    pressed,
+    update,
 )
-from robot_ik.testbed.frontends.widgets import Control, Send, is_usual, label_of, option_widget, page, pressed
-from robot_ik.testbed.keymap import KEYMAP
 from robot_ik.testbed.session import View
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.health import ServoState
     from robot_ik.motion.trajectory import Trajectory
     from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
-_COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), COUNTS, strict=True))
-_MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), MOTIONS, strict=True))
-_KIND_LABELS = dict(
-    zip(
-        ("pose", "position", "aim at the ball", "on a line", "on a plane"),
-        GOAL_KINDS,
-        strict=True,
-    )
-)
+_COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
+_MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
+_KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
+_KIND_LABELS = dict(zip(_KINDS, commands.GOAL_KINDS, strict=True))
 _MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
 _TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
@@ -76,7 +58,7 @@ class RunPanel:
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._state = gui.add_html(page(HINT))
         stop = gui.add_button("STOP", color="red", icon=viser.Icon.HAND_STOP, hint="Everything holds still")
-        pressed(stop, lambda _: send(SetRunning(False)))
+        pressed(stop, lambda _: send(commands.SetRunning(False)))
         self.stop_uuid: str = stop._impl.uuid
         size = f"height:{_STOP_HEIGHT}px!important;font:700 20px system-ui;letter-spacing:.12em"
         button = f'[id="{self.stop_uuid}"]'
@@ -84,30 +66,34 @@ class RunPanel:
         run = gui.add_button_group(
             "Run", ("Start", "Pause", "Reset"), hint="Space starts and pauses; R resets"
         )
-        actions = {"Start": SetRunning(True), "Pause": SetRunning(False), "Reset": Reset()}
+        actions = {
+            "Start": commands.SetRunning(True),
+            "Pause": commands.SetRunning(False),
+            "Reset": commands.Reset(),
+        }
         pressed(run, lambda event: send(actions[event.target.value]))
         names = tuple(dict.fromkeys((*catalogue(), view.robot)))
         self._robot = Control(
             gui.add_dropdown("Robot", names, initial_value=view.robot, hint="Any robot that ships"),
-            lambda value: send(SetRobot(value)),
+            lambda value: send(commands.SetRobot(value)),
         )
         with gui.add_folder("A model of your own", expand_by_default=False):
             path = gui.add_text(
                 "Path", "", hint="An MJCF or URDF file, on the machine where this program runs"
             )
             load = gui.add_button("Load", icon=viser.Icon.FOLDER_OPEN, hint="In place of the robot")
-        pressed(load, lambda _: send(SetRobot(path.value.strip())))
+        pressed(load, lambda _: send(commands.SetRobot(path.value.strip())))
         self._count = Control(
             gui.add_dropdown("Compare", tuple(_COUNT_LABELS), hint="Side by side (keys 1, 2, 4)"),
-            lambda value: send(SetCount(_COUNT_LABELS[value])),
+            lambda value: send(commands.SetCount(_COUNT_LABELS[value])),
         )
         self._motion = Control(
             gui.add_dropdown("Ball", tuple(_MOTION_LABELS), hint="How the ball moves (I)"),
-            lambda value: send(SetMotion(_MOTION_LABELS[value])),
+            lambda value: send(commands.SetMotion(_MOTION_LABELS[value])),
         )
         self._speed = Control(
             gui.add_slider("Speed", 0.0, 3.0, 0.05, view.speed, hint="Of the ball; 1 is real time"),
-            lambda value: send(SetSpeed(float(value))),
+            lambda value: send(commands.SetSpeed(float(value))),
         )
 
     def show(self, view: View) -> None:
@@ -119,9 +105,7 @@ class RunPanel:
             dot, label = "#f58220", "getting ready"
         line = html.escape(view.busy or view.message or HINT)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
-        content = self._large + page(text)
-        if self._state.content != content:
-            self._state.content = content
+        update(self._state, content=self._large + page(text))
         self._motion.follow(label_of(_MOTION_LABELS, view.motion))
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
@@ -135,16 +119,12 @@ class MethodPanel:
     """A folder for each instance: its method, and that method's options made from the solver's fields."""
 
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
-        self._gui, self._send = gui, send
         self._limits = Control(
             gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
-            lambda value: send(SetLimits(value)),
+            lambda value: send(commands.SetLimits(value)),
         )
         # Made once for four and hidden: widgets that come and go trouble a slow browser.
-        self._folders = [self._folder(k) for k in range(4)]
-
-    def _folder(self, k: int) -> _MethodFolder:
-        return _MethodFolder(self._gui, self._send, k)
+        self._folders = [_MethodFolder(gui, send, k) for k in range(4)]
 
     def show(self, view: View) -> None:
         """Follows the session."""
@@ -165,23 +145,20 @@ class _MethodFolder:
             self._colour = gui.add_html("", visible=False)
             menu = gui.add_dropdown("Method", tuple(SOLVERS), hint="robot-ik solvers says what each is")
             self._options = gui.add_folder("Options", expand_by_default=k == 0)
-        self._menu = Control(menu, lambda value: send(SetMethod(k, value)))
+        self._menu = Control(menu, lambda value: send(commands.SetMethod(k, value)))
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
-        visible = one is not None and one.method != ""
-        if self._folder.visible != visible:
-            self._folder.visible = visible
-        if one is None:
+        update(self._folder, visible=one is not None and one.method != "")
+        if one is None or not one.method:
             return
-        if self._colour.visible != (count > 1):
-            colour = hexadecimal(INSTANCE_COLOURS[self._k])
-            self._colour.content = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
-            self._colour.visible = count > 1
-        if one.method and self._shown != one.method:
+        colour = hexadecimal(INSTANCE_COLOURS[self._k])
+        bar = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
+        update(self._colour, content=bar, visible=count > 1)
+        if self._shown != one.method:
             self._shown = one.method
             self._rebuild(one)
-        if one.method and not busy:
+        if not busy:
             self._menu.follow(one.method)
         for name, value in one.options:
             if name in self._widgets:
@@ -211,7 +188,7 @@ class _MethodFolder:
         def changed(chosen: Any) -> None:
             if isinstance(chosen, float) and low is not None:
                 chosen = max(chosen, low)  # a slider from 0, where 0 itself is not allowed
-            self._send(SetOption(self._k, field.name, chosen))
+            self._send(commands.SetOption(self._k, field.name, chosen))
 
         self._widgets[field.name] = Control(widget, changed)
 
@@ -225,15 +202,14 @@ class GoalsPanel:
         self._gui, self._send = gui, send
         self._kind = Control(
             gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
-            lambda value: send(SetGoalKind(_KIND_LABELS[value])),
+            lambda value: send(commands.SetGoalKind(_KIND_LABELS[value])),
         )
         self._branches = Control(
             gui.add_checkbox("Branches", False, hint="All ways of a closed form, as ghosts (B)"),
-            lambda value: send(ShowBranches(value)),
+            lambda value: send(commands.ShowBranches(value)),
         )
         self._pick = Control(
-            gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"),
-            self._picked,
+            gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"), self._picked
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
         self._names: tuple[str, ...] = ()
@@ -243,15 +219,14 @@ class GoalsPanel:
 
     def _picked(self, value: str) -> None:
         if value in self._pick.handle.options[1:]:
-            self._send(PickBranch(self._pick.handle.options.index(value) - 1))
+            self._send(commands.PickBranch(self._pick.handle.options.index(value) - 1))
 
     def show(self, view: View) -> None:
         """Follows the session."""
         self._kind.follow(label_of(_KIND_LABELS, view.kind))
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
-        if self._pick.handle.visible != view.show_branches:
-            self._pick.handle.visible = view.show_branches
+        update(self._pick.handle, visible=view.show_branches)
         if self._pick.handle.options != names:
             self._pick.handle.options = names
             self._pick.handle.value = "–"
@@ -264,20 +239,11 @@ class GoalsPanel:
                 if box is not None:
                     box.follow(extra.on)
                 rank.follow(extra.priority)
-        content = page(self._missed(view))
-        if self._misses.content != content:
-            self._misses.content = content
-
-    @staticmethod
-    def _missed(view: View) -> str:
-        rows = "".join(
-            f"<tr><td>{html.escape(name)}</td><td>{1e3 * metres:.2f}</td>"
-            f"<td>{math.degrees(angle):.2f}</td></tr>"
+        rows = [
+            (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
-        )
-        return (
-            f"<table><tr><th>robot 1 is off by</th><th>mm</th><th>°</th></tr>{rows}</table>" if rows else ""
-        )
+        ]
+        update(self._misses, content=page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else ""))
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):
@@ -296,7 +262,7 @@ class GoalsPanel:
 
     def _changed(self, name: str, value: object) -> None:
         box, rank = self._rows[name]
-        self._send(SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
+        self._send(commands.SetExtraGoal(name, True if box is None else bool(box.value), int(rank.value)))
 
 
 class FigurePanel:
@@ -308,27 +274,22 @@ class FigurePanel:
                 "Moved by", tuple(_FIGURE_LABELS), visible=view.can_act,
                 hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
-            lambda label: send(SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
+            lambda label: send(commands.SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
         )  # fmt: skip
         self._act = gui.add_button(
             "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
         )
-        pressed(self._act, lambda _: send(Act()))
+        pressed(self._act, lambda _: send(commands.Act()))
         self._text = gui.add_html("")
 
     def show(self, view: View) -> None:
         """Decision, reason, and what it does now."""
         acting = view.figure
-        if self._mode.handle.visible != view.can_act:
-            self._mode.handle.visible = view.can_act
+        update(self._mode.handle, visible=view.can_act)
         if not view.busy:
             self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
-        is_passive = acting is not None and acting.mode == "passive"
-        if self._act.visible != is_passive:
-            self._act.visible = is_passive
-        content = page(self._figure_text(view))
-        if self._text.content != content:
-            self._text.content = content
+        update(self._act, visible=acting is not None and acting.mode == "passive")
+        update(self._text, content=page(self._figure_text(view)))
 
     @staticmethod
     def _figure_text(view: View) -> str:
@@ -336,9 +297,8 @@ class FigurePanel:
         if not view.can_act:
             return "<small>this robot is no figure: choose humanoid under Robot</small>"
         if acting is None:
-            return (
-                "<small>the figure reaches, bends, jumps or walks to the ball by itself, if it is let</small>"
-            )
+            does = "the figure reaches, bends, jumps or walks to the ball by itself, if it is let"
+            return f"<small>{does}</small>"
         if acting.waiting:
             return "<b>waits</b><br><small>drag the ball, then press Act now</small>"
         arm = f" with the {html.escape(acting.arm)} hand" if acting.arm else ""
@@ -361,11 +321,7 @@ class ArmPanel:
         self._text, there = gui.add_html(""), view.arm is not None
         for label, labels, hint in (
             ("Arm", _MODE_LABELS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
-            (
-                "By hand",
-                _TEACH_LABELS,
-                "Teach: torque off, and a hand's motion is recorded; Replay repeats it",
-            ),
+            ("By hand", _TEACH_LABELS, "Teach: torque off, and a hand is recorded; Replay repeats it"),
         ):
             group = gui.add_button_group(label, tuple(labels.values()), visible=there, hint=hint)
             pressed(group, functools.partial(self._pressed, send, labels))
@@ -379,7 +335,7 @@ class ArmPanel:
     @staticmethod
     def _pressed(send: Send, labels: Mapping[str, str], event: Any) -> None:
         mode = next(mode for mode, label in labels.items() if label == event.target.value)
-        send(SetArm(mode))  # type: ignore[arg-type]
+        send(commands.SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -398,8 +354,7 @@ class ArmPanel:
         arm = view.arm
         if arm is None:
             line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
-            if not self._text.content:
-                self._text.content = page(line)
+            update(self._text, content=page(line))
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
@@ -407,40 +362,36 @@ class ArmPanel:
             f"<small>yellow ghost: where it is; {math.degrees(arm.apart):.1f}° behind; "
             f"recorded: {arm.recorded:.1f} s</small>{said}"
         )
-        rows = "".join(
-            f"<tr><td>{html.escape(s.joint)}</td><td>{_position_text(s)}</td>"
-            f"<td>{'on' if s.torque else 'off'}</td>"
-            f"<td>{_cell(s.current_ma)}</td><td>{_cell(s.temperature)}</td>"
-            f"<td>{html.escape(', '.join(s.errors))}</td></tr>"
-            for s in arm.servos
-        )
-        head = "".join(f"<th>{label}</th>" for label in ("joint", "at", "torque", "mA", "°C", "errors"))
-        self._table.content = page(f"<table><tr>{head}</tr>{rows}</table>")
+        rows = []
+        for s in arm.servos:
+            at = _cell(s.position_deg, 1, "°") if s.position_mm is None else _cell(s.position_mm, 1, " mm")
+            torque, errors = "on" if s.torque else "off", html.escape(", ".join(s.errors))
+            cells = (at, torque, _cell(s.current_ma), _cell(s.temperature), errors)
+            rows.append((html.escape(s.joint), *cells))
+        self._table.content = page(_table(("joint", "at", "torque", "mA", "°C", "errors"), rows))
 
 
-def _position_text(servo: ServoState) -> str:
-    if servo.position_mm is not None:
-        return f"{servo.position_mm:.1f} mm"
-    return "–" if servo.position_deg is None else f"{servo.position_deg:.1f}°"
+def _cell(value: float | None, digits: int = 0, unit: str = "") -> str:
+    return "–" if value is None else f"{value:.{digits}f}{unit}"
 
 
-def _cell(value: float | None) -> str:
-    return "–" if value is None else f"{value:.0f}"
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Of cells that are HTML already."""
+    head = "".join(f"<th>{label}</th>" for label in heads)
+    cells = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
+    return f"<table><tr>{head}</tr>{''.join(f'<tr>{row}</tr>' for row in cells)}</table>"
 
 
 class MeasuredPanel:
     """Statistics, one plot with a menu, joints against their limits."""
 
-    _PLOTS: Mapping[str, tuple[int, str]] = {
-        "distance to the goal, mm": (0, "mm"),
-        "manipulability": (1, ""),
-    }
+    _PLOTS: Mapping[str, tuple[int, str]] = {"distance to the goal, mm": (0, "mm"), "manipulability": (1, "")}
 
     def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
         self._table = gui.add_html("")
         self._menu = gui.add_dropdown("Plot", tuple(self._PLOTS), hint="Over the last 5 seconds")
         # Made once for every number of robots and hidden, as the folders of the methods.
-        self._plots = {(n, name): self._plot(gui, n, name) for n in COUNTS for name in self._PLOTS}
+        self._plots = {(n, name): self._plot(gui, n, name) for n in commands.COUNTS for name in self._PLOTS}
         self._joints = gui.add_html("")
 
     def _plot(self, gui: viser.GuiApi, n: int, name: str) -> Any:
@@ -468,9 +419,8 @@ class MeasuredPanel:
         counts = [one.statistics.count for one in view.instances[acting:]]
         note = "the figure decides by itself: no method is measured"
         if counts:
-            note = (
-                f"in this page, the last {min(counts)} solves of each; for comparable times: robot-ik bench"
-            )
+            last = f"the last {min(counts)} solves of each"
+            note = f"in this page, {last}; for comparable times: robot-ik bench"
         self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
 
     @staticmethod
@@ -494,8 +444,7 @@ class MeasuredPanel:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
             visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
-            if plot.visible != visible:
-                plot.visible = visible
+            update(plot, visible=visible)
             if visible:
                 self._fill(plot, view, name)
         self._joints.content = page(joint_bars(view, robot))
@@ -523,7 +472,6 @@ def joint_bars(view: View, robot: Robot) -> str:
     model = robot.model
     active = [model.joint(name).id for name in robot.joints]
     ids = [i for i in active if model.jnt_limited[i] and model.jnt_type[i] in (_HINGE, _SLIDE)]
-    rows = ""
     if not ids:
         return "<small>no joint has limits</small>"
     low, high = model.jnt_range[ids].T
@@ -532,6 +480,7 @@ def joint_bars(view: View, robot: Robot) -> str:
     order: Sequence[int] = range(len(ids))
     if len(ids) > _JOINTS_SHOWN:
         order = np.argsort(np.minimum(shares, 1.0 - shares).min(axis=0))[:_JOINTS_SHOWN].tolist()
+    rows = ""
     for i in order:
         marks = "".join(_mark(k, share) for k, share in enumerate(shares[:, i].tolist()))
         angle = model.jnt_type[ids[i]] == _HINGE
@@ -553,9 +502,5 @@ def _mark(k: int, share: float) -> str:
 
 def key_table() -> str:
     """The page's keys, from ``KEYMAP``."""
-    rows: Iterator[str] = (
-        f"<tr><td><kbd>{key.browser}</kbd></td><td>{html.escape(key.about)}</td></tr>"
-        for key in KEYMAP
-        if key.browser
-    )
-    return page(f"<table>{''.join(rows)}</table>")
+    rows = [(f"<kbd>{key.browser}</kbd>", html.escape(key.about)) for key in commands.KEYMAP if key.browser]
+    return page(_table((), rows))

@@ -50,17 +50,11 @@ _GIZMO = 0.22  # of the extent, times 1.5
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """What is drawn of a body, in its frame.
+    """What is drawn of a body, in its frame."""
 
-    Attributes:
-        vertices: (v, 3) metres.
-        faces: (f, 3) indices into them, counter-clockwise from outside.
-        glb: The same with normals and colours, or textures, as a glTF file.
-    """
-
-    vertices: Floats
-    faces: NDArray[np.uint32]
-    glb: bytes
+    vertices: Floats  # (v, 3) metres
+    faces: NDArray[np.uint32]  # (f, 3) indices into them, counter-clockwise from outside
+    glb: bytes  # the same with normals and colours, or textures, as a glTF file
 
 
 def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:

@@ -65,6 +65,13 @@ class Control:
             self.handle.value = value
 
 
+def update(handle: Any, **values: Any) -> None:
+    """Sets those attributes of a widget that differ: the others are not sent again."""
+    for name, value in values.items():
+        if getattr(handle, name) != value:
+            setattr(handle, name, value)
+
+
 def pressed(button: Any, act: Callable[[Any], None]) -> None:
     """Calls ``act(event)`` when a person pressed the button."""
 

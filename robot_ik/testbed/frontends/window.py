@@ -14,29 +14,28 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from robot_ik.environment import import_mujoco, probe_display
 from robot_ik.errors import ViewerError
+from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     GOAL_COLOUR,
     INSTANCE_COLOURS,
+    Colour,
     arranged,
     corners,
     fitted_camera,
 )
-from robot_ik.testbed.commands import MoveGoal
-from robot_ik.testbed.keymap import KEYMAP
+from robot_ik.testbed.commands import KEYMAP, MoveGoal
 from robot_ik.testbed.session import Session, View
 from robot_ik.urdf import Urdf
 
 if TYPE_CHECKING:
-    from robot_ik.geometry import Pose
     from robot_ik.robot import Robot
 
 #: Seconds the window may take to appear; it takes about one, several in software on a busy machine.
@@ -109,8 +108,10 @@ def _light(model: Any) -> None:
         model.vis.headlight.diffuse[:] = _DIFFUSE
 
 
-def _launch(model: Any, data: Any, limit: float, instead: str, **options: Any) -> Any:
-    """MuJoCo's passive viewer; without its side panels unless ``options`` say otherwise.
+def _launch(
+    model: Any, data: Any, limit: float, instead: str, **options: Any
+) -> tuple[Any, list[threading.Thread]]:
+    """MuJoCo's passive viewer without its side panels, and its threads.
 
     ``instead`` says what to run where there can be no window.
 
@@ -132,11 +133,65 @@ def _launch(model: Any, data: Any, limit: float, instead: str, **options: Any) -
             )
     else:
         _require_display(limit, instead)
-    options = {"show_left_ui": False, "show_right_ui": False, **options}
-    return _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
+    options |= {"show_left_ui": False, "show_right_ui": False}
+    before = set(threading.enumerate())
+    window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
+    return window, [thread for thread in threading.enumerate() if thread not in before]
 
 
-class WindowSink:
+def _point_camera(camera: Any, position: Array, target: Array) -> None:
+    """Puts MuJoCo's camera at a position (3,), looking at a target (3,)."""
+    direction = target - position
+    camera.lookat[:], camera.distance = target, float(np.linalg.norm(direction))
+    camera.azimuth = float(np.degrees(np.arctan2(direction[1], direction[0])))
+    camera.elevation = float(np.degrees(np.arcsin(direction[2] / camera.distance)))
+
+
+def _rgba(colour: Colour) -> tuple[float, ...]:
+    return (*(part / 255.0 for part in colour), 1.0)
+
+
+def _add_geom(
+    scene: Any, kind: int, rgba: Sequence[float], size: Array | None = None, pose: Pose | None = None
+) -> Any | None:
+    """A geom more in a scene of MuJoCo; None where there is no space."""
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    geom, pose = scene.geoms[scene.ngeom], pose or Pose()
+    size, colour = np.zeros(3) if size is None else size, np.array(rgba, dtype=np.float32)
+    rotation = pose.rotation.ravel()
+    import_mujoco().mjv_initGeom(geom, kind, size, np.array(pose.position), rotation, colour)
+    scene.ngeom += 1
+    return geom
+
+
+def _add_connector(scene: Any, kind: int, rgba: Sequence[float], width: float, a: Array, b: Array) -> None:
+    """A line or an arrow from one point (3,) to another."""
+    if (geom := _add_geom(scene, kind, rgba)) is not None:
+        import_mujoco().mjv_connector(geom, kind, width, a, b)
+
+
+class _ViewerWindow:
+    """A window of MuJoCo's viewer: a context manager that closes it."""
+
+    _viewer: Any
+    _threads: list[threading.Thread]
+
+    def close(self) -> None:
+        """Closes the window and waits for its drawing thread; may be called twice."""
+        self._viewer.close()
+        for thread in self._threads:
+            if thread is not threading.current_thread():
+                thread.join(CLOSE_LIMIT)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class WindowSink(_ViewerWindow):
     """Mirrors joint angles into a window: a ``JointSink`` and a context manager.
 
     The window gets its own copy of the model, since its user may change it there.
@@ -144,7 +199,6 @@ class WindowSink:
     Args:
         robot: What to show.
         start: (nq,) first joint angles, rad or m; the robot's home if ``None``.
-        panels: Show MuJoCo's side panels.
         limit: Seconds the window may take to appear.
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
@@ -165,7 +219,6 @@ class WindowSink:
         robot: Robot,
         *,
         start: Array | None = None,
-        panels: bool = False,
         limit: float = OPEN_LIMIT,
         solids: Sequence[Solid] = (),
         see: Array | None = None,
@@ -179,11 +232,7 @@ class WindowSink:
         _light(self._model)
         self.data = self._mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
-        before = set(threading.enumerate())
-        self._viewer = _launch(
-            self._model, self.data, limit, instead, show_left_ui=panels, show_right_ui=panels
-        )
-        self._threads = [t for t in threading.enumerate() if t not in before]
+        self._viewer, self._threads = _launch(self._model, self.data, limit, instead)
         with self._lock():
             self._aim_camera(see, viewpoint)
             for solid in solids:
@@ -204,35 +253,18 @@ class WindowSink:
         low, high = corners.min(axis=0), corners.max(axis=0)
         middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
         camera = self._viewer.cam
+        if viewpoint is not None:
+            _point_camera(camera, viewpoint, middle)
         camera.lookat[:] = middle
         camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
-        if viewpoint is not None:
-            direction = middle - viewpoint
-            camera.azimuth = float(np.rad2deg(np.arctan2(direction[1], direction[0])))
-            camera.elevation = float(np.rad2deg(np.arcsin(direction[2] / np.linalg.norm(direction))))
 
     def _add_box(self, solid: Solid) -> None:
-        mujoco, scene = self._mujoco, self._viewer.user_scn
-        if scene.ngeom < scene.maxgeom:
-            mujoco.mjv_initGeom(
-                scene.geoms[scene.ngeom],
-                mujoco.mjtGeom.mjGEOM_BOX,
-                np.array(solid.half),
-                np.array(solid.pose.position),
-                solid.pose.rotation.ravel(),
-                np.array(solid.rgba, dtype=np.float32),
-            )
-            scene.ngeom += 1
+        box = self._mujoco.mjtGeom.mjGEOM_BOX
+        _add_geom(self._viewer.user_scn, box, solid.rgba, np.array(solid.half), solid.pose)
 
     def _add_ball(self, radius: float) -> Any | None:
-        mujoco, scene = self._mujoco, self._viewer.user_scn
-        if scene.ngeom == scene.maxgeom:
-            return None
-        size, colour = np.full(3, radius), np.array([*np.array(GOAL_COLOUR) / 255, 1.0], dtype=np.float32)
-        geom, sphere = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE
-        mujoco.mjv_initGeom(geom, sphere, size, _NOWHERE, np.eye(3).ravel(), colour)
-        scene.ngeom += 1
-        return geom
+        sphere, colour = self._mujoco.mjtGeom.mjGEOM_SPHERE, _rgba(GOAL_COLOUR)
+        return _add_geom(self._viewer.user_scn, sphere, colour, np.full(3, radius), Pose(_NOWHERE))
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
@@ -248,26 +280,11 @@ class WindowSink:
 
     def show_goal(self, pose: Pose, *, length: float = 0.12) -> None:
         """Draws the axes of a goal at ``pose`` in the world: red x, green y, blue z, ``length`` metres."""
-        mujoco = self._mujoco
+        arrow, scene = self._mujoco.mjtGeom.mjGEOM_ARROW, self._viewer.user_scn
         with self._lock():
-            scene = self._viewer.user_scn
             for axis, colour in enumerate(_AXIS_COLOURS):
-                if scene.ngeom >= scene.maxgeom:
-                    return
-                geom = scene.geoms[scene.ngeom]
                 tip = pose.position + length * pose.rotation[:, axis]
-                mujoco.mjv_initGeom(
-                    geom,
-                    mujoco.mjtGeom.mjGEOM_ARROW,
-                    np.zeros(3),
-                    np.zeros(3),
-                    np.eye(3).ravel(),
-                    np.array(colour, dtype=np.float32),
-                )
-                mujoco.mjv_connector(
-                    geom, mujoco.mjtGeom.mjGEOM_ARROW, _AXIS_WIDTH * length, pose.position, tip
-                )
-                scene.ngeom += 1
+                _add_connector(scene, arrow, colour, _AXIS_WIDTH * length, pose.position, tip)
         self._viewer.sync()
 
     def show_ball(self, position: Array) -> None:
@@ -298,24 +315,9 @@ class WindowSink:
             while self.is_running():
                 time.sleep(_POLL)
 
-    def close(self) -> None:
-        """Closes the window and waits for its drawing thread; may be called twice."""
-        self._viewer.close()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(CLOSE_LIMIT)
-
     def _lock(self) -> AbstractContextManager[Any]:
         lock: AbstractContextManager[Any] = self._viewer.lock()
         return lock
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 # ------------------------------------------------------------------------------ the testbed's session
@@ -326,7 +328,7 @@ _TEXT_ROWS = 12
 _SPECIAL = {"Space": 32, "Right": 262, "Left": 263, "Down": 264, "Up": 265}  # GLFW's numbers
 
 
-class SessionWindow:
+class SessionWindow(_ViewerWindow):
     """The front end ``window``: a testbed session in MuJoCo's passive viewer.
 
     The ball is selected from the start: Ctrl and the right mouse button move it.  Keys are those of the first
@@ -362,11 +364,9 @@ class SessionWindow:
         _light(self._model)
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
-        before = set(threading.enumerate())
-        self._viewer = _launch(
+        self._viewer, self._threads = _launch(
             self._model, self._data, OPEN_LIMIT, _WITHOUT_VIEWER, key_callback=self._on_key
         )
-        self._threads = [thread for thread in threading.enumerate() if thread not in before]
         body = int(self._model.body(_BALL).id)
         with self._viewer.lock():
             self._viewer.perturb.select = body
@@ -389,11 +389,7 @@ class SessionWindow:
         points = corners(robot, arrangement, self.session.ball_path()) - arrangement.offsets[0]
         position, target = fitted_camera(points, arrangement, aspect=1.5)
         with self._viewer.lock():
-            camera = self._viewer.cam
-            direction = target - position
-            camera.lookat[:], camera.distance = target, float(np.linalg.norm(direction))
-            camera.azimuth = float(np.degrees(np.arctan2(direction[1], direction[0])))
-            camera.elevation = float(np.degrees(np.arcsin(direction[2] / camera.distance)))
+            _point_camera(self._viewer.cam, position, target)
 
     def _on_key(self, code: int) -> None:
         """From the viewer's thread: only sends."""
@@ -457,33 +453,25 @@ class SessionWindow:
             )  # fmt: skip
             for g in range(first, scene.ngeom):
                 scene.geoms[g].pos[:] += self._offsets[k]
+        line = mujoco.mjtGeom.mjGEOM_LINE  # capsules take a third of the frame rate in software
         for k, one in enumerate(view.instances if self._overlay else ()):
-            colour = np.array((*(c / 255.0 for c in INSTANCE_COLOURS[k]), 1.0), dtype=np.float32)
-            points = one.trail + self._offsets[k]
+            points, colour = one.trail + self._offsets[k], _rgba(INSTANCE_COLOURS[k])
             for a, b in zip(points[:-4:4], points[4::4], strict=False):
-                if scene.ngeom >= scene.maxgeom:
-                    return
-                geom = scene.geoms[scene.ngeom]
-                # Lines: capsules take a third of the frame rate in software.
-                kind = mujoco.mjtGeom.mjGEOM_LINE
-                mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
-                mujoco.mjv_connector(geom, kind, 3.0, a, b)
-                scene.ngeom += 1
+                _add_connector(scene, line, colour, 3.0, a, b)
 
     def _texts(self, view: View) -> list[Any]:
         """Mode, ball and statistics in the corners."""
         mujoco = self._mujoco
-        rows = [("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)), ("moves", view.motion)]
-        rows += [
+        rows = [
+            ("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)),
+            ("moves", view.motion),
             ("asks", view.kind),
             ("state", view.busy or ("running" if view.running else "holding still")),
         ]
         for k, one in enumerate(view.instances):
             solved = f"{100.0 * one.statistics.solved:.0f} %"
-            text = (
-                one.status if not one.able else f"{1e3 * one.miss:.2f} mm, {one.iterations} steps, {solved}"
-            )
-            rows.append((f"{k + 1} {one.method}", text))
+            found = f"{1e3 * one.miss:.2f} mm, {one.iterations} steps, {solved}"
+            rows.append((f"{k + 1} {one.method}", found if one.able else one.status))
         if view.message:
             rows.append(("", view.message[:80]))
         left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
@@ -492,19 +480,6 @@ class SessionWindow:
         about = "\n".join(key.about for key in KEYMAP if key.window)
         font = mujoco.mjtFontScale.mjFONTSCALE_100
         return [(font, corner.mjGRID_TOPLEFT, left, right), (font, corner.mjGRID_BOTTOMLEFT, keys, about)]
-
-    def close(self) -> None:
-        """Closes the window and waits for its drawing thread; may be called twice."""
-        self._viewer.close()
-        for thread in self._threads:
-            if thread is not threading.current_thread():
-                thread.join(CLOSE_LIMIT)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def _with_ball(mujoco: Any, robot: Robot, extent: float) -> tuple[Any, int]:
@@ -523,7 +498,7 @@ def _with_ball(mujoco: Any, robot: Robot, extent: float) -> tuple[Any, int]:
     ball = spec.worldbody.add_body(name=_BALL, mocap=True)
     ball.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS * extent, 0.0, 0.0],
-        rgba=[*(c / 255.0 for c in GOAL_COLOUR), 1.0], contype=0, conaffinity=0,
+        rgba=list(_rgba(GOAL_COLOUR)), contype=0, conaffinity=0,
     )  # fmt: skip
     model = spec.compile()
     return model, int(model.body(_BALL).mocapid[0])

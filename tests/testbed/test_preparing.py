@@ -13,7 +13,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import IterativeSolver, Run
-from robot_ik.testbed import compiling
+from robot_ik.testbed import preparing
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session
 from robot_ik.testbed.setup import ExtraGoal, MethodChoice, Setup
@@ -24,12 +24,12 @@ def test_a_step_is_compiled_for_what_its_loop_hands_over() -> None:
     """Else the other process compiles in vain, and nobody sees it but by the time that it takes."""
     robot = load_robot("puma560")
     problem = Problem(robot, PoseGoal.at(None, robot.measure(robot.home)))
-    steps = [name for name in SOLVERS if compiling.step_of(name) is not None]
+    steps = [name for name in SOLVERS if preparing.step_of(name) is not None]
     assert {"dls", "pseudoinverse"} <= set(steps)
     solver = make_solver("dls")
     assert isinstance(solver, IterativeSolver)
     run = Run(solver, problem)
-    assert tuple(numba.typeof(value) for value in run.arguments) == compiling.ARGUMENTS
+    assert tuple(numba.typeof(value) for value in run.arguments) == preparing.ARGUMENTS
 
 
 FAILING = """#!/bin/sh
@@ -75,4 +75,4 @@ def test_a_setup_reaches_its_process_as_it_is() -> None:
     setup = Setup(
         "humanoid", 2, (MethodChoice("dls", options), MethodChoice("lm")), extras=extras, limits=False
     )
-    assert compiling._SETUP.validate_json(compiling._SETUP.dump_json(setup)) == setup
+    assert preparing._SETUP.validate_json(preparing._SETUP.dump_json(setup)) == setup
