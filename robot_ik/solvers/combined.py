@@ -152,6 +152,8 @@ class Combined(Solver):
         budget: Budget,
     ) -> None:
         members[0].attempt_many(problem, targets, starts, results, budget)
+        if np.count_nonzero(results.status == ws.CONVERGED) == len(targets):
+            return
         left = np.flatnonzero(results.status != ws.CONVERGED)
         if members[0].name == members[-1].name:
             left = left[results.status[left] != Status.UNREACHABLE]

@@ -283,7 +283,10 @@ class Analytic(Solver):
             *prepared.addresses, prepared.family, targets, starts,
             results.q, results.status, results.miss, results.iterations,
         )  # fmt: skip
-        for row in np.flatnonzero(results.status != ws.CONVERGED):
+        missed = np.flatnonzero(results.status != ws.CONVERGED)
+        if not len(missed):
+            return
+        for row in missed:
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
                 results.status[row] = ws.UNREACHABLE
