@@ -189,7 +189,7 @@ def _cell_places(borders: Array, at: Array) -> Array:
 
 
 @lru_cache(maxsize=64)
-def marker_print(dictionary: str, marker: int, size: float, margin: float) -> Print:
+def marker_print(dictionary: str, marker: int, size: float, margin: float, bleed: float = 0.0) -> Print:
     """A marker on white paper; metres from the middle of the marker.
 
     Args:
@@ -197,13 +197,15 @@ def marker_print(dictionary: str, marker: int, size: float, margin: float) -> Pr
         marker: Id in it.
         size: Side of the black border.
         margin: Paper beyond it.
+        bleed: Ink reaches so far beyond the black cells.
 
     Raises:
         CameraError: Unknown dictionary, or no such id in it.
     """
     half = 0.5 * size
     boxes = marker_boxes(dictionary, marker, size) - np.array([half, half, 0.0, 0.0])
-    edge = half + margin
+    boxes += np.array([-bleed, -bleed, 2.0 * bleed, 2.0 * bleed])
+    edge = half + max(margin, bleed)
     return Print.of_boxes(boxes, (-edge, -edge, 2.0 * edge, 2.0 * edge))
 
 

@@ -109,7 +109,9 @@ def marker_light(
     canvas = _wall(camera, rng, sensor)
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
     papers = [(blank_paper(size * (1.0 + 2.0 * margin)), pose) for size, pose in markers.values()]
-    prints = [(marker_print(dictionary, i, size, 0.0), pose) for i, (size, pose) in markers.items()]
+    prints = [
+        (marker_print(dictionary, i, size, 0.0, sensor.bleed), pose) for i, (size, pose) in markers.items()
+    ]
     for sheet, pose in [*papers, *prints]:
         _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, sensor)
     if cover is not None:

@@ -66,6 +66,7 @@ class SensorModel:
         sharpening: Strength of the unsharp mask, 0.6 is mild, 1.5 strong.
         bloom: Part of the light that is scattered round about.
         jpeg: Quality, 0 to 100; None: not compressed.
+        bleed: Ink reaches so far beyond the black cells, metres.
         motion: The picture is smeared over so many pixels.
         shadow: Light lost behind the edge of a shadow across what is looked at, 0 to 1.
         shadow_edge: How soft that edge is, px.
@@ -85,6 +86,7 @@ class SensorModel:
     sharpening: float = 0.0
     bloom: float = 0.0
     jpeg: int | None = None
+    bleed: float = 0.0
     motion: float = 0.0
     shadow: float = 0.0
     shadow_edge: float = 20.0

@@ -93,6 +93,10 @@ def test_a_flat_print_has_the_share_of_ink_in_each_pixel() -> None:
     assert grey.flags["C_CONTIGUOUS"]
 
 
-def test_the_darker_one_shows_where_two_overlap() -> None:
+def test_ink_bleeds_to_every_side_and_the_darker_one_shows_where_two_overlap() -> None:
+    plain, bled = (marker_print("DICT_4X4_50", 0, 0.04, 0.01, bleed) for bleed in (0.0, 0.0005))
+    found = [float((p.ink * np.diff(p.y)[:, None] * np.diff(p.x)).sum()) for p in (plain, bled)]
+    assert found[1] > found[0] + 4 * 0.04 * 0.0005
+    assert set(np.unique(bled.ink)) == {0.0, 1.0}
     half = Print.of_boxes(np.array([[0.0, 0, 2, 1], [1.0, 0, 2, 1]]), (0, 0, 3, 1), np.array([0.5, 1.0]))
     assert half.ink.tolist() == [[0.5, 1.0, 1.0]]
