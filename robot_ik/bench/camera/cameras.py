@@ -25,7 +25,7 @@ from robot_ik.camera.synthetic.datasets import (
     photograph,
     random_pose,
 )
-from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
+from robot_ik.camera.synthetic.sensor import LINEAR, WEBCAM, SensorModel
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
@@ -65,6 +65,7 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition("S-curve", replace(WEBCAM, tone="s-curve"), (0.06, 0.35, 1.2), (0.03, 0.1, 0.3)),
     Condition("overexposed 1.5", replace(WEBCAM, exposure=1.5), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
     Condition("bloom 15 %", replace(WEBCAM, bloom=0.15), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
+    Condition("ink bled by 0.05 mm", replace(WEBCAM, bleed=5e-5), _TONED, _TONED_BOARD),
     Condition("motion 2 px", replace(WEBCAM, motion=2.0), _HARSH, _HARSH_BOARD, _BIAS_HARSH),
     Condition(
         "sharpening 1.5", replace(WEBCAM, sharpening=1.5), (0.08, 0.4, 2.0), (0.05, 0.15, 0.5), _BIAS_HARSH
@@ -111,13 +112,17 @@ def measured(
                 STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
             )
             placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
-            light = marker_light(
-                STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE
-            )
+            begun, lights = rng.bit_generator.state, {}
+            for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
+                rng.bit_generator.state = begun
+                lights[bleed] = marker_light(
+                    STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE,
+                    sensor=replace(LINEAR, bleed=bleed),
+                )  # fmt: skip
             centre = markers_centre(STANDARD_CAMERA, placed)
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
-                image = photograph(light, centre, noise, condition.sensor)
+                image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
                 _see(tracker, image, pose, distance, result[condition.name], board)
     return result
 
