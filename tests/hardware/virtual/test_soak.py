@@ -46,4 +46,5 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
     tracemalloc.stop()
     assert missing < 0.001 * 6 * 60_000 * 1.5  # error numbers without data; the rest was asked again
     assert memory[-1] < 1.05 * memory[0]
-    assert sim.counters.cycles == 60_000 and sim.counters.timeouts == 0
+    assert sim.counters.cycles == 60_000
+    assert sim.counters.timeouts <= 2  # all three tries spoilt: some 0.04 are expected
