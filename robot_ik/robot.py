@@ -184,19 +184,15 @@ class Robot:
         return np.array(data.subtree_com[self._body_id(body)])
 
     def masses(self, body: str | None = None) -> Array:
-        """(n + 1, 4) mass and centre of what each node carries, see ``masses.mass_table``; raises if none."""
-        from robot_ik.masses import LEAST_MASS, mass_table  # which few goals need
-
-        table = mass_table(self.model, self.tree, self._bodies, self._body_id(body))
-        if not table[:, 0].sum() > LEAST_MASS:
+        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``; raises if none."""
+        table = mjcf.mass_table(self.model, self.tree, self._bodies, self._body_id(body))
+        if not table[:, 0].sum() > mjcf.LEAST_MASS:
             raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
         return table
 
     def inertias(self) -> Array:
-        """(n, 10) mass, centre and inertia of what each node carries, see ``masses.inertia_table``."""
-        from robot_ik.masses import inertia_table
-
-        return inertia_table(self.model, self.tree, self._bodies)
+        """(n, 10) mass, centre and inertia of what each node carries, see ``model.inertia_table``."""
+        return mjcf.inertia_table(self.model, self.tree, self._bodies)
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""

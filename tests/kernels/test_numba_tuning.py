@@ -101,8 +101,9 @@ def test_where_variables_live_is_what_numba_finds() -> None:
         assert getattr(lazily, name) == getattr(eagerly, name)
 
 
+@pytest.mark.filterwarnings("ignore::numba.NumbaWarning")
 def test_python_objects_and_generators_are_compiled_as_before() -> None:
-    @numba.jit(forceobj=True, looplift=False)
+    @numba.jit(forceobj=True)  # its loop is lifted out, and compiled by itself
     def objects(names: Any) -> Any:
         found = []
         for name in names:
@@ -145,12 +146,24 @@ def test_the_cameras_code_is_optimised_less(level: int, camera: int, monkeypatch
     config: Any = numba.core.config
     monkeypatch.setattr(config, "OPT", type(config.OPT)(level))
     levels = []
-    for module in ("robot_ik.camera.lens", "robot_ik.kernels.linalg", "numba.np.arrayobj"):
-        numba_tuning.optimization.begin(module)
+
+    def compiled(a, b): ...
+
+    @numba.extending.overload(compiled)  # called while its caller is compiled
+    def _(a, b):
         levels.append(config.OPT)
-    for _ in range(3):
-        numba_tuning.optimization.end()
-    assert levels == [camera, level, level] and level == config.OPT
+        return lambda a, b: None
+
+    def caller(a, b):
+        compiled(a, b)
+
+    caller.__module__ = "robot_ik.camera.lens"
+    numba.njit(caller)(1, 2.0)
+    assert set(levels) == {camera} and level == config.OPT
+    levels.clear()
+    caller.__module__ = "robot_ik.kernels.linalg"
+    numba.njit(caller)(1.0, 2)
+    assert set(levels) == {level} and level == config.OPT
 
 
 @pytest.mark.parametrize("enabled", [True, False])
