@@ -19,7 +19,6 @@ from robot_ik.cli.arguments import (
     Dictionary,
     Json,
     NeededBoard,
-    optional_path,
     pose_option,
     pose_text,
     request_of,
@@ -50,12 +49,12 @@ class ArmCameraOptions:
 
     robot: Annotated[str, robot_argument("as for reach")] = ""
     bus: Annotated[str, bus_argument()] = "sim"
-    arm: ArmFile = ""
-    frame: Annotated[str, single(None, "the robot's tool")] = ""
+    arm: ArmFile = None
+    frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """Robot frame that carries camera or board."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=NEEDED)] = ""
+    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=NEEDED)] = None
     """Its calibration."""
     board: NeededBoard = ""
     dictionary: Dictionary = ""
@@ -89,9 +88,7 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     require(options.bus != "none", "--bus", without, "sim, pty or a serial port")
     return {
         "robot": options.robot or resolved_robot(options.arm, options.bus),
-        "arm_file": optional_path(options.arm),
-        "frame": options.frame or None,
-        "intrinsics": optional_path(options.intrinsics),
+        "arm_file": options.arm,
         "board": parse_board(options.board, options.dictionary) if options.board else None,
     }
 
@@ -157,21 +154,25 @@ class CameraHandeyeOptions(ArmCameraOptions):
     """Where the camera's pose goes; the samples go beside it."""
     overwrite: bool = False
     """Replace both."""
-    samples: Annotated[str, single("FILE.json", "measure")] = ""
+    samples: Annotated[Path | None, single("FILE.json", "measure")] = None
     """Solve what was measured before; nothing moves."""
 
 
 def run_handeye(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a pose was found."""
     import_mujoco()
+    from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.arm_camera import handeye
+    from robot_ik.jobs.arm_camera.measuring import SampleSet
 
-    request = None if options.samples else make_request(options)
     kept = handeye.samples_path(options.out)
+    request = None if options.samples else make_request(options)
     results = () if options.dry_run else (options.out, None if request is None else kept)
     with claimed(*results, overwrite=options.overwrite):
-        if request is None:
-            report: HandEyeReport | None = _again(options)
+        if options.samples is not None:
+            lens = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
+            known = SampleSet.load(options.samples)
+            report: HandEyeReport | None = handeye.handeye_from_samples(known, lens)
         else:
             job = partial(handeye.run_handeye, request, dry_run=options.dry_run)
             report = measured(job, kept, "camera handeye")
@@ -186,15 +187,6 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
         if report.result is not None:
             console.say(f"wrote {options.out}", "green")
     return console.DONE
-
-
-def _again(options: CameraHandeyeOptions) -> HandEyeReport:
-    from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.jobs.arm_camera.handeye import handeye_from_samples
-    from robot_ik.jobs.arm_camera.measuring import SampleSet
-
-    lens = CameraIntrinsics.load(options.intrinsics) if options.intrinsics else None
-    return handeye_from_samples(SampleSet.load(Path(options.samples)), lens)
 
 
 def make_request(options: CameraHandeyeOptions) -> HandEyeRequest:

@@ -7,7 +7,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,7 +50,7 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
     return arg(metavar="|".join(titles), help=text, help_behavior_hint=hint)
 
 
-def resolved_robot(arm: str, bus: str) -> str:
+def resolved_robot(arm: Path | None, bus: str) -> str:
     """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
 
     Raises:
@@ -138,15 +138,16 @@ def load_arm(name: str) -> ArmConfig:
     return ArmConfig.load(path)
 
 
-def exit_code_of(action: Callable[[], int]) -> int:
-    """Runs what may fail on the way: an error of the hardware then means "tried, not achieved"."""
+@contextmanager
+def attempt() -> Iterator[None]:
+    """What may fail on the way: an error of the hardware inside ends the command as "tried, not achieved"."""
     try:
-        return action()
+        yield
     except UnsafeCommandError:
         raise
     except HardwareError as error:
         console.show_error(error)
-        return console.NOT_ACHIEVED
+        raise SystemExit(console.NOT_ACHIEVED) from error
 
 
 @dataclass(frozen=True)

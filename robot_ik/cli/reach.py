@@ -18,7 +18,6 @@ from robot_ik.cli.arguments import (
     Lens,
     RecordFile,
     joint_degrees,
-    optional_path,
     pose_option,
     request_of,
     require,
@@ -26,6 +25,7 @@ from robot_ik.cli.arguments import (
     robot_argument,
     several,
     single,
+    wrong,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
@@ -75,23 +75,23 @@ class ReachOptions:
     """Method: see `robot-ik solvers`."""
     goal: Annotated[tuple[float, ...], single(XYZ_WXYZ, "by camera")] = ()
     """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
-    frame: Annotated[str, single(None, "the robot's tool")] = ""
+    frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """What shall get there: a tool, site or body of the robot."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Lens = ""
+    intrinsics: Lens = None
     camera_pose: Annotated[tuple[float, ...], single("X Y Z W X Y Z", "where the synthetic one stands")] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
-    camera_extrinsics: Annotated[str, single("FILE.toml", "--camera-pose")] = ""
+    camera_extrinsics: Annotated[Path | None, single("FILE.toml", "--camera-pose")] = None
     """The same from a file of `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, single("ID", "the scene's")] = None
     """Which marker to reach; no other ever becomes a goal."""
     marker_size: Annotated[float | None, single("M", "the scene's")] = None
     """Side of its black square, metres; needed for a real camera."""
-    dictionary: Annotated[str, single("NAME", "the scene's")] = ""
+    dictionary: Annotated[str | None, single("NAME", "the scene's")] = None
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, bus_argument(none=True)] = "pty"
-    arm: ArmFile = ""
+    arm: ArmFile = None
     speed: float = 1.0
     """Share of the joints' speed limits, above 0 and up to 1."""
     line: bool = False
@@ -196,12 +196,9 @@ def make_request(options: ReachOptions) -> ReachRequest:
         options,
         robot=options.robot or resolved_robot(options.arm, options.bus),
         goal=make_goal(options.goal, options.frame) if options.goal else None,
-        frame=options.frame or None,
-        intrinsics=optional_path(options.intrinsics),
         pose_world_camera=_camera_pose(options),
         marker_id=options.marker,
-        dictionary=options.dictionary or None,
-        arm_file=optional_path(options.arm),
+        arm_file=options.arm,
         follow=options.seconds if options.follow else 0.0,
         rehearsal=rehearsal,
     )
@@ -209,13 +206,14 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
 def _camera_pose(options: ReachOptions) -> Pose | None:
     numbers, file = options.camera_pose, options.camera_extrinsics
-    if not file:
+    if file is None:
         seven = "7: x y z in metres, then w x y z"
         require(len(numbers) in (0, 7), "--camera-pose", f"{len(numbers)} numbers", seven)
         return pose_option(numbers, "--camera-pose")
     what = "an extrinsics file " + ("and a pose" if numbers else "without its calibration")
     allowed = "with --intrinsics FILE and without --camera-pose"
-    require(bool(options.intrinsics) and not numbers, "--camera-extrinsics", what, allowed)
+    if options.intrinsics is None or numbers:
+        raise wrong("--camera-extrinsics", what, allowed)
     from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
     from robot_ik.camera.intrinsics import CameraIntrinsics
 

@@ -7,7 +7,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -20,8 +20,8 @@ from robot_ik.cli.connection import (
     BusOptions,
     Limits,
     arm_on,
+    attempt,
     driving,
-    exit_code_of,
     load_arm,
     model_limits,
     require_model,
@@ -169,19 +169,15 @@ def _calibrate(
     from robot_ik.jobs.hand_calibration import calibrate_by_hand, calibration_from_lerobot, require_limp
 
     limits = model_limits(config)
-    arm = arm_on(options, config)
-
-    def measure() -> int:
-        if options.from_lerobot is not None:
-            found = calibration_from_lerobot(arm, options.from_lerobot, limits)
-        else:
-            found = calibrate_by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
-        _write(options, arm, replace(found, file=beside), limits)
-        return console.DONE
-
-    with arm:
+    with arm_on(options, config) as arm:
         require_limp(arm)
-        return exit_code_of(measure)
+        with attempt():
+            if options.from_lerobot is not None:
+                found = calibration_from_lerobot(arm, options.from_lerobot, limits)
+            else:
+                found = calibrate_by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
+            _write(options, arm, replace(found, file=beside), limits)
+    return console.DONE
 
 
 def _write(options: ServoCalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
@@ -249,7 +245,7 @@ class ServoTeachOptions(BusOptions):
 
 def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.jobs.teach import require_suffix
+    from robot_ik.jobs.teach import TaughtMotion, require_suffix
 
     require_suffix(options.file)
     _check_seconds(options.seconds)
@@ -257,23 +253,14 @@ def run_teach(options: ServoTeachOptions) -> int:
     config = load_arm(options.arm).whole
     require_model(config)
     with claimed(options.file, overwrite=options.overwrite), arm_on(options, config) as arm:
-        return _record(options, arm)
-
-
-def _record(options: ServoTeachOptions, arm: Arm) -> int:
-    from robot_ik.jobs.teach import TaughtMotion
-
-    taught = TaughtMotion(arm)
-
-    def record() -> int:
-        try:
-            prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)
-            prompts.step("recording: guide the arm by hand", taught.sample)
-        finally:
-            _keep(options.file, taught.motion(), arm.config)
-        return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
-
-    return exit_code_of(record)
+        taught = TaughtMotion(arm)
+        with attempt():
+            try:
+                prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)
+                prompts.step("recording: guide the arm by hand", taught.sample)
+            finally:
+                _keep(options.file, taught.motion(), arm.config)
+    return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
@@ -309,7 +296,7 @@ class ServoPlayOptions(BusOptions):
 
 def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
-    from robot_ik.jobs.teach import load_playable
+    from robot_ik.jobs.teach import load_playable, play_motion
 
     config = load_arm(options.arm).whole
     require_model(config)
@@ -324,16 +311,11 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        return exit_code_of(lambda: _play(arm, motion, stretch, sinks))
-
-
-def _play(arm: Arm, motion: Trajectory, stretch: float, sinks: Sequence[JointSink]) -> int:
-    from robot_ik.jobs.teach import play_motion
-
-    report = play_motion(arm, motion, sinks, console.busy)
-    console.result(
-        f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
-        f"largest tracking error {shown_value(report.late, report.tracking_error)}"
-    )
-    report.require_arrived()
+        stack.enter_context(attempt())
+        report = play_motion(arm, motion, sinks, console.busy)
+        console.result(
+            f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
+            f"largest tracking error {shown_value(report.late, report.tracking_error)}"
+        )
+        report.require_arrived()
     return console.DONE
