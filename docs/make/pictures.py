@@ -167,7 +167,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
         eye=(0.12, -0.66, 0.46),
         target=(0.0, 0.05, 0.13),
     )
-    clock.ticks = 30
+    clock.sleep_until(1.0)
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
     low, high = heights(robot)
     scale = height / (high - low)

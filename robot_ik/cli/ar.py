@@ -202,8 +202,8 @@ def run_self_test(*, json: bool = False) -> int:
         cells = []
         for row in rows:
             rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
-            verdict = "" if row.limits is None else "good" if row.good else "NOT GOOD"
-            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, verdict))
+            mark = console.verdict_mark(None if row.limits is None else row.good)
+            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, mark))
         console.show(console.table("registration, px", "RMS", "allowed", "worst", "allowed", "", rows=cells))
     if notice:
         console.say(notice, style="yellow")

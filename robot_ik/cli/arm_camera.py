@@ -110,7 +110,7 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report | N
 
     try:
         with console.progress() as bar:
-            return job(keep=keep, progress=console.phases_on(bar))
+            return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
         console.say(f"interrupted after {views} views", "yellow")
         if views >= LEAST_VIEWS:

@@ -143,7 +143,7 @@ def run(options: ReachOptions) -> int:
             bar.stop()
             _save_and_print(report, folder, options)
 
-        report = run_reach(request, console.phases_on(bar), done)
+        report = run_reach(request, console.shares_on(bar, "reach"), done)
     return console.DONE if report.reached else console.NOT_ACHIEVED
 
 
@@ -189,7 +189,7 @@ def make_request(options: ReachOptions) -> ReachRequest:
         Rehearsal,
         rehearse,
         zero_offset_deg=joint_degrees("--rehearse.zero-offset", rehearse.zero_offset),
-        marker_at=(*at, 0.0)[:4] if at else None,
+        marker_at=at or None,
     )
     return request_of(
         ReachRequest,

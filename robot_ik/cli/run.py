@@ -80,7 +80,7 @@ def _run(script: Script, options: RunOptions) -> int:
     )
     try:
         with console.progress() as bar, _quiet(options.bus):
-            this.run(console.phases_on(bar, "getting ready"))
+            this.run(console.shares_on(bar, script.name))
     finally:
         if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
             _report(this.report, options)

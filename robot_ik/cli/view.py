@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
-_COUNTS = (1, 2, 4)
 _SIDES = (64, 8192)
 
 
@@ -85,9 +84,11 @@ class ViewOptions:
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
     import_mujoco()
+    from robot_ik.testbed.commands import COUNTS
+
     if options.replay is not None:
         return _replay(options.replay)
-    require(options.count in _COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
+    require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
     endless = "above 0, at most 1e6; left out: until Ctrl-C"
     require(0.0 <= options.seconds <= 1e6, "--seconds", f"{options.seconds:g} s", endless)
     viewer = choose_viewer(options.viewer)
@@ -95,25 +96,20 @@ def run(options: ViewOptions) -> int:
         return _view(options, viewer)
 
 
-def choose_viewer(asked: str, *, browser: bool | None = None, window: bool | None = None) -> str:
-    """Which front end opens here, and says so where it was not named.
-
-    Args:
-        asked: As ``--viewer``.
-        browser: Whether the extra ``web`` is there; None: look.
-        window: Whether a window can be opened; None: look.
+def choose_viewer(asked: str) -> str:
+    """Which front end opens here, asked for as ``--viewer``; says so where it was not named.
 
     Raises:
         MissingExtraError: The browser is asked for without its extra.
     """
-    browser = all(map(find_spec, ("viser", "mjviser"))) if browser is None else browser
+    browser = all(map(find_spec, ("viser", "mjviser")))
     if asked == "browser" and not browser:
         raise MissingExtraError("viser", "web", "the page in the browser")
     if asked != "auto":
         return asked
     if browser:
         return "browser"
-    if probe_display(timeout=10.0).ok if window is None else window:
+    if probe_display(timeout=10.0).ok:
         console.say('the window is opened; for the page in a browser: pip install "robot_ik[web]"', "yellow")
         return "window"
     console.say("neither browser page nor display: the recorder films 10 s instead", "yellow")
@@ -329,7 +325,6 @@ def _log(options: VideoOptions) -> CommandLog:
     if options.files[0].suffix == ".jsonl":
         raise wrong("OUT", f"{options.files[0]} is a command log and there is no film", "LOG.jsonl OUT.mp4")
     require(options.seconds > 0.0, "--seconds", "no log and no length", "--seconds N, above 0")
-    if options.count not in COUNTS:
-        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
+    require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
     start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
     return CommandLog(replace(start, count=options.count), ())

@@ -388,15 +388,15 @@ def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
     scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-    if request.rehearsal.marker_at is not None:
-        x, y, z, yaw = request.rehearsal.marker_at
-        if not np.isfinite(request.rehearsal.marker_at).all():
-            raise ConfigError(
-                f"no marker can be put at {request.rehearsal.marker_at}",
-                file="command line", key="--rehearse.marker-at", allowed="finite numbers",
-            )  # fmt: skip
-        changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
-    return replace(scene, **changes)
+    scene = replace(scene, **changes)
+    if (place := request.rehearsal.marker_at) is None:
+        return scene
+    if not np.isfinite(place).all():
+        raise ConfigError(
+            f"no marker can be put at {place}",
+            file="command line", key="--rehearse.marker-at", allowed="finite numbers",
+        )  # fmt: skip
+    return scene.with_marker_at(*place)
 
 
 def calibration_of(camera: str, intrinsics: Path | None) -> Path:

@@ -324,17 +324,17 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
         occluders = None if request.occluders is None else load_occluders(request.occluders)
         still = None if occluders is None else AT_REST
         source, clock = synthetic_scene(
-            width, height, rate_hz=_RATE_HZ, motion=still, occluders=occluders,
-            follow=request.motion == "follow", seed=request.seed,
+            width, height, motion=still, occluders=occluders, follow=request.motion == "follow",
+            seed=request.seed,
         )  # fmt: skip
         board, camera = still or BoardMotion(), source.scene.pose_world_camera
         seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
-            for _ in range(count):
+            for number in range(1, count + 1):
                 yield source.read().without_truth()
-                clock.ticks += 1
+                clock.sleep_until(number / _RATE_HZ)
 
         intrinsics = source.scene.intrinsics
         return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))

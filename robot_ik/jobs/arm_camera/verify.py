@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -277,7 +277,8 @@ def _scene_request(request: VerifyRequest) -> HandEyeRequest:
             f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
             hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
         )
-    return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
+    shared = {one.name: getattr(request, one.name) for one in fields(ArmCameraRequest)}
+    return HandEyeRequest(**shared, pose_other_board=request.pose_frame_board)
 
 
 def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
