@@ -150,6 +150,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         ConfigError, CameraError, InvalidGoalError: All that can be wrong without looking.
     """
     from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
+    from robot_ik.jobs.robot_setup import Rehearsal
 
     sigma, allowed = options.board_sigma, options.allowed_mm
     require(0.0 < allowed < math.inf, "--allowed-mm", f"{allowed:g} mm", "above 0")
@@ -165,7 +166,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         extrinsics=options.camera_extrinsics,
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
-        zero_offset_deg=joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset),
+        rehearsal=Rehearsal(joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset)),
     )
 
 
