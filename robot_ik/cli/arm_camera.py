@@ -39,9 +39,6 @@ if TYPE_CHECKING:
 
 Report = TypeVar("Report")
 
-#: Fewer views determine nothing, so there is nothing to go on with.
-LEAST_VIEWS = 4
-
 
 @dataclass(frozen=True, kw_only=True)
 class ArmCameraOptions:
@@ -72,14 +69,13 @@ class ArmCameraOptions:
 def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, Any]:
     """What a request has under other names or in another form than the options; checks those of both.
 
-    Args:
-        options: Of the command.
-        why_servos: What an arm without servos has not.
+    ``why_servos`` says what an arm without servos has not.
 
     Raises:
         ConfigError, CameraError: A malformed option.
     """
     from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
 
     views = f"{LEAST_VIEWS} to 100"
     require(LEAST_VIEWS <= options.views <= 100, "--views", f"{options.views} views", views)
@@ -101,6 +97,8 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report | N
         file: Where they are kept.
         command: That goes on with them: ``camera verify``.
     """
+    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
+
     views = 0
 
     def keep(samples: SampleSet) -> None:

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.hand_calibration import Limits
     from robot_ik.ports import Clock
 
 
@@ -244,10 +245,6 @@ def driving(arm: Arm) -> Iterator[None]:
     finally:
         if text := exit_text(arm):
             console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
-
-
-Limits = dict[str, tuple[float, float]]
-"""Joint -> limits, rad (m of a slide)."""
 
 
 def require_model(config: ArmConfig) -> None:

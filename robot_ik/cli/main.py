@@ -182,13 +182,10 @@ def _dispatch(arguments: list[str], *, debug: bool) -> int:
     if arguments[0] not in COMMANDS:
         return _unknown(arguments[0])
     name, command, rest = find_command(arguments)
-    if command.options and not _meant_as_subcommand(command, rest):
+    misspelt = command.subcommands and rest and not rest[0].startswith("-")
+    if command.options and not misspelt:
         return _run(name, command, rest, debug=debug)
     return _group(name, command, rest)
-
-
-def _meant_as_subcommand(command: CommandRow, rest: list[str]) -> bool:
-    return bool(command.subcommands and rest and not rest[0].startswith("-"))
 
 
 def _group(name: str, command: CommandRow, rest: list[str]) -> int:

@@ -18,7 +18,6 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
 from robot_ik.cli.connection import (
     BusOptions,
-    Limits,
     arm_on,
     attempt,
     driving,
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.hand_calibration import Limits
     from robot_ik.motion import Trajectory
 
 
@@ -67,7 +67,9 @@ class Prompts:
         """
         ending = "then press Enter" if self._seconds is None else f"{self._seconds:g} s from now"
         console.say(f"{text}; {ending}", "bold")
-        self._start_reading()
+        if self._reader is None and self._seconds is None:
+            self._reader = threading.Thread(target=self._read, name="standard input", daemon=True)
+            self._reader.start()
         end = self._clock.now() + (self._seconds or 0.0)
         due = self._clock.now()
         while not (self._entered() if self._seconds is None else self._clock.now() >= end):
@@ -97,11 +99,6 @@ class Prompts:
             self._lines.put(False)
             raise HardwareError("the input ended before all steps were done", hint="or let steps take a time")
         return True
-
-    def _start_reading(self) -> None:
-        if self._reader is None and self._seconds is None:
-            self._reader = threading.Thread(target=self._read, name="standard input", daemon=True)
-            self._reader.start()
 
     def _read(self) -> None:
         # Not sys.stdin: at the end of the interpreter a thread that waits inside it would hold its lock.

@@ -120,9 +120,9 @@ def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
     vision, robot = healthy.vision, healthy.robot
     assert vision is not None and healthy.q_end is not None
     for image, q in [(healthy.before, healthy.q_start), (healthy.after, healthy.q_end)]:
-        pose = vision.pose_world_camera
+        pose = vision.scene.pose_world_camera
         drawn = draw_robot(
-            image, robot.model, robot.qpos(q), vision.intrinsics, pose, alpha=0.0, style="registered"
+            image, robot.model, robot.qpos(q), vision.scene.intrinsics, pose, alpha=0.0, style="registered"
         )
         lines = np.abs(drawn.astype(int) - image.astype(int)).max(axis=2) > 40
         assert lines.sum() > 1000

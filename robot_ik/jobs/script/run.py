@@ -54,8 +54,7 @@ def open_camera(
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     stack.enter_context(source)
-    camera = scene.pose_world_camera
-    vision = Vision(scene, source, scene.intrinsics, camera, setup, synthetic=source, seed=seed)
+    vision = Vision(scene, source, setup, synthetic=source, seed=seed)
     vision.picture()
     return vision
 
