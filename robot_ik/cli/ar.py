@@ -19,7 +19,6 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
-from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
@@ -94,7 +93,6 @@ class ArOptions:
 
 def run(options: ArOptions) -> int:
     """Runs the job; 0 done, 1 not."""
-    import_mujoco()
     if options.self_test:
         return run_self_test(json=options.json)
     request = make_request(options)

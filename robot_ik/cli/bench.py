@@ -18,7 +18,6 @@ from tyro.conf import arg
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import MissingExtraError, unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
@@ -78,7 +77,6 @@ class BenchOptions:
 
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
-    import_mujoco()
     from robot_ik.bench.methods.results import Results, Settings, this_machine
     from robot_ik.bench.methods.runner import Campaign
     from robot_ik.goals import Tolerance
@@ -235,7 +233,6 @@ class BenchFigureOptions:
 
 def run_figure(options: BenchFigureOptions) -> int:
     """Measures and prints."""
-    import_mujoco()
     from robot_ik.bench.figure import measure_figure
     from robot_ik.figure.abilities import load_abilities
     from robot_ik.figure.figure import load_figure
@@ -291,7 +288,6 @@ class BenchPageOptions:
 
 def run_page(options: BenchPageOptions) -> int:
     """Measures and prints."""
-    import_mujoco()
     require(1.0 <= options.seconds <= 600.0, "--seconds", f"{options.seconds:g} s", "1 to 600")
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "web", "the page in the browser")
@@ -351,7 +347,6 @@ class BenchCameraOptions:
 
 def run_camera(options: BenchCameraOptions) -> int:
     """Measures, prints and writes."""
-    import_mujoco()
     from robot_ik.bench.methods.results import this_machine
 
     rows = chosen_rows(options.rows, options.skip)

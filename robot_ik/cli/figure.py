@@ -14,7 +14,6 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, request_of, require, single, wrong
-from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
 
@@ -91,7 +90,6 @@ class FigureOptions:
 
 def run(options: FigureOptions) -> int:
     """Runs the figure."""
-    import_mujoco()
     options = _checked(options)
     from robot_ik.figure.lion import Lion, is_lion
     from robot_ik.robot import load_robot

@@ -12,7 +12,6 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
@@ -246,7 +245,6 @@ def run_import(options: PosesImportOptions) -> int:
 
 
 def _load(name: str) -> Robot:
-    import_mujoco()
     from robot_ik.robot import load_robot
 
     return load_robot(name)

@@ -29,7 +29,6 @@ from robot_ik.cli.arguments import (
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import apart
 from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
@@ -123,7 +122,6 @@ class ReachOptions:
 
 def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
-    import_mujoco()
     request = make_request(options)
     from robot_ik.jobs.ar.output import require_films
     from robot_ik.jobs.reach import run_reach

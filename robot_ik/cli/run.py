@@ -15,7 +15,6 @@ from tyro.conf import Positional
 from robot_ik.cli import console
 from robot_ik.cli.arguments import RecordFile, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
-from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
@@ -54,7 +53,6 @@ class RunOptions:
 
 def run(options: RunOptions) -> int:
     """Runs the script; 0 passed, 1 not."""
-    import_mujoco()
     from robot_ik.jobs.script import find_script, load_script, shipped
 
     if not options.script:

@@ -12,7 +12,6 @@ from tyro.conf import arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import XYZ_WXYZ, several, single, wrong
 from robot_ik.cli.listing import joint_kinds
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
@@ -65,7 +64,6 @@ class SolveOptions:
 
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
-    import_mujoco()
     from robot_ik.goals import Tolerance
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import load_robot

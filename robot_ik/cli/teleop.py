@@ -23,7 +23,6 @@ from robot_ik.cli.connection import (
     port_name,
     require_model,
 )
-from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT
 
 if TYPE_CHECKING:
@@ -69,7 +68,6 @@ class TeleopOptions:
 
 def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
-    import_mujoco()
     _check(options)
     from robot_ik.jobs.teleop import LeaderArm, open_pair
 

@@ -17,7 +17,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import require, robot_argument, several, single, wrong
 from robot_ik.cli.connection import NONE, bus_argument
-from robot_ik.environment import import_mujoco, probe_display
+from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
@@ -83,7 +83,6 @@ class ViewOptions:
 
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
-    import_mujoco()
     from robot_ik.testbed.commands import COUNTS
 
     if options.replay is not None:
@@ -293,7 +292,6 @@ class VideoOptions:
 
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
-    import_mujoco()
     count, (width, height), rate = len(options.files), options.size, options.rate
     require(1 <= count <= 2, "FILES", f"{count} names", "OUT, or LOG.jsonl OUT")
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
