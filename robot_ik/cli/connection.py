@@ -197,24 +197,34 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
 
 @contextmanager
-def stop_on_space(arm: Arm) -> Iterator[None]:
-    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
+def single_keys() -> Iterator[int | None]:
+    """Standard input whose keys come one by one, without Enter; None where it is no terminal of ours."""
     try:
         import termios
         import tty
 
         file = sys.stdin.fileno()
         # A program in the shell's background may not touch the terminal.
-        listening = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
+        ours = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
     except (ImportError, OSError, ValueError, AttributeError):  # no terminals here, or stdin is closed
-        listening = False
-    if not listening:
-        yield
+        ours = False
+    if not ours:
+        yield None
         return
     before = termios.tcgetattr(file)
+    try:
+        tty.setcbreak(file)
+        yield file
+    finally:
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def stop_on_space(arm: Arm) -> Iterator[None]:
+    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
     over = threading.Event()
 
-    def listen() -> None:
+    def listen(file: int) -> None:
         while not over.is_set():
             if select.select([file], [], [], _KEY_POLL)[0]:
                 key = os.read(file, 1)
@@ -223,17 +233,18 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
                 elif not key:
                     return
 
-    listener = threading.Thread(target=listen, name="space", daemon=True)
-    try:
-        tty.setcbreak(file)
+    with single_keys() as file:
+        if file is None:
+            yield
+            return
         console.say("space: stop and hold", "dim")
+        listener = threading.Thread(target=listen, args=(file,), name="space", daemon=True)
         listener.start()
-        yield
-    finally:
-        over.set()
-        if listener.ident is not None:
+        try:
+            yield
+        finally:
+            over.set()
             listener.join()
-        termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
 @contextmanager

@@ -22,6 +22,7 @@ from robot_ik.cli.connection import (
     load_arm,
     port_name,
     require_model,
+    single_keys,
 )
 from robot_ik.robot_file import SERVO_ROBOT
 
@@ -159,24 +160,18 @@ def _typed(endless: bool) -> Iterator[Callable[[], str]]:
     if sys.stdin is None:
         raise wrong("--leader keys", "standard input is closed", "a terminal, or a pipe that keys come from")
     file = sys.stdin.fileno()
-    with contextlib.ExitStack() as stack:
-        if sys.stdin.isatty():
-            import termios
-            import tty
 
-            stack.callback(termios.tcsetattr, file, termios.TCSADRAIN, termios.tcgetattr(file))
-            tty.setcbreak(file)
+    def read() -> str:
+        text = b""
+        while select.select([file], [], [], 0.0)[0]:
+            try:
+                more = os.read(file, 64)
+            except OSError:  # the terminal has hung up
+                more = b""
+            if not more:
+                return text.decode(errors="ignore") + ("" if endless else QUIT)
+            text += more
+        return text.decode(errors="ignore")
 
-        def read() -> str:
-            text = b""
-            while select.select([file], [], [], 0.0)[0]:
-                try:
-                    more = os.read(file, 64)
-                except OSError:  # the terminal has hung up
-                    more = b""
-                if not more:
-                    return text.decode(errors="ignore") + ("" if endless else QUIT)
-                text += more
-            return text.decode(errors="ignore")
-
+    with single_keys():
         yield read

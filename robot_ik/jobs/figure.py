@@ -14,13 +14,12 @@ from typing import Any, Literal
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.image import write_image
+from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
@@ -38,8 +37,6 @@ from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
-
-Image = NDArray[np.uint8]
 
 FRAMES_SCHEMA = 1
 """Version of the table of frames."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
-from robot_ik.camera.image import write_image
+from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.photograph import (
@@ -130,8 +130,6 @@ def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
     rest = 1.0 - _LAMP_SHARE - _CEILING_SHARE
     return StillPicture(tone * rest, tone * _LAMP_SHARE, tone * _CEILING_SHARE, depth)
 
-
-Image = NDArray[np.uint8]
 
 #: Height of a picture, pixels; it may be this much wider than high before it is cropped to the robot.
 HEIGHT = 560

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.gl import GlArtist, make_artist
+from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
@@ -32,8 +32,6 @@ from robot_ik.testbed.arrangement import GOAL_COLOUR
 from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
-
-Image = NDArray[np.uint8]
 
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:

@@ -17,13 +17,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.camera.image import write_image
+from robot_ik.camera.image import Image, write_image
 from robot_ik.errors import MissingExtraError, OutputError
 from robot_ik.files import claimed, claimed_folder, folder_for_results
-
-Image = NDArray[np.uint8]
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
