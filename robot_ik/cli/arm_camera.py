@@ -167,7 +167,8 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
     request = None if options.samples else make_request(options)
     results = () if options.dry_run else (options.out, None if request is None else kept)
     with claimed(*results, overwrite=options.overwrite):
-        if options.samples is not None:
+        if request is None:
+            assert options.samples is not None
             lens = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
             known = SampleSet.load(options.samples)
             report: HandEyeReport | None = handeye.handeye_from_samples(known, lens)

@@ -323,6 +323,7 @@ def _log(options: VideoOptions) -> CommandLog:
     if options.files[0].suffix == ".jsonl":
         raise wrong("OUT", f"{options.files[0]} is a command log and there is no film", "LOG.jsonl OUT.mp4")
     require(options.seconds > 0.0, "--seconds", "no log and no length", "--seconds N, above 0")
-    require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
+    if options.count not in COUNTS:
+        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
     start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
     return CommandLog(replace(start, count=options.count), ())

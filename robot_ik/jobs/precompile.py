@@ -56,7 +56,9 @@ class Precompilation:
         """A method, by its name, for a robot as for ``load_robot``."""
         method = make_solver(solver)
         # A first solve needs one of them; which, the other process finds out.
-        kernels = [method.kernel()] if isinstance(method, IterativeSolver) else [closed_form, lm]
+        kernels: list[Callable[..., None]] = [closed_form, lm]
+        if isinstance(method, IterativeSolver):
+            kernels = [method.kernel()]
         return cls(kernels, f"solver {solver!r}", "-c", _SOLVE, robot, solver)
 
     @classmethod

@@ -80,7 +80,7 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
     dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
     with pytest.raises(CalibrationError, match="another calibration"):
         make_request(dataclasses.replace(options, intrinsics=Path("other.yaml")))
-    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": ""}):
+    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": None}):
         with pytest.raises(ConfigError, match="extrinsics file"):
             make_request(dataclasses.replace(options, **wrong))  # type: ignore[arg-type]
     dataclasses.replace(found, parent="gripper").save("carried.toml")

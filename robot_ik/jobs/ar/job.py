@@ -338,7 +338,8 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
     first: float | None = None
-    for frame in source:
+    while not getattr(source, "exhausted", False):
+        frame = source.read()
         first = frame.time if first is None else first
         if seconds > 0.0 and frame.time - first > seconds:
             return
