@@ -17,6 +17,7 @@ from robot_ik.errors import apart
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
+from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.tables import Pair, Table, WrongKey
@@ -162,10 +163,7 @@ def report_findings(findings: Sequence[Finding], result: StepResult, failure: st
 
 def keyframes(robot: Robot) -> dict[str, Array]:
     """Name -> (nq,) of the model's keyframes, and ``home``."""
-    model = robot.model
-    places = model.jnt_qposadr[list(robot.tree.joint_ids)]  # a servo's joint is a hinge: one number
-    found = {model.key(k).name: np.array(model.key_qpos[k][places]) for k in range(model.nkey)}
-    return {**found, "home": robot.home}
+    return {**named_poses(robot, KeyPoses(robot)), "home": robot.home}
 
 
 def slides(robot: Robot, joint: str) -> bool:
