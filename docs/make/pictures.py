@@ -35,6 +35,7 @@ from robot_ik.jobs.ar.job import heights
 from robot_ik.jobs.ar.scene import BOARD, BoardMotion, synthetic_scene
 from robot_ik.jobs.arm_camera.verify import VerifyRequest, error_picture, run_verify
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.jobs.robot_setup import Rehearsal
 
 Image = NDArray[np.uint8]
 
@@ -167,7 +168,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
         eye=(0.12, -0.66, 0.46),
         target=(0.0, 0.05, 0.13),
     )
-    clock.ticks = 30
+    clock.sleep_until(1.0)
     frame, optics, robot = source.read().without_truth(), source.scene.intrinsics, rik.load_robot(name)
     low, high = heights(robot)
     scale = height / (high - low)
@@ -179,7 +180,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
 
 def error_map() -> Image:
     """A simulated arm with a slipped horn on joint 2: where it is off, and with the zeros that were found."""
-    report = run_verify(VerifyRequest("tabletop_puma", fit=True, zero_offset_deg={"joint2": 1.5}))
+    report = run_verify(VerifyRequest("tabletop_puma", fit=True, rehearsal=Rehearsal({"joint2": 1.5})))
     drawn = cv2.imdecode(np.frombuffer(error_picture(report), np.uint8), cv2.IMREAD_COLOR)
     return np.asarray(drawn, dtype=np.uint8)
 

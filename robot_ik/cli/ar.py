@@ -13,14 +13,12 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import (
     Json,
     Lens,
-    optional_path,
     request_of,
     require,
     robot_argument,
     several,
     single,
 )
-from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SHOWN_ROBOT
 
 if TYPE_CHECKING:
@@ -42,12 +40,12 @@ class ArOptions:
     robot: Annotated[str, robot_argument(f"the motion's, else {SHOWN_ROBOT}")] = ""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Lens = ""
+    intrinsics: Lens = None
     board: Annotated[str, arg(metavar="BOARD")] = "grid:2x2:50:12.5"
     """It stands on this: marker:ID:MM, grid:2x2:50:12, charuco:8x6:30:22, chessboard:9x6:25 or FILE.toml."""
     dictionary: Annotated[str, single("NAME", "DICT_5X5_50")] = ""
     """OpenCV's name of the markers' dictionary."""
-    extrinsics: Annotated[str, single("FILE.toml")] = ""
+    extrinsics: Annotated[Path | None, single("FILE.toml")] = None
     """Where the camera stands (of camera locate), instead of a board; the robot stands in its world."""
     base: Annotated[tuple[float, ...], single("X Y Z [YAW_DEG]")] = ()
     """Where the robot stands: metres from the middle of the board, x right, y up, z out of it."""
@@ -62,7 +60,7 @@ class ArOptions:
     """Side of its black square, metres."""
     backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
     """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
-    occluders: Annotated[str, single("FILE")] = ""
+    occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
     """Geoms of the model that do."""
@@ -95,7 +93,6 @@ class ArOptions:
 
 def run(options: ArOptions) -> int:
     """Runs the job; 0 done, 1 not."""
-    import_mujoco()
     if options.self_test:
         return run_self_test(json=options.json)
     request = make_request(options)
@@ -152,11 +149,8 @@ def make_request(options: ArOptions) -> ArRequest:
         ArRequest,
         options,
         robot=options.robot or robot_of(options.motion) or SHOWN_ROBOT,
-        intrinsics=optional_path(options.intrinsics),
-        extrinsics=optional_path(options.extrinsics),
         base=(x, y, z, yaw),
         marker=(options.marker, options.marker_size),
-        occluders=optional_path(options.occluders),
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         out=Path(options.out or _default_out()),
         size=options.size or None,
@@ -206,8 +200,8 @@ def run_self_test(*, json: bool = False) -> int:
         cells = []
         for row in rows:
             rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
-            verdict = "" if row.limits is None else "good" if row.good else "NOT GOOD"
-            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, verdict))
+            mark = console.verdict_mark(None if row.limits is None else row.good)
+            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, mark))
         console.show(console.table("registration, px", "RMS", "allowed", "worst", "allowed", "", rows=cells))
     if notice:
         console.say(notice, style="yellow")

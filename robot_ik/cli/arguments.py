@@ -61,7 +61,9 @@ _BOARD = (
     "marker:ID:MM, grid:COLUMNSxROWS:MM:GAP_MM, charuco:COLUMNSxROWS:SQUARE_MM:MARKER_MM, "
     "chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."
 )
-ArmFile = Annotated[str, single("FILE.toml", "beside the model", "Servo ids, signs, zeros and limits.")]
+ArmFile = Annotated[
+    Path | None, single("FILE.toml", "beside the model", "Servo ids, signs, zeros and limits.")
+]
 OnExit = Annotated[
     str,
     single(
@@ -77,7 +79,7 @@ RecordFile = Annotated[
     ),
 ]
 Lens = Annotated[
-    str,
+    Path | None,
     arg(metavar="FILE", help="Calibration of a real camera: OpenCV or ROS YAML.", help_behavior_hint=NEEDED),
 ]
 Dictionary = Annotated[str, single("NAME", "DICT_5X5_50", "Of the board's markers.")]
@@ -90,11 +92,6 @@ def request_of(kind: type[Request], options: object, **others: Any) -> Request:
     """The request of a job: options that it has under the same name, and ``others``."""
     same = {f.name: getattr(options, f.name) for f in fields(kind) if hasattr(options, f.name)}  # type: ignore[arg-type]
     return kind(**same | others)
-
-
-def optional_path(name: str) -> Path | None:
-    """The file of an option; None where it is not given."""
-    return Path(name) if name else None
 
 
 def require(right: bool, key: str, problem: str, allowed: str = "", hint: str = "") -> None:

@@ -19,7 +19,6 @@ from robot_ik.cli.arguments import (
     Dictionary,
     Json,
     NeededBoard,
-    optional_path,
     pose_option,
     pose_text,
     request_of,
@@ -40,9 +39,6 @@ if TYPE_CHECKING:
 
 Report = TypeVar("Report")
 
-#: Fewer views determine nothing, so there is nothing to go on with.
-LEAST_VIEWS = 4
-
 
 @dataclass(frozen=True, kw_only=True)
 class ArmCameraOptions:
@@ -50,12 +46,12 @@ class ArmCameraOptions:
 
     robot: Annotated[str, robot_argument("as for reach")] = ""
     bus: Annotated[str, bus_argument()] = "sim"
-    arm: ArmFile = ""
-    frame: Annotated[str, single(None, "the robot's tool")] = ""
+    arm: ArmFile = None
+    frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """Robot frame that carries camera or board."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Annotated[str, arg(metavar="FILE", help_behavior_hint=NEEDED)] = ""
+    intrinsics: Annotated[Path | None, arg(metavar="FILE", help_behavior_hint=NEEDED)] = None
     """Its calibration."""
     board: NeededBoard = ""
     dictionary: Dictionary = ""
@@ -73,14 +69,13 @@ class ArmCameraOptions:
 def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, Any]:
     """What a request has under other names or in another form than the options; checks those of both.
 
-    Args:
-        options: Of the command.
-        why_servos: What an arm without servos has not.
+    ``why_servos`` says what an arm without servos has not.
 
     Raises:
         ConfigError, CameraError: A malformed option.
     """
     from robot_ik.camera.boards.board import parse_board
+    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
 
     views = f"{LEAST_VIEWS} to 100"
     require(LEAST_VIEWS <= options.views <= 100, "--views", f"{options.views} views", views)
@@ -89,9 +84,7 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     require(options.bus != "none", "--bus", without, "sim, pty or a serial port")
     return {
         "robot": options.robot or resolved_robot(options.arm, options.bus),
-        "arm_file": optional_path(options.arm),
-        "frame": options.frame or None,
-        "intrinsics": optional_path(options.intrinsics),
+        "arm_file": options.arm,
         "board": parse_board(options.board, options.dictionary) if options.board else None,
     }
 
@@ -104,6 +97,8 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report | N
         file: Where they are kept.
         command: That goes on with them: ``camera verify``.
     """
+    from robot_ik.camera.calibration.handeye import LEAST_VIEWS
+
     views = 0
 
     def keep(samples: SampleSet) -> None:
@@ -113,7 +108,7 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report | N
 
     try:
         with console.progress() as bar:
-            return job(keep=keep, progress=console.phases_on(bar))
+            return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
         console.say(f"interrupted after {views} views", "yellow")
         if views >= LEAST_VIEWS:
@@ -157,21 +152,26 @@ class CameraHandeyeOptions(ArmCameraOptions):
     """Where the camera's pose goes; the samples go beside it."""
     overwrite: bool = False
     """Replace both."""
-    samples: Annotated[str, single("FILE.json", "measure")] = ""
+    samples: Annotated[Path | None, single("FILE.json", "measure")] = None
     """Solve what was measured before; nothing moves."""
 
 
 def run_handeye(options: CameraHandeyeOptions) -> int:
     """Runs the job; 0 when a pose was found."""
     import_mujoco()
+    from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.arm_camera import handeye
+    from robot_ik.jobs.arm_camera.measuring import SampleSet
 
-    request = None if options.samples else make_request(options)
     kept = handeye.samples_path(options.out)
+    request = None if options.samples else make_request(options)
     results = () if options.dry_run else (options.out, None if request is None else kept)
     with claimed(*results, overwrite=options.overwrite):
         if request is None:
-            report: HandEyeReport | None = _again(options)
+            assert options.samples is not None
+            lens = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
+            known = SampleSet.load(options.samples)
+            report: HandEyeReport | None = handeye.handeye_from_samples(known, lens)
         else:
             job = partial(handeye.run_handeye, request, dry_run=options.dry_run)
             report = measured(job, kept, "camera handeye")
@@ -186,15 +186,6 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
         if report.result is not None:
             console.say(f"wrote {options.out}", "green")
     return console.DONE
-
-
-def _again(options: CameraHandeyeOptions) -> HandEyeReport:
-    from robot_ik.camera.intrinsics import CameraIntrinsics
-    from robot_ik.jobs.arm_camera.handeye import handeye_from_samples
-    from robot_ik.jobs.arm_camera.measuring import SampleSet
-
-    lens = CameraIntrinsics.load(options.intrinsics) if options.intrinsics else None
-    return handeye_from_samples(SampleSet.load(Path(options.samples)), lens)
 
 
 def make_request(options: CameraHandeyeOptions) -> HandEyeRequest:

@@ -1,4 +1,4 @@
-"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the testbed's page."""
+"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the testbed's page; the camera."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ import numpy as np
 from rich.text import Text
 from tyro.conf import arg
 
+from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, several, single
-from robot_ik.environment import import_mujoco
-from robot_ik.errors import MissingExtraError
-from robot_ik.files import write_atomically
-from robot_ik.jobs.results import require_plots, results_folder
+from robot_ik.cli.arguments import Json, require, several, single, wrong
+from robot_ik.errors import MissingExtraError, unknown_name_text
+from robot_ik.files import claimed, write_atomically
+from robot_ik.jobs.results import require_plots, results_folder, save_json
 
 if TYPE_CHECKING:
     from robot_ik.bench.figure import FigureRow
@@ -77,7 +77,6 @@ class BenchOptions:
 
 def run(options: BenchOptions) -> int:
     """Measures, writes and prints."""
-    import_mujoco()
     from robot_ik.bench.methods.results import Results, Settings, this_machine
     from robot_ik.bench.methods.runner import Campaign
     from robot_ik.goals import Tolerance
@@ -234,7 +233,6 @@ class BenchFigureOptions:
 
 def run_figure(options: BenchFigureOptions) -> int:
     """Measures and prints."""
-    import_mujoco()
     from robot_ik.bench.figure import measure_figure
     from robot_ik.figure.abilities import load_abilities
     from robot_ik.figure.figure import load_figure
@@ -290,7 +288,6 @@ class BenchPageOptions:
 
 def run_page(options: BenchPageOptions) -> int:
     """Measures and prints."""
-    import_mujoco()
     require(1.0 <= options.seconds <= 600.0, "--seconds", f"{options.seconds:g} s", "1 to 600")
     if find_spec("viser") is None:
         raise MissingExtraError("viser", "web", "the page in the browser")
@@ -315,3 +312,98 @@ def _page_cells(rows: list[PageRow]) -> Iterator[tuple[object, ...]]:
         value = "–" if math.isnan(row.value) else f"{row.value:.3g} {row.unit}"
         mark = console.verdict_mark(row.passed)
         yield row.what, value, f"≤ {row.most:g}", mark, Text(row.note, style="dim")
+
+
+# ------------------------------------------------------------------------------------------
+# ``robot-ik bench camera``: every figure of the camera beside what is wanted of it.
+
+
+@dataclass(frozen=True)
+class BenchCameraOptions:
+    """Measures the camera on synthetic pictures whose truth is known, and prints it beside what is wanted.
+
+    Accuracy is the same on every machine.  Times are processor time of one thread, the best of three rounds,
+    and beside it time by the clock, which depends on what else runs, as delays do.
+    Ctrl-C keeps what is done.
+
+    Exit code 0 where every row was measured and is as wanted, else 1.
+    """
+
+    rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
+    """Which rows of the table: corners, marker, board, …"""
+    skip: Annotated[tuple[str, ...], several("NAME")] = ()
+    """Leave these rows out."""
+    quick: bool = False
+    """A tenth of the pictures: for a look, not for the record."""
+    json: Annotated[Path | None, single("FILE")] = None
+    """Write the figures there, too."""
+    overwrite: bool = False
+    """Replace that file."""
+    seed: int = 1
+    """Of pictures and noise."""
+    photographs: Annotated[str, arg(metavar="FOLDER", help_behavior_hint="")] = ""
+    """Real pictures without markers, for false finds; with chessboards of 9 × 6 corners, for real corners."""
+
+
+def run_camera(options: BenchCameraOptions) -> int:
+    """Measures, prints and writes."""
+    from robot_ik.bench.methods.results import this_machine
+
+    rows = chosen_rows(options.rows, options.skip)
+    if "photographs" in options.rows and not options.photographs:
+        raise wrong("--photographs", "the row photographs needs real pictures", "a folder of them")
+    if options.photographs and not Path(options.photographs).is_dir():
+        raise wrong("--photographs", f"{options.photographs} is no folder", "a folder of pictures")
+    effort, found = Effort(options.quick, options.seed, options.photographs), MeasuredRows()
+    with claimed(options.json, overwrite=options.overwrite):
+        try:
+            with console.progress() as bar:
+                found.measure(rows, effort, console.shares_on(bar, "measuring"))
+        finally:
+            # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
+            if found.figures:
+                print_figures(rows, found)
+                if options.json is not None:
+                    facts = {"schema": 1, "machine": this_machine().model_dump(mode="json")}
+                    facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
+                    save_json(options.json, facts)
+                    console.say(f"figures: {options.json}", "dim")
+    return console.DONE if found.passed else console.NOT_ACHIEVED
+
+
+def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
+    """The rows of these names, all when none is given, without those that are skipped.
+
+    Raises:
+        ConfigError: No such row, or none is left.
+    """
+    known = {row.name: row for row in ROWS}
+    for option, given in (("--rows", names), ("--skip", skipped)):
+        for name in given:
+            if name not in known:
+                raise wrong(option, unknown_name_text("row", name, list(known)))
+    chosen = [known[name] for name in dict.fromkeys(names or known) if name not in skipped]
+    if not chosen:
+        raise wrong("--skip", "no row is left", "fewer names")
+    return chosen
+
+
+def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
+    """The table: quantity, value, wanted, verdict."""
+    cells: list[tuple[object, ...]] = []
+    for row in rows:
+        for index, one in enumerate(found.figures.get(row.name, ())):
+            name = row.name if index == 0 else ""
+            mark = console.verdict_mark(one.passed)
+            cells.append((name, one.quantity, one.measured_text, one.wanted_text, mark))
+        if row.name in found.unmeasured:
+            why = f"not measured: {found.unmeasured[row.name]}"
+            cells.append((row.name, why, "", "", console.verdict_mark(False)))
+    missed = sum(one.passed is False for figures in found.figures.values() for one in figures)
+    every = sum(one.passed is not None for figures in found.figures.values() for one in figures)
+    console.show(
+        console.table("row", "quantity", "measured", "wanted", "", rows=cells),
+        f"{every - missed} of {every} as wanted"
+        + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
+        + ("" if found.complete else "; not all measured"),
+    )

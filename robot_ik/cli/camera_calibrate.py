@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -77,21 +75,22 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     from robot_ik.camera.calibration.intrinsic import calibrate
     from robot_ik.camera.calibration.views import ViewGatherer
     from robot_ik.camera.image import write_image
-    from robot_ik.jobs.pictures import ViewFolder, gather_views
+    from robot_ik.jobs.pictures import ViewFolder
 
     fields = ("columns", "rows", "square_mm", "marker_mm", "dictionary")
     wanted = PatternRequest(options.pattern, *(getattr(options, field) for field in fields))
     gatherer, kept = ViewGatherer(wanted.pattern()), ViewFolder(options.out, options.sources)
-    with _kept_on_interrupt(gatherer, kept):
-        for name in options.sources:
-            gather_views(name, gatherer, kept, options.views, size=options.size, say=console.say)
-    gatherer.finish()
-    for notice in gatherer.notices:
-        console.say(notice, "yellow")
-    with _named_on_failure(options, kept):
+    _gather(options, gatherer, kept)
+    try:
         result = calibrate(
             gatherer.views, gatherer.size or (0, 0), coefficients=options.coefficients, name=options.name
         )
+    except (CalibrationError, KeyboardInterrupt):
+        if kept.count:
+            sources = [text for text in options.sources if Path(text) != kept.folder]
+            arguments = " ".join([str(kept.folder), *sources])
+            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …")
+        raise
     intrinsics = replace(result.intrinsics, date=timestamp())
     intrinsics.save(options.out)
     picture = _coverage_file(options.out)
@@ -104,33 +103,26 @@ def _calibrate(options: CameraCalibrateOptions) -> int:
     return console.DONE
 
 
-@contextlib.contextmanager
-def _named_on_failure(options: CameraCalibrateOptions, kept: ViewFolder) -> Iterator[None]:
-    """Says where the pictures are when nothing comes of them, or not yet."""
-    try:
-        yield
-    except (CalibrationError, KeyboardInterrupt):
-        if kept.count:
-            sources = [text for text in options.sources if Path(text) != kept.folder]
-            arguments = " ".join([str(kept.folder), *sources])
-            console.say(f"to go on with the views that are kept: robot-ik camera calibrate {arguments} …")
-        raise
+def _gather(options: CameraCalibrateOptions, gatherer: ViewGatherer, kept: ViewFolder) -> None:
+    """Views of all sources; neither Ctrl-C nor a camera that goes away loses those so far."""
+    from robot_ik.jobs.pictures import gather_views
 
-
-@contextlib.contextmanager
-def _kept_on_interrupt(gatherer: ViewGatherer, kept: ViewFolder) -> Iterator[None]:
-    """Neither Ctrl-C nor a camera that goes away loses the views so far."""
+    stopped = ""
     try:
-        yield
-        return
+        for name in options.sources:
+            gather_views(name, gatherer, kept, options.views, size=options.size, say=console.say)
     except FrameTimeoutError as error:
         if not gatherer.views:
             raise
-        why = str(error.args[0])
+        stopped = str(error.args[0])
     except KeyboardInterrupt:
-        why = "stopped"
-    where = f" in {kept.folder}" if kept.count else ""
-    console.say(f"{why}; {len(gatherer.views)} views are kept{where}", "yellow")
+        stopped = "stopped"
+    if stopped:
+        where = f" in {kept.folder}" if kept.count else ""
+        console.say(f"{stopped}; {len(gatherer.views)} views are kept{where}", "yellow")
+    gatherer.finish()
+    for notice in gatherer.notices:
+        console.say(notice, "yellow")
 
 
 def _coverage_file(out: Path) -> Path:

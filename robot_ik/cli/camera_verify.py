@@ -17,7 +17,6 @@ from robot_ik.cli.arguments import (
     NEEDED,
     XYZ_WXYZ,
     joint_degrees,
-    optional_path,
     pose_option,
     request_of,
     require,
@@ -45,7 +44,7 @@ class CameraVerifyOptions(ArmCameraOptions):
     Exit code 0: no pose of the arm, as it now is on file, is farther off than --allowed-mm; else 1.
     """
 
-    camera_extrinsics: Annotated[str, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = ""
+    camera_extrinsics: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = None
     """Where it stands, from camera locate."""
     board_pose: Annotated[tuple[float, ...], single(XYZ_WXYZ, "in the frame")] = ()
     """Where the board is, seen from the frame that carries it."""
@@ -63,9 +62,9 @@ class CameraVerifyOptions(ArmCameraOptions):
     """Where all that is measured is kept, pose by pose."""
     overwrite: bool = False
     """Replace what --out and --picture name; the arm file is written as --fit says."""
-    samples: Annotated[str, single("FILE.json", "measure")] = ""
+    samples: Annotated[Path | None, single("FILE.json", "measure")] = None
     """Judge what was measured before; nothing moves."""
-    picture: Annotated[str, single("FILE.png")] = ""
+    picture: Annotated[Path | None, single("FILE.png")] = None
     """Draw the errors, from above and from the side (needs the extra plots)."""
     rehearse_zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
     """Simulated servos whose shaft is some degrees ahead of what their registers say."""
@@ -80,9 +79,9 @@ def run(options: CameraVerifyOptions) -> int:
     if options.picture:
         require_plots("drawing the errors")
     samples = None if options.samples or options.dry_run else options.out
-    picture = Path(options.picture) if options.picture and not options.dry_run else None
+    picture = None if options.dry_run else options.picture
     if options.fit and options.arm:
-        make_folder(Path(options.arm).parent)  # the zeros are written there in the end
+        make_folder(options.arm.parent)  # the zeros are written there in the end
     with claimed(samples, picture, overwrite=options.overwrite):
         return _measure_and_judge(options, request)
 
@@ -92,7 +91,7 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:
-        known = VerifySamples.load(Path(options.samples))
+        known = VerifySamples.load(options.samples)
         report = verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
     else:
         job = partial(run_verify, request, dry_run=options.dry_run)
@@ -109,7 +108,7 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     if not options.json:
         print_report(report, options.allowed_mm)
     if options.picture:
-        write_atomically(Path(options.picture), error_picture(report))
+        write_atomically(options.picture, error_picture(report))
         console.say(f"wrote {options.picture}", "green")
     written = _keep_zeros(options, report)
     passed = report.passed(1e-3 * options.allowed_mm, corrected=written)
@@ -137,7 +136,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
         text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
         console.say(f"zero_ticks: {text}")
         if options.yes or console.confirm(f"write them to {options.arm}?"):
-            kept = write_zeros(Path(options.arm), config, offsets)
+            kept = write_zeros(options.arm, config, offsets)
             console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
             return True
         console.say(f"{options.arm} stays as it is", "yellow")
@@ -151,6 +150,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         ConfigError, CameraError, InvalidGoalError: All that can be wrong without looking.
     """
     from robot_ik.jobs.arm_camera.verify import BOARD_SIGMA, VerifyRequest
+    from robot_ik.jobs.robot_setup import Rehearsal
 
     sigma, allowed = options.board_sigma, options.allowed_mm
     require(0.0 < allowed < math.inf, "--allowed-mm", f"{allowed:g} mm", "above 0")
@@ -163,10 +163,10 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         VerifyRequest,
         options,
         **arm_camera_values(options, "zeros"),
-        extrinsics=optional_path(options.camera_extrinsics),
+        extrinsics=options.camera_extrinsics,
         pose_frame_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
-        zero_offset_deg=joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset),
+        rehearsal=Rehearsal(joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset)),
     )
 
 

@@ -7,7 +7,7 @@ import os
 import select
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.hand_calibration import Limits
     from robot_ik.ports import Clock
 
 
@@ -50,7 +51,7 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
     return arg(metavar="|".join(titles), help=text, help_behavior_hint=hint)
 
 
-def resolved_robot(arm: str, bus: str) -> str:
+def resolved_robot(arm: Path | None, bus: str) -> str:
     """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
 
     Raises:
@@ -138,15 +139,16 @@ def load_arm(name: str) -> ArmConfig:
     return ArmConfig.load(path)
 
 
-def exit_code_of(action: Callable[[], int]) -> int:
-    """Runs what may fail on the way: an error of the hardware then means "tried, not achieved"."""
+@contextmanager
+def attempt() -> Iterator[None]:
+    """What may fail on the way: an error of the hardware inside ends the command as "tried, not achieved"."""
     try:
-        return action()
+        yield
     except UnsafeCommandError:
         raise
     except HardwareError as error:
         console.show_error(error)
-        return console.NOT_ACHIEVED
+        raise SystemExit(console.NOT_ACHIEVED) from error
 
 
 @dataclass(frozen=True)
@@ -195,24 +197,34 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
 
 @contextmanager
-def stop_on_space(arm: Arm) -> Iterator[None]:
-    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
+def single_keys() -> Iterator[int | None]:
+    """Standard input whose keys come one by one, without Enter; None where it is no terminal of ours."""
     try:
         import termios
         import tty
 
         file = sys.stdin.fileno()
         # A program in the shell's background may not touch the terminal.
-        listening = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
+        ours = sys.stdin.isatty() and os.tcgetpgrp(file) == os.getpgrp()
     except (ImportError, OSError, ValueError, AttributeError):  # no terminals here, or stdin is closed
-        listening = False
-    if not listening:
-        yield
+        ours = False
+    if not ours:
+        yield None
         return
     before = termios.tcgetattr(file)
+    try:
+        tty.setcbreak(file)
+        yield file
+    finally:
+        termios.tcsetattr(file, termios.TCSADRAIN, before)
+
+
+@contextmanager
+def stop_on_space(arm: Arm) -> Iterator[None]:
+    """At a terminal the space bar makes the arm stop and hold, as ``robot-ik stop`` does from another one."""
     over = threading.Event()
 
-    def listen() -> None:
+    def listen(file: int) -> None:
         while not over.is_set():
             if select.select([file], [], [], _KEY_POLL)[0]:
                 key = os.read(file, 1)
@@ -221,17 +233,18 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
                 elif not key:
                     return
 
-    listener = threading.Thread(target=listen, name="space", daemon=True)
-    try:
-        tty.setcbreak(file)
+    with single_keys() as file:
+        if file is None:
+            yield
+            return
         console.say("space: stop and hold", "dim")
+        listener = threading.Thread(target=listen, args=(file,), name="space", daemon=True)
         listener.start()
-        yield
-    finally:
-        over.set()
-        if listener.ident is not None:
+        try:
+            yield
+        finally:
+            over.set()
             listener.join()
-        termios.tcsetattr(file, termios.TCSADRAIN, before)
 
 
 @contextmanager
@@ -243,10 +256,6 @@ def driving(arm: Arm) -> Iterator[None]:
     finally:
         if text := exit_text(arm):
             console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
-
-
-Limits = dict[str, tuple[float, float]]
-"""Joint -> limits, rad (m of a slide)."""
 
 
 def require_model(config: ArmConfig) -> None:

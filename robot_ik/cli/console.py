@@ -232,9 +232,11 @@ def facts(*rows: tuple[object, object]) -> Table:
     return made
 
 
-def verdict_mark(passed: bool) -> Text:
-    """Of a row that is as wanted, or not."""
-    return Text("yes", style="green") if passed else Text("NO", style="bold red")
+def verdict_mark(passed: bool | None) -> Text:
+    """Of a row that is as wanted, or not; None: nothing is wanted."""
+    if passed is None:
+        return Text("")
+    return Text("pass", style="green") if passed else Text("FAIL", style="bold red")
 
 
 class _ClockColumn(BarColumn):
@@ -260,14 +262,8 @@ def progress(column: type[BarColumn] = BarColumn) -> Progress:
     )
 
 
-def phases_on(bar: Progress, before: str = "opening") -> Callable[[str, float], None]:
-    """The ``progress`` of a job, its phase and the share of it that is done; ``before`` the first phase."""
-    task = bar.add_task(before, total=1.0, note="")
-    return lambda phase, share: bar.update(task, description=phase, completed=share)
-
-
 def shares_on(bar: Progress, what: str) -> Callable[[str, float], None]:
-    """As ``phases_on``, for a bar that keeps its name: the phase stands behind it."""
+    """The ``progress`` of a job: the share of it that is done is the bar, its phase stands behind it."""
     task = bar.add_task(what, total=1.0, note="")
     return lambda phase, share: bar.update(task, completed=share, note=phase)
 

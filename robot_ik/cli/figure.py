@@ -14,7 +14,6 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, request_of, require, single, wrong
-from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
 
@@ -91,7 +90,6 @@ class FigureOptions:
 
 def run(options: FigureOptions) -> int:
     """Runs the figure."""
-    import_mujoco()
     options = _checked(options)
     from robot_ik.figure.lion import Lion, is_lion
     from robot_ik.robot import load_robot
@@ -139,13 +137,13 @@ def _checked(options: FigureOptions) -> FigureOptions:
 
 
 def _lion(lion: Lion, options: FigureOptions) -> int:
-    from robot_ik.jobs.figure import json_numbers, read_balls, run_lion
+    from robot_ik.jobs.figure import read_balls, run_lion
 
     if options.path or options.tour is not None or options.mode != "active":
         raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
     if options.balls is not None:
         for ball in read_balls(options.balls):
-            console.print_json_line({"ball": json_numbers(ball), **asdict(lion.decide(ball))})
+            console.print_json_line({"ball": ball, **asdict(lion.decide(ball))})
         return console.DONE
     balls = (options.ball,) if options.ball is not None else _LION_BALLS
     with claimed(options.frames, overwrite=options.overwrite):

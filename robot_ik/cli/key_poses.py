@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,8 +12,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
-from robot_ik.environment import import_mujoco
-from robot_ik.errors import TrajectoryError, close_matches
+from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
@@ -138,7 +137,7 @@ class PosesImportOptions:
     """Which joint of the file is which part of the figure."""
     rate: Annotated[float, single("HZ", "the file's")] = 0.0
     """Frames a second; frames are left out, none are made up."""
-    up: Annotated[str, arg(metavar="y|z")] = "y"
+    up: Annotated[Literal["y", "z"], arg(metavar="y|z")] = "y"
     """The file's axis that points up."""
     overwrite: bool = False
     """Replace the file."""
@@ -227,14 +226,12 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
     out = _out(options.out, ".csv")
-    require(options.up in ("y", "z"), "--up", repr(options.up), "y or z")
-    up: Literal["y", "z"] = "y" if options.up == "y" else "z"
     with claimed(out, overwrite=options.overwrite):
         robot = _load(options.robot)
         joints = SkeletonMap.load(options.map) if options.map else None
         bvh = Bvh.load(options.bvh)
         with console.busy(f"taking over {len(bvh.values)} frames"):
-            found = retarget(bvh, robot, joints, rate=options.rate or None, up=up)
+            found = retarget(bvh, robot, joints, rate=options.rate or None, up=options.up)
         found.motion.save_csv(out)
     hands = 1e3 * np.quantile(found.hand_miss, (0.5, 0.99))
     console.say(
@@ -248,7 +245,6 @@ def run_import(options: PosesImportOptions) -> int:
 
 
 def _load(name: str) -> Robot:
-    import_mujoco()
     from robot_ik.robot import load_robot
 
     return load_robot(name)
@@ -273,7 +269,7 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
     allowed = f"{', '.join(known[:20])}, or a .csv file"
-    require(name in known, "motion", f"there is no {name!r}", allowed, _close(name, known))
+    require(name in known, "motion", f"there is no {name!r}", allowed, did_you_mean(name, known))
     return book.motion(name, speed=options.speed)
 
 
@@ -287,13 +283,10 @@ def _start(robot: Robot, book: KeyPoses, options: PosesRecordOptions) -> Array:
     if not options.begin:
         return np.array(robot.home)
     known, name = named_poses(robot, book), options.begin
-    require(name in known, "--begin", f"there is no pose {name!r}", ", ".join(known), _close(name, known))
+    require(
+        name in known, "--begin", f"there is no pose {name!r}", ", ".join(known), did_you_mean(name, known)
+    )
     return known[name]
-
-
-def _close(name: str, known: Iterable[str]) -> str:
-    close = close_matches(name, list(known))
-    return f"did you mean {close[0]!r}?" if close else ""
 
 
 def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:

@@ -14,7 +14,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, single
-from robot_ik.environment import NOTE, OK, PROBLEM
+from robot_ik.environment import NOTE, OK, PROBLEM, import_mujoco
 from robot_ik.errors import ConfigError
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
@@ -63,7 +63,9 @@ class SolversOptions:
 
 
 def run_robots(options: RobotsOptions) -> int:
-    """Prints the catalogue, or one robot, or draws them."""
+    """Prints the catalogue, which is known without MuJoCo, or one robot, or draws them."""
+    if options.robot or options.gallery is not None:
+        import_mujoco()
     if options.gallery is not None:
         return _gallery(options, options.gallery)
     if options.robot:

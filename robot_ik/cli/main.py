@@ -28,7 +28,7 @@ class CommandRow:
         options: Name of its frozen dataclass of options; empty: it has subcommands and nothing else.
         about: One line for ``robot-ik --help``.
         run: Name of its function ``run(options) -> exit code``.
-        mujoco: It loads models, so a broken MuJoCo is reported before anything else.
+        mujoco: It loads models, so a MuJoCo that cannot be loaded is reported before anything else.
         subcommands: Rows of the same kind, by the name that follows the command's name.
     """
 
@@ -49,9 +49,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "solvers": ("listing", "the methods and their options"),
     "experiments": ("experiments", "repeat the experiments of the theses: a00 or s12"),
     "bench": ("bench", "methods on seeded problems: success, time, plots"),
-    "bench camera": (
-        "bench_camera", "the camera instead of the methods: errors on pictures whose truth is known"
-    ),
+    "bench camera": ("bench", "the camera instead of the methods: errors on pictures whose truth is known"),
     "bench figure": (
         "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
     ),
@@ -93,7 +91,7 @@ ROWS: dict[str, tuple[str, str]] = {
     "doctor": ("listing", "what this machine can do, and what to do about the rest"),
 }  # fmt: skip
 # They run, or say what is wrong, on a machine whose MuJoCo cannot be loaded.
-_WITHOUT_MUJOCO = ("sim-bus", "servo", "stop", "camera", "doctor")
+_WITHOUT_MUJOCO = ("robots", "sim-bus", "servo", "stop", "camera", "doctor")
 
 
 def _row(name: str, file: str, about: str) -> CommandRow:
@@ -184,13 +182,10 @@ def _dispatch(arguments: list[str], *, debug: bool) -> int:
     if arguments[0] not in COMMANDS:
         return _unknown(arguments[0])
     name, command, rest = find_command(arguments)
-    if command.options and not _meant_as_subcommand(command, rest):
+    misspelt = command.subcommands and rest and not rest[0].startswith("-")
+    if command.options and not misspelt:
         return _run(name, command, rest, debug=debug)
     return _group(name, command, rest)
-
-
-def _meant_as_subcommand(command: CommandRow, rest: list[str]) -> bool:
-    return bool(command.subcommands and rest and not rest[0].startswith("-"))
 
 
 def _group(name: str, command: CommandRow, rest: list[str]) -> int:
@@ -212,14 +207,12 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
     from robot_ik.cli.arguments import parse
+    from robot_ik.environment import import_mujoco
 
-    asks_help = any(flag in arguments for flag in _HELP_FLAGS)
-    if command.mujoco and not asks_help and os.environ.get("MUJOCO_GL"):
-        from robot_ik.environment import import_mujoco
-
-        import_mujoco()  # with this variable the import itself can fail: say so before anything else does
     module = importlib.import_module(command.module)
     options: Any = parse(getattr(module, command.options), f"robot-ik {name}", arguments)
+    if command.mujoco:
+        import_mujoco()
     with console.logs_shown(debug=debug), console.on_signals(_terminate, signal.SIGTERM):
         code: int = getattr(module, command.run)(options)
     return code

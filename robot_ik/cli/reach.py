@@ -18,7 +18,6 @@ from robot_ik.cli.arguments import (
     Lens,
     RecordFile,
     joint_degrees,
-    optional_path,
     pose_option,
     request_of,
     require,
@@ -26,10 +25,10 @@ from robot_ik.cli.arguments import (
     robot_argument,
     several,
     single,
+    wrong,
 )
 from robot_ik.cli.connection import bus_argument, resolved_robot
 from robot_ik.cli.solve import make_goal
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import apart
 from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT
@@ -75,23 +74,23 @@ class ReachOptions:
     """Method: see `robot-ik solvers`."""
     goal: Annotated[tuple[float, ...], single(XYZ_WXYZ, "by camera")] = ()
     """Go there instead of to a marker: metres in the world, and an orientation as a quaternion."""
-    frame: Annotated[str, single(None, "the robot's tool")] = ""
+    frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """What shall get there: a tool, site or body of the robot."""
     camera: Annotated[str, arg(metavar="synthetic|INDEX|FILE|FOLDER|URL")] = "synthetic"
     """Where the pictures come from."""
-    intrinsics: Lens = ""
+    intrinsics: Lens = None
     camera_pose: Annotated[tuple[float, ...], single("X Y Z W X Y Z", "where the synthetic one stands")] = ()
     """Where a real camera stands: OpenCV axes (z forward, y down) in the world."""
-    camera_extrinsics: Annotated[str, single("FILE.toml", "--camera-pose")] = ""
+    camera_extrinsics: Annotated[Path | None, single("FILE.toml", "--camera-pose")] = None
     """The same from a file of `robot-ik camera locate` or `camera handeye`."""
     marker: Annotated[int | None, single("ID", "the scene's")] = None
     """Which marker to reach; no other ever becomes a goal."""
     marker_size: Annotated[float | None, single("M", "the scene's")] = None
     """Side of its black square, metres; needed for a real camera."""
-    dictionary: Annotated[str, single("NAME", "the scene's")] = ""
+    dictionary: Annotated[str | None, single("NAME", "the scene's")] = None
     """OpenCV's name of its dictionary, e.g. DICT_5X5_50."""
     bus: Annotated[str, bus_argument(none=True)] = "pty"
-    arm: ArmFile = ""
+    arm: ArmFile = None
     speed: float = 1.0
     """Share of the joints' speed limits, above 0 and up to 1."""
     line: bool = False
@@ -123,7 +122,6 @@ class ReachOptions:
 
 def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
-    import_mujoco()
     request = make_request(options)
     from robot_ik.jobs.ar.output import require_films
     from robot_ik.jobs.reach import run_reach
@@ -143,7 +141,7 @@ def run(options: ReachOptions) -> int:
             bar.stop()
             _save_and_print(report, folder, options)
 
-        report = run_reach(request, console.phases_on(bar), done)
+        report = run_reach(request, console.shares_on(bar, "reach"), done)
     return console.DONE if report.reached else console.NOT_ACHIEVED
 
 
@@ -189,19 +187,16 @@ def make_request(options: ReachOptions) -> ReachRequest:
         Rehearsal,
         rehearse,
         zero_offset_deg=joint_degrees("--rehearse.zero-offset", rehearse.zero_offset),
-        marker_at=(*at, 0.0)[:4] if at else None,
+        marker_at=at or None,
     )
     return request_of(
         ReachRequest,
         options,
         robot=options.robot or resolved_robot(options.arm, options.bus),
         goal=make_goal(options.goal, options.frame) if options.goal else None,
-        frame=options.frame or None,
-        intrinsics=optional_path(options.intrinsics),
         pose_world_camera=_camera_pose(options),
         marker_id=options.marker,
-        dictionary=options.dictionary or None,
-        arm_file=optional_path(options.arm),
+        arm_file=options.arm,
         follow=options.seconds if options.follow else 0.0,
         rehearsal=rehearsal,
     )
@@ -209,13 +204,14 @@ def make_request(options: ReachOptions) -> ReachRequest:
 
 def _camera_pose(options: ReachOptions) -> Pose | None:
     numbers, file = options.camera_pose, options.camera_extrinsics
-    if not file:
+    if file is None:
         seven = "7: x y z in metres, then w x y z"
         require(len(numbers) in (0, 7), "--camera-pose", f"{len(numbers)} numbers", seven)
         return pose_option(numbers, "--camera-pose")
     what = "an extrinsics file " + ("and a pose" if numbers else "without its calibration")
     allowed = "with --intrinsics FILE and without --camera-pose"
-    require(bool(options.intrinsics) and not numbers, "--camera-extrinsics", what, allowed)
+    if options.intrinsics is None or numbers:
+        raise wrong("--camera-extrinsics", what, allowed)
     from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
     from robot_ik.camera.intrinsics import CameraIntrinsics
 

@@ -13,9 +13,8 @@ from rich.text import Text
 from tyro.conf import Positional
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import RecordFile, optional_path, robot_argument, single, wrong
+from robot_ik.cli.arguments import RecordFile, robot_argument, single, wrong
 from robot_ik.cli.connection import bus_argument
-from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class RunOptions:
     """The script, or the name of one that comes along."""
     bus: Annotated[str, bus_argument()] = "sim"
     robot: Annotated[str, robot_argument("the script's")] = ""
-    arm: Annotated[str, single("FILE.toml", "the script's")] = ""
+    arm: Annotated[Path | None, single("FILE.toml", "the script's")] = None
     """Servo ids, signs, zeros and limits."""
     seed: Annotated[int | None, single("N", "the script's")] = None
     """Of random faults, of restarts and of the synthetic camera's noise."""
@@ -54,7 +53,6 @@ class RunOptions:
 
 def run(options: RunOptions) -> int:
     """Runs the script; 0 passed, 1 not."""
-    import_mujoco()
     from robot_ik.jobs.script import find_script, load_script, shipped
 
     if not options.script:
@@ -75,11 +73,12 @@ def run(options: RunOptions) -> int:
 def _run(script: Script, options: RunOptions) -> int:
     from robot_ik.jobs.script import ScriptRequest, ScriptRun
 
-    arm = optional_path(options.arm)
-    this = ScriptRun(script, ScriptRequest(options.bus, options.robot, arm, options.seed, options.record))
+    this = ScriptRun(
+        script, ScriptRequest(options.bus, options.robot, options.arm, options.seed, options.record)
+    )
     try:
         with console.progress() as bar, _quiet(options.bus):
-            this.run(console.phases_on(bar, "getting ready"))
+            this.run(console.shares_on(bar, script.name))
     finally:
         if this.report.count("not run") < len(this.report.steps):  # an interrupted run leaves its report, too
             _report(this.report, options)

@@ -7,7 +7,7 @@ import os
 import queue
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,10 +18,9 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
 from robot_ik.cli.connection import (
     BusOptions,
-    Limits,
     arm_on,
+    attempt,
     driving,
-    exit_code_of,
     load_arm,
     model_limits,
     require_model,
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.calibration import OperatorError
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.config import ArmConfig
+    from robot_ik.jobs.hand_calibration import Limits
     from robot_ik.motion import Trajectory
 
 
@@ -67,7 +67,9 @@ class Prompts:
         """
         ending = "then press Enter" if self._seconds is None else f"{self._seconds:g} s from now"
         console.say(f"{text}; {ending}", "bold")
-        self._start_reading()
+        if self._reader is None and self._seconds is None:
+            self._reader = threading.Thread(target=self._read, name="standard input", daemon=True)
+            self._reader.start()
         end = self._clock.now() + (self._seconds or 0.0)
         due = self._clock.now()
         while not (self._entered() if self._seconds is None else self._clock.now() >= end):
@@ -97,11 +99,6 @@ class Prompts:
             self._lines.put(False)
             raise HardwareError("the input ended before all steps were done", hint="or let steps take a time")
         return True
-
-    def _start_reading(self) -> None:
-        if self._reader is None and self._seconds is None:
-            self._reader = threading.Thread(target=self._read, name="standard input", daemon=True)
-            self._reader.start()
 
     def _read(self) -> None:
         # Not sys.stdin: at the end of the interpreter a thread that waits inside it would hold its lock.
@@ -169,19 +166,15 @@ def _calibrate(
     from robot_ik.jobs.hand_calibration import calibrate_by_hand, calibration_from_lerobot, require_limp
 
     limits = model_limits(config)
-    arm = arm_on(options, config)
-
-    def measure() -> int:
-        if options.from_lerobot is not None:
-            found = calibration_from_lerobot(arm, options.from_lerobot, limits)
-        else:
-            found = calibrate_by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
-        _write(options, arm, replace(found, file=beside), limits)
-        return console.DONE
-
-    with arm:
+    with arm_on(options, config) as arm:
         require_limp(arm)
-        return exit_code_of(measure)
+        with attempt():
+            if options.from_lerobot is not None:
+                found = calibration_from_lerobot(arm, options.from_lerobot, limits)
+            else:
+                found = calibrate_by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
+            _write(options, arm, replace(found, file=beside), limits)
+    return console.DONE
 
 
 def _write(options: ServoCalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
@@ -249,7 +242,7 @@ class ServoTeachOptions(BusOptions):
 
 def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.jobs.teach import require_suffix
+    from robot_ik.jobs.teach import TaughtMotion, require_suffix
 
     require_suffix(options.file)
     _check_seconds(options.seconds)
@@ -257,23 +250,14 @@ def run_teach(options: ServoTeachOptions) -> int:
     config = load_arm(options.arm).whole
     require_model(config)
     with claimed(options.file, overwrite=options.overwrite), arm_on(options, config) as arm:
-        return _record(options, arm)
-
-
-def _record(options: ServoTeachOptions, arm: Arm) -> int:
-    from robot_ik.jobs.teach import TaughtMotion
-
-    taught = TaughtMotion(arm)
-
-    def record() -> int:
-        try:
-            prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)
-            prompts.step("recording: guide the arm by hand", taught.sample)
-        finally:
-            _keep(options.file, taught.motion(), arm.config)
-        return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
-
-    return exit_code_of(record)
+        taught = TaughtMotion(arm)
+        with attempt():
+            try:
+                prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)
+                prompts.step("recording: guide the arm by hand", taught.sample)
+            finally:
+                _keep(options.file, taught.motion(), arm.config)
+    return console.DONE if taught.motion() is not None else console.NOT_ACHIEVED
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
@@ -309,7 +293,7 @@ class ServoPlayOptions(BusOptions):
 
 def run_play(options: ServoPlayOptions) -> int:
     """Plays it; 1 when the arm did not get to its end."""
-    from robot_ik.jobs.teach import load_playable
+    from robot_ik.jobs.teach import load_playable, play_motion
 
     config = load_arm(options.arm).whole
     require_model(config)
@@ -324,16 +308,11 @@ def run_play(options: ServoPlayOptions) -> int:
             recording = stack.enter_context(open_recording(options.record, config.names))
             sinks.append(RecordingSink(recording, config.names, arm.positions))
         stack.enter_context(driving(arm))
-        return exit_code_of(lambda: _play(arm, motion, stretch, sinks))
-
-
-def _play(arm: Arm, motion: Trajectory, stretch: float, sinks: Sequence[JointSink]) -> int:
-    from robot_ik.jobs.teach import play_motion
-
-    report = play_motion(arm, motion, sinks, console.busy)
-    console.result(
-        f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
-        f"largest tracking error {shown_value(report.late, report.tracking_error)}"
-    )
-    report.require_arrived()
+        stack.enter_context(attempt())
+        report = play_motion(arm, motion, sinks, console.busy)
+        console.result(
+            f"played {len(motion)} samples in {motion.duration:.2f} s ({stretch:.2f} x the recorded time); "
+            f"largest tracking error {shown_value(report.late, report.tracking_error)}"
+        )
+        report.require_arrived()
     return console.DONE

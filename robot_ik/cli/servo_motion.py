@@ -17,8 +17,8 @@ from robot_ik.cli.connection import (
     BusOptions,
     Link,
     arm_on,
+    attempt,
     driving,
-    exit_code_of,
     load_arm,
     opened,
     require_model,
@@ -61,8 +61,7 @@ def run_move(options: ServoMoveOptions) -> int:
     if not options.by:
         require_inside(angles, config)
     arm = arm_on(options, config, options.on_exit)
-
-    def move() -> int:
+    with driving(arm), attempt():
         arm.enable()
         arm.read()
         here = arm.positions()
@@ -73,10 +72,7 @@ def run_move(options: ServoMoveOptions) -> int:
         with console.busy("moving", takes):
             arm.park(goal)
         _show(arm, here, goal)
-        return console.DONE
-
-    with driving(arm):
-        return exit_code_of(move)
+    return console.DONE
 
 
 def parse_angles(arguments: Sequence[str], config: ArmConfig) -> dict[str, float]:
@@ -169,14 +165,9 @@ def run_torque(options: ServoTorqueOptions) -> int:
     if options.to == "on":
         require_model(config)
         arm = arm_on(options, config.only(options.joints), "hold")
-
-        def switch_on() -> int:
+        with driving(arm), attempt():
             arm.enable()
-            return console.DONE
-
-        with driving(arm):
-            code = exit_code_of(switch_on)
-        return code if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+        return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
         for id in options.ids:

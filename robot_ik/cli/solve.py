@@ -12,7 +12,6 @@ from tyro.conf import arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import XYZ_WXYZ, several, single, wrong
 from robot_ik.cli.listing import joint_kinds
-from robot_ik.environment import import_mujoco
 from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
@@ -43,7 +42,7 @@ class SolveOptions:
     """A name of `robot-ik robots`, or any MJCF or URDF file."""
     goal: Annotated[tuple[float, ...], arg(metavar=XYZ_WXYZ, help_behavior_hint="(required)")] = ()
     """Wanted position in metres, and, if given, orientation as a quaternion."""
-    frame: Annotated[str, single(None, "the robot's tool")] = ""
+    frame: Annotated[str | None, single("STR", "the robot's tool")] = None
     """What shall get there: a tool, site or body of the robot."""
     solver: Annotated[str, single(None, "the robot's own")] = ""
     """Method: see `robot-ik solvers`."""
@@ -65,7 +64,6 @@ class SolveOptions:
 
 def run(options: SolveOptions) -> int:
     """Solves and prints; 0 converged, 1 not."""
-    import_mujoco()
     from robot_ik.goals import Tolerance
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import load_robot
@@ -91,10 +89,10 @@ def run(options: SolveOptions) -> int:
     return console.DONE if solution.converged else console.NOT_ACHIEVED
 
 
-def make_goal(numbers: Sequence[float], frame: str = "") -> PositionGoal | PoseGoal:
+def make_goal(numbers: Sequence[float], frame: str | None = None) -> PositionGoal | PoseGoal:
     """The goal of three numbers (position, metres) or seven (position, then quaternion wxyz).
 
-    An empty ``frame`` means the robot's tool.
+    No ``frame`` means the robot's tool.
 
     Raises:
         InvalidGoalError: Another count, a number that is not finite, or a zero quaternion.
@@ -107,8 +105,8 @@ def make_goal(numbers: Sequence[float], frame: str = "") -> PositionGoal | PoseG
             hint="for example: --goal -0.4 -0.1 0.7",
         )
     if len(numbers) == 3:
-        return PositionGoal(frame or None, numbers)
-    return PoseGoal(frame or None, numbers[:3], numbers[3:])
+        return PositionGoal(frame, numbers)
+    return PoseGoal(frame, numbers[:3], numbers[3:])
 
 
 def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool | str]:

@@ -15,15 +15,15 @@ from tyro.conf import arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import require, single, wrong
 from robot_ik.cli.connection import (
+    attempt,
     bus_argument,
     driving,
-    exit_code_of,
     exit_text,
     load_arm,
     port_name,
     require_model,
+    single_keys,
 )
-from robot_ik.environment import import_mujoco
 from robot_ik.robot_file import SERVO_ROBOT
 
 if TYPE_CHECKING:
@@ -69,7 +69,6 @@ class TeleopOptions:
 
 def run(options: TeleopOptions) -> int:
     """Leads; 1 where an arm failed."""
-    import_mujoco()
     _check(options)
     from robot_ik.jobs.teleop import LeaderArm, open_pair
 
@@ -103,16 +102,14 @@ def _check(options: TeleopOptions) -> None:
 def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Callable[[], bool]) -> int:
     from robot_ik.jobs.teleop import teleoperate
 
-    def action() -> int:
+    with attempt():
         report = teleoperate(operator, follower, seconds=options.seconds, over=over)
-        lost = f", the leader lost {report.lost} times" if report.lost else ""
-        console.say(
-            f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
-            f"engaged {report.engaged} times{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
-        )
-        return console.DONE
-
-    return exit_code_of(action)
+    lost = f", the leader lost {report.lost} times" if report.lost else ""
+    console.say(
+        f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
+        f"engaged {report.engaged} times{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
+    )
+    return console.DONE
 
 
 def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, options: TeleopOptions) -> int:
@@ -120,10 +117,10 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
 
     typed = stack.enter_context(_typed(endless=options.seconds is not None))
     keys = KeyboardJog(file, typed, stop=follower.request_stop, hand=options.by == "hand")
-    pairs = zip(keys.jog.joints, JOINT_KEYS, strict=False)
+    pairs = zip(keys.joints, JOINT_KEYS, strict=False)
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
-    console.say(f"Tab: {_other(keys.jog)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
+    console.say(f"Tab: {_other(keys)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
     stack.callback(lambda: console.say(exit_text(follower), "dim"))
     stack.enter_context(follower)  # not ``driving``: the keys of the terminal have another reader
     return _lead(keys, follower, options, lambda: keys.over)
@@ -138,7 +135,7 @@ def _led_by_gamepad(
     pad = Gamepad(file, device.read, recover=device.recover, stop=follower.request_stop, hand=hand)
     console.say(f"{device.name}: left stick x, y; triggers z; right stick and shoulders turn", "dim")
     console.say(
-        f"in joints the same six move one each; up and down: the gripper; Y: {_other(pad.jog)}; "
+        f"in joints the same six move one each; up and down: the gripper; Y: {_other(pad)}; "
         "B: stop and hold; Start ends",
         "dim",
     )
@@ -163,24 +160,18 @@ def _typed(endless: bool) -> Iterator[Callable[[], str]]:
     if sys.stdin is None:
         raise wrong("--leader keys", "standard input is closed", "a terminal, or a pipe that keys come from")
     file = sys.stdin.fileno()
-    with contextlib.ExitStack() as stack:
-        if sys.stdin.isatty():
-            import termios
-            import tty
 
-            stack.callback(termios.tcsetattr, file, termios.TCSADRAIN, termios.tcgetattr(file))
-            tty.setcbreak(file)
+    def read() -> str:
+        text = b""
+        while select.select([file], [], [], 0.0)[0]:
+            try:
+                more = os.read(file, 64)
+            except OSError:  # the terminal has hung up
+                more = b""
+            if not more:
+                return text.decode(errors="ignore") + ("" if endless else QUIT)
+            text += more
+        return text.decode(errors="ignore")
 
-        def read() -> str:
-            text = b""
-            while select.select([file], [], [], 0.0)[0]:
-                try:
-                    more = os.read(file, 64)
-                except OSError:  # the terminal has hung up
-                    more = b""
-                if not more:
-                    return text.decode(errors="ignore") + ("" if endless else QUIT)
-                text += more
-            return text.decode(errors="ignore")
-
+    with single_keys():
         yield read

@@ -17,7 +17,7 @@ from tyro.conf import Positional, arg
 from robot_ik.cli import console
 from robot_ik.cli.arguments import require, robot_argument, several, single, wrong
 from robot_ik.cli.connection import NONE, bus_argument
-from robot_ik.environment import import_mujoco, probe_display
+from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from robot_ik.testbed.frontends.page_server import PageServer
     from robot_ik.testbed.session import Session, View
 
-_COUNTS = (1, 2, 4)
 _SIDES = (64, 8192)
 
 
@@ -84,10 +83,11 @@ class ViewOptions:
 
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
-    import_mujoco()
+    from robot_ik.testbed.commands import COUNTS
+
     if options.replay is not None:
         return _replay(options.replay)
-    require(options.count in _COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
+    require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
     endless = "above 0, at most 1e6; left out: until Ctrl-C"
     require(0.0 <= options.seconds <= 1e6, "--seconds", f"{options.seconds:g} s", endless)
     viewer = choose_viewer(options.viewer)
@@ -95,25 +95,20 @@ def run(options: ViewOptions) -> int:
         return _view(options, viewer)
 
 
-def choose_viewer(asked: str, *, browser: bool | None = None, window: bool | None = None) -> str:
-    """Which front end opens here, and says so where it was not named.
-
-    Args:
-        asked: As ``--viewer``.
-        browser: Whether the extra ``web`` is there; None: look.
-        window: Whether a window can be opened; None: look.
+def choose_viewer(asked: str) -> str:
+    """Which front end opens here, asked for as ``--viewer``; says so where it was not named.
 
     Raises:
         MissingExtraError: The browser is asked for without its extra.
     """
-    browser = all(map(find_spec, ("viser", "mjviser"))) if browser is None else browser
+    browser = all(map(find_spec, ("viser", "mjviser")))
     if asked == "browser" and not browser:
         raise MissingExtraError("viser", "web", "the page in the browser")
     if asked != "auto":
         return asked
     if browser:
         return "browser"
-    if probe_display(timeout=10.0).ok if window is None else window:
+    if probe_display(timeout=10.0).ok:
         console.say('the window is opened; for the page in a browser: pip install "robot_ik[web]"', "yellow")
         return "window"
     console.say("neither browser page nor display: the recorder films 10 s instead", "yellow")
@@ -297,7 +292,6 @@ class VideoOptions:
 
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
-    import_mujoco()
     count, (width, height), rate = len(options.files), options.size, options.rate
     require(1 <= count <= 2, "FILES", f"{count} names", "OUT, or LOG.jsonl OUT")
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)

@@ -14,12 +14,12 @@ from typing import Any, Literal
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.renderers import DrawnRobot
+from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
@@ -30,16 +30,13 @@ from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
-from robot_ik.files import write_atomically
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.ar.output import open_sink
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph, save_png
+from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
-
-Image = NDArray[np.uint8]
 
 FRAMES_SCHEMA = 1
 """Version of the table of frames."""
@@ -400,30 +397,14 @@ def record(
     robot: Robot, frames: Sequence[FigureFrame], out: Path,
     progress: PictureProgress = lambda done, whole: None, **more: Any,
 ) -> None:  # fmt: skip
-    """A film, a GIF, a picture, or a folder of pictures (see ``jobs.ar_files``); 30 pictures a second."""
-    painter = Painter(robot)
-    picked = frames[:: 4 if out.suffix.lower() == ".gif" else 2]
-
-    def painted() -> Iterator[tuple[FigureFrame, Image]]:
+    """What ``open_sink`` opens, 30 pictures a second; a GIF is half as wide and has half as many."""
+    gif = out.suffix.lower() == ".gif"
+    size, every = ((_FILM_SIZE[0] // 2, _FILM_SIZE[1] // 2), 4) if gif else (_FILM_SIZE, 2)
+    painter, picked = Painter(robot, size), frames[::every]
+    with open_sink(out, RATE / every, **more) as sink:
         for done, frame in enumerate(picked, start=1):
-            yield frame, painter.paint(frame)
+            sink.write(painter.paint(frame), frame.t)
             progress(done, len(picked))
-
-    if out.suffix.lower() == ".gif":
-        write_atomically(out, _gif([picture for _, picture in painted()]))
-        return
-    with open_sink(out, RATE / 2, **more) as sink:
-        for frame, picture in painted():
-            sink.write(picture, frame.t)
-
-
-def _gif(images: Sequence[Image]) -> bytes:
-    from PIL import Image as Pictures
-
-    stack = [Pictures.fromarray(image[::2, ::2, ::-1]).quantize(64) for image in images]
-    out = io.BytesIO()
-    stack[0].save(out, "GIF", save_all=True, append_images=stack[1:], duration=4000 / RATE, loop=0)
-    return out.getvalue()
 
 
 _STRIP_WIDTH = 165
@@ -460,11 +441,13 @@ def tour(
     abilities: Abilities, folder: Path, progress: Callable[[str], None] = lambda name: None
 ) -> list[Path]:
     """The docs' pictures: one for each decision, and film strips of walk, turn, bend and jump."""
-    figure, done = abilities.figure, []
+    figure = abilities.figure
+    done: list[Path] = []
 
     def save(name: str, image: Image) -> None:
         progress(name)
-        done.append(save_png(folder / f"{name}.png", image))
+        done.append(folder / f"{name}.png")
+        write_image(done[-1], image)
 
     runs = {}
     for action, ball in TOUR:
@@ -488,20 +471,10 @@ def tour(
     return done
 
 
-def json_numbers(values: Sequence[float]) -> list[float | None]:
-    """Numbers as JSON has them: those that are not finite are null."""
-    return [float(x) if np.isfinite(x) else None for x in values]
-
-
-def decision_row(ball: Sequence[float], decision: Decision) -> dict[str, object]:
-    """A decision as a line of JSON says it."""
-    return {"ball": json_numbers(ball), **asdict(decision)}
-
-
 def decide_balls(
     abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float]
 ) -> Iterator[dict[str, object]]:
     """A decision for each ball, each on its own, without moving."""
     decider = Decider(abilities)
     for ball in balls:
-        yield decision_row(ball, decider.decide(ball, stance))
+        yield {"ball": ball, **asdict(decider.decide(ball, stance))}

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
+from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.photograph import (
@@ -23,8 +24,7 @@ from robot_ik.camera.synthetic.photograph import (
     SyntheticView,
 )
 from robot_ik.camera.synthetic.scene import Lights, StillPicture
-from robot_ik.errors import ModelError, OutputError
-from robot_ik.files import write_atomically
+from robot_ik.errors import ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
@@ -130,8 +130,6 @@ def _seamless(field: RayField, camera: Pose, floor: float) -> StillPicture:
     rest = 1.0 - _LAMP_SHARE - _CEILING_SHARE
     return StillPicture(tone * rest, tone * _LAMP_SHARE, tone * _CEILING_SHARE, depth)
 
-
-Image = NDArray[np.uint8]
 
 #: Height of a picture, pixels; it may be this much wider than high before it is cropped to the robot.
 HEIGHT = 560
@@ -319,19 +317,8 @@ def draw_gallery(
         if progress is not None:
             progress(robot.name, k)
         portraits.append(draw_robot(robot, seed))
-        written.append(save_png(folder / f"{robot.name}.png", portraits[-1].image))
-    written.append(save_png(folder / "gallery.png", contact_sheet(portraits)))
+        written.append(folder / f"{robot.name}.png")
+        write_image(written[-1], portraits[-1].image)
+    written.append(folder / "gallery.png")
+    write_image(written[-1], contact_sheet(portraits))
     return portraits, written
-
-
-def save_png(path: Path, image: Image) -> Path:
-    """Writes a picture, as small as PNG makes it.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
-    ok, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    if not ok:
-        raise OutputError(f"cannot make a PNG of {path.name}")
-    write_atomically(path, data.tobytes())
-    return path

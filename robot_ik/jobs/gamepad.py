@@ -15,7 +15,7 @@ import numpy as np
 
 from robot_ik.errors import HardwareError, MissingExtraError
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.teleop import Angles, JogOperator
+from robot_ik.jobs.teleop import Angles, Jog
 from robot_ik.ports import Array
 
 DEAD_ZONE = 0.15
@@ -54,7 +54,7 @@ def _live(pushed: Array) -> Array:
     return np.asarray(np.sign(pushed) * share**2)
 
 
-class Gamepad(JogOperator):
+class Gamepad(Jog):
     """An ``Operator``: sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
 
     B stops and holds (``stop``), Y changes between joints and hand, up and down move the gripper, Start ends
@@ -70,9 +70,9 @@ class Gamepad(JogOperator):
         stop: Callable[[], object] = lambda: None,
         hand: bool = True,
     ) -> None:
-        super().__init__(config, stop, hand)
+        super().__init__(config, hand, stop)
         self._read, self._wait = read, recover
-        self._grippers = [k for k, joint in enumerate(self.jog.joints) if joint.name not in config.names]
+        self._grippers = [k for k, joint in enumerate(self.joints) if joint.name not in config.names]
         self._down: frozenset[str] = frozenset()
         self._last: float | None = None
 
@@ -84,31 +84,31 @@ class Gamepad(JogOperator):
         state = self._read()
         fresh, self._down = state.pressed - self._down, state.pressed
         if "b" in fresh:
-            self._stop()
+            self.stop()
         if "y" in fresh:
-            self.jog.change()
+            self.change()
         self.over |= "start" in fresh
         passed = 0.0 if self._last is None else min(now - self._last, _LONGEST)
         self._last = now
         self._go(state, passed)
-        return dict(self.jog.angles)
+        return dict(self.angles)
 
     def _go(self, state: PadState, passed: float) -> None:
         """As far as the sticks lead in ``passed`` seconds."""
         axes = passed * state.axes()
-        if not self.jog.hand:
+        if not self.hand:
             for number, share in enumerate(axes.tolist()):
                 if number not in self._grippers:
                     self._move_joint(number, share)
         elif axes.any():
-            self.jog.move_hand(_SPEED * axes[:3], _ANGULAR_SPEED * axes[3:])
+            self.move_hand(_SPEED * axes[:3], _ANGULAR_SPEED * axes[3:])
         for number in self._grippers[:1]:
             self._move_joint(number, passed * (("up" in state.pressed) - ("down" in state.pressed)))
 
     def _move_joint(self, number: int, share: float) -> None:
-        if share and number < len(self.jog.joints):
-            joint = self.jog.joints[number]
-            self.jog.move_joint(number, share * (_ANGULAR_SPEED if joint.unit == "deg" else _SPEED))
+        if share and number < len(self.joints):
+            joint = self.joints[number]
+            self.move_joint(number, share * (_ANGULAR_SPEED if joint.unit == "deg" else _SPEED))
 
     def recover(self, timeout: float) -> None:
         self._wait(timeout)

@@ -25,7 +25,7 @@ from robot_ik.kernels import jit
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.analytic import closed_form
-from robot_ik.solvers.base import IterativeSolver, Solver
+from robot_ik.solvers.base import IterativeSolver
 from robot_ik.solvers.levenberg_marquardt import lm
 
 # A solve from the goal itself compiles everything and takes no step.
@@ -35,13 +35,6 @@ import robot_ik as rik
 robot = rik.load_robot(sys.argv[1])
 rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=sys.argv[2])
 """
-
-
-def _kernels_of(method: Solver) -> tuple[Callable[..., None], ...]:
-    """The compiled loops of which a first solve needs one; which, the other process finds out."""
-    if isinstance(method, IterativeSolver):
-        return (method.kernel(),)
-    return (closed_form, lm)
 
 
 class Precompilation:
@@ -61,7 +54,12 @@ class Precompilation:
     @classmethod
     def solver(cls, robot: str, solver: str) -> Self:
         """A method, by its name, for a robot as for ``load_robot``."""
-        return cls(_kernels_of(make_solver(solver)), f"solver {solver!r}", "-c", _SOLVE, robot, solver)
+        method = make_solver(solver)
+        # A first solve needs one of them; which, the other process finds out.
+        kernels: list[Callable[..., None]] = [closed_form, lm]
+        if isinstance(method, IterativeSolver):
+            kernels = [method.kernel()]
+        return cls(kernels, f"solver {solver!r}", "-c", _SOLVE, robot, solver)
 
     @classmethod
     def overlay(cls) -> Self:

@@ -418,7 +418,7 @@ class _Reach:
         report.after = vision.last_image
         if body is not None:
             report.by_camera = judge_by_camera(
-                body, vision.pose_world_camera, vision.pose_body_tool(report.setup.shown), goal, bound,
+                body, vision.scene.pose_world_camera, vision.pose_body_tool(report.setup.shown), goal, bound,
                 goal_sigma,
             )  # fmt: skip
 

@@ -90,15 +90,15 @@ def _drawn(report: ReachReport, image: Any, q: Any) -> Any:
     vision, robot = report.vision, report.robot
     assert vision is not None
     drawn = draw_robot(
-        image, robot.model, robot.qpos(q), vision.intrinsics, vision.pose_world_camera,
+        image, robot.model, robot.qpos(q), vision.scene.intrinsics, vision.scene.pose_world_camera,
         alpha=0.22, tint=(240, 150, 30), style="registered", line_colour=(255, 190, 70),
     )  # fmt: skip
     if report.target is None:
         return drawn
-    pose = vision.pose_world_camera.inverse().compose(report.target)
+    pose = vision.scene.pose_world_camera.inverse().compose(report.target)
     if pose.position[2] <= 0.01:
         return drawn  # the goal is behind the camera
-    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.scene.hover, vision.intrinsics, label="goal")
+    return draw_axes(drawn, pose, _AXES_PER_HOVER * vision.scene.hover, vision.scene.intrinsics, label="goal")
 
 
 def _seen_text(report: ReachReport) -> str:

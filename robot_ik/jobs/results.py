@@ -7,6 +7,7 @@ import datetime
 import fnmatch
 import importlib.util
 import io
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,17 +18,6 @@ from robot_ik.files import claimed_folder, folder_for_results, plain, write_atom
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-def run_folder(job: str) -> Path:
-    """A folder for a run that is not there yet: ``runs/<time>-<job>``."""
-    stamp = datetime.datetime.now().strftime("%Y%m%d-%H%M%S")
-    base, k = Path("runs") / f"{stamp}-{job}", 1
-    folder = base
-    while folder.exists():
-        k += 1
-        folder = base.with_name(f"{base.name}-{k}")
-    return folder
 
 
 @contextlib.contextmanager
@@ -57,8 +47,9 @@ def results_folder(out: str | Path, job: str, own: Sequence[str], *, overwrite: 
 @contextlib.contextmanager
 def _new_folder(job: str) -> Iterator[Path]:
     """A folder that no other run has, not even one that began in the same second."""
-    while True:
-        folder = run_folder(job)
+    name = f"{datetime.datetime.now():%Y%m%d-%H%M%S}-{job}"
+    for k in itertools.count(1):
+        folder = Path("runs") / (name if k == 1 else f"{name}-{k}")
         with contextlib.suppress(FileExistsError):
             folder.mkdir()
             break

@@ -38,14 +38,14 @@ class Rehearsal:
         stuck: Joints whose shaft does not move.
         cover_gripper: Hide the gripper's markers in the second picture.
         blank_marker: Leave the target's paper white.
-        marker_at: x, y, z in metres and yaw in degrees of the printed marker instead of the scene's own.
+        marker_at: As for ``Scene.with_marker_at``; None: the scene's own.
     """
 
     zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
     stuck: tuple[str, ...] = ()
     cover_gripper: bool = False
     blank_marker: bool = False
-    marker_at: tuple[float, float, float, float] | None = None
+    marker_at: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -220,22 +220,22 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
         return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
     limited = robot.with_limits(config.lower, config.upper)
     limits = _joint_limits(robot, limited, config)
-    row, servos = bus_row(request.bus), None
-    if row.virtual:
-        faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
-        faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
-        servos = VirtualBus.from_config(config, row.clock(), limited.home)
-        servos.inject(*faults)
-    else:
+    virtual = bus_row(request.bus).virtual
+    if not virtual:
         _refuse_servo_faults(rehearsal)
         check_model(config, {limit.joint: limit.model for limit in limits})
-    arm = open_arm(config, request.bus, virtual_bus=servos)
+    arm = open_arm(config, request.bus, start=limited.home if virtual else None)
+    if arm.virtual_bus is not None:
+        offsets = rehearsal.zero_offset_deg.items()
+        arm.virtual_bus.inject(
+            *(joint_offset(config.joint(name), degrees) for name, degrees in offsets),
+            *(Fault("stuck", config.joint(name).id) for name in rehearsal.stuck),
+        )
     return RobotSetup(limited, frame, limits, config, arm, arm.clock)
 
 

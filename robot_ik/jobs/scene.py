@@ -74,6 +74,11 @@ class Scene:
         """The wanted tool, seen from the marker: ``hover`` above the paper, facing it."""
         return Pose((0.0, 0.0, self.hover)).compose(FACING)
 
+    def with_marker_at(self, x: float, y: float, z: float, yaw_deg: float = 0.0) -> Scene:
+        """The same with the printed marker elsewhere: metres in the world, degrees about the vertical."""
+        pose = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw_deg)]))
+        return replace(self, pose_world_marker=pose)
+
     def synthetic(self, robot: Robot) -> SyntheticScene:
         """The same for the synthetic camera."""
         marker = partial(SyntheticMarker, dictionary=self.dictionary)

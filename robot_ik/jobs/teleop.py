@@ -241,16 +241,17 @@ _FINEST, _COARSEST = 0.1, 4.0
 
 
 class Jog:
-    """Joints, or the ``hand`` in the axes of the world, moved step by step; never beyond a joint's limits.
+    """An ``Operator`` that moves joints, or the ``hand`` in the axes of the world; never beyond the limits.
 
-    ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last.
+    ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last;
+    ``stop`` makes the follower hold, and ``over`` says whether the person wants to end.
     """
 
-    def __init__(self, config: ArmConfig, hand: bool) -> None:
+    def __init__(self, config: ArmConfig, hand: bool, stop: Callable[[], object] = lambda: None) -> None:
         self._hand = Hand(config, load_robot(config.robot))
         self.joints = config.whole.joints
         self.angles: dict[str, float] = {}
-        self.hand = hand
+        self.hand, self.stop, self.over = hand, stop, False
 
     def engage(self, follower: Angles) -> None:
         self.angles = {joint.name: follower[joint.name] for joint in self.joints}
@@ -275,24 +276,14 @@ class Jog:
         pose = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
         self.angles |= self._hand.go(pose, exactly=True)
 
-
-class JogOperator:
-    """An ``Operator`` that jogs: ``jog`` is what it moves, ``over`` whether the person wants to end."""
-
-    def __init__(self, config: ArmConfig, stop: Callable[[], object], hand: bool) -> None:
-        self.jog, self._stop, self.over = Jog(config, hand), stop, False
-
-    def engage(self, follower: Angles) -> None:
-        self.jog.engage(follower)
-
     def feel(self, follower: Angles) -> None:
-        pass
+        """Gives nothing back."""
 
     def recover(self, timeout: float) -> None:
-        pass
+        """It is never lost."""
 
 
-class KeyboardJog(JogOperator):
+class KeyboardJog(Jog):
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
     A terminal says when a key goes down and not how long it stays: each press is one step.  ``pressed`` gives
@@ -307,33 +298,33 @@ class KeyboardJog(JogOperator):
         stop: Callable[[], object] = lambda: None,
         hand: bool = False,
     ) -> None:
-        super().__init__(config, stop, hand)
+        super().__init__(config, hand, stop)
         self._pressed, self._size = pressed, 1.0
 
     def command(self, now: float) -> Angles:
         for key in self._pressed():
             self._press(key.lower())
-        return dict(self.jog.angles)
+        return dict(self.angles)
 
     def _press(self, key: str) -> None:
         if key == STOP:
-            self._stop()
+            self.stop()
         elif key == QUIT:
             self.over = True
         elif key == MODE_KEY:
-            self.jog.change()
+            self.change()
         elif key in (FINER, COARSER):
             self._size = float(np.clip(self._size * (2.0 if key == COARSER else 0.5), _FINEST, _COARSEST))
-        elif not self.jog.hand:
-            for number, (joint, pair) in enumerate(zip(self.jog.joints, JOINT_KEYS, strict=False)):
+        elif not self.hand:
+            for number, (joint, pair) in enumerate(zip(self.joints, JOINT_KEYS, strict=False)):
                 if key in pair:
                     step = self._size * (_ROTATION if joint.unit == "deg" else _STEP)
-                    self.jog.move_joint(number, step if key == pair[0] else -step)
+                    self.move_joint(number, step if key == pair[0] else -step)
         elif key in HAND_KEYS:
             axis, sign = HAND_KEYS[key]
             motion = np.zeros(6)
             motion[axis] = sign * self._size * (_STEP if axis < 3 else _ROTATION)
-            self.jog.move_hand(motion[:3], motion[3:])
+            self.move_hand(motion[:3], motion[3:])
 
 
 class Blend:

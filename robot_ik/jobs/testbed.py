@@ -10,9 +10,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.gl import GlArtist, make_artist
+from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
@@ -21,7 +21,6 @@ from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
@@ -34,8 +33,6 @@ from robot_ik.testbed.commands import CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
 
-Image = NDArray[np.uint8]
-
 
 def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> ArmLink:
     """The servo arm of a robot (name or path) on a bus, connected; torque stays as it is.
@@ -45,20 +42,6 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
         HardwareError: As ``Arm.connect``.
     """
     robot = load_robot(name)
-    config = _arm_config(robot, arm_file)
-    row = bus_row(bus)
-    servos = None
-    if row.virtual:
-        start = robot.home[[robot.joints.index(joint) for joint in config.names]]
-        servos = VirtualBus.from_config(config, row.clock(), start)
-    arm = open_arm(config, bus, virtual_bus=servos, on_exit=on_exit or None)
-    link = ArmLink(arm, robot, bus)
-    link.open()
-    return link
-
-
-def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
-    """The arm file's, with the joints that the robot has."""
     path = arm_file or robot.arm_file
     if path is None:
         raise ConfigError(
@@ -68,7 +51,11 @@ def _arm_config(robot: Robot, arm_file: Path | None) -> ArmConfig:
         )  # fmt: skip
     config = ArmConfig.load(path)
     require_joints(robot, config, path)
-    return config
+    start = robot.home[[robot.joints.index(joint) for joint in config.names]]
+    arm = open_arm(config, bus, on_exit=on_exit or None, start=start if bus_row(bus).virtual else None)
+    link = ArmLink(arm, robot, bus)
+    link.open()
+    return link
 
 
 class CameraTab:

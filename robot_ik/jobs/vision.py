@@ -121,7 +121,7 @@ class Vision:
     """A camera and what it is for in a reach.
 
     Attributes:
-        pose_world_camera: Where it stands.
+        scene: What stands round the arm, the camera where it really stands and with its own lens.
         why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
         synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
         seed: Of the synthetic camera's noise.
@@ -133,8 +133,6 @@ class Vision:
 
     scene: Scene
     source: FrameSource
-    intrinsics: CameraIntrinsics
-    pose_world_camera: Pose
     setup: RobotSetup
     _: KW_ONLY
     why_blind: str = ""
@@ -151,7 +149,7 @@ class Vision:
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
         self._source = WithoutTruth(self.source)
         sides = {id: side for id, (side, _) in self.scene.cube.items()}
-        self._cubes = MarkerTracker(self.intrinsics, self.scene.dictionary, sides)
+        self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
         self._goals = self.goal_source(self._source)
         self._followed: SeenTarget | None = None
         self._moving: SyntheticSource | None = None
@@ -251,8 +249,8 @@ class Vision:
         sizes = {scene.marker_id: scene.marker_size}
         goals = _ArmGoals(
             source,
-            MarkerTracker(self.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
-            self.pose_world_camera,
+            MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
+            scene.pose_world_camera,
             scene.marker_id,
             scene.pose_marker_tool,
             self.setup.frame,
@@ -268,7 +266,7 @@ class Vision:
     def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> SeenTarget:
         """What an observation means for this arm."""
         true_pose = (truth or {}).get("pose_world_marker", {}).get(self.scene.marker_id)
-        pose = self.pose_world_camera.compose(observation.pose)
+        pose = self.scene.pose_world_camera.compose(observation.pose)
         return SeenTarget(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
@@ -337,7 +335,7 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
     stack.enter_context(source)
     metal = setup.arm is not None and setup.arm.virtual_bus is None
     return Vision(
-        scene, source, scene.intrinsics, scene.pose_world_camera, setup, synthetic=source,
+        scene, source, setup, synthetic=source,
         why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
         when_lost=_when_lost(request, setup), lead=request.lead,
         cover_gripper=request.rehearsal.cover_gripper,
@@ -351,20 +349,20 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exi
             "what a camera sees can be rehearsed with the synthetic camera only",
             file="command line", key="--rehearse", allowed="--camera synthetic",
         )  # fmt: skip
-    calibration = calibration_of(request.camera, request.intrinsics)
     if request.marker_size is None:
         raise CameraError(
             "the size of the printed marker is not given, so its distance cannot be known",
             hint="give the side of its black square in metres: --marker-size 0.05",
         )
-    source, intrinsics = open_calibrated(request.camera, calibration, stack)
-    scene = _scene(request, setup)
+    source, intrinsics = open_calibrated(request.camera, request.intrinsics, stack)
+    scene = replace(_scene(request, setup), intrinsics=intrinsics)
+    if request.pose_world_camera is not None:
+        scene = replace(scene, pose_world_camera=request.pose_world_camera)
     if request.follow > 0.0 and isinstance(source, ImageSource):
         raise ConfigError(
             "a photograph does not go on, so there is nothing to follow",
             file="command line", key="--follow", allowed="a camera, stream, film or folder of pictures",
         )  # fmt: skip
-    pose = request.pose_world_camera or scene.pose_world_camera
     why = ""
     if not source.live:
         why = "the pictures are recorded, so nothing looked at the arm afterwards"
@@ -373,9 +371,8 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exi
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"
     return Vision(
-        scene, source, intrinsics, pose, setup, why_blind=why,
-        when_lost=_when_lost(request, setup), lead=request.lead,
-    )  # fmt: skip
+        scene, source, setup, why_blind=why, when_lost=_when_lost(request, setup), lead=request.lead
+    )
 
 
 def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
@@ -388,26 +385,15 @@ def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
     scene = scene_for(setup.robot, setup.frame, upright=setup.dof < AXIS_DOF)
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-    if request.rehearsal.marker_at is not None:
-        x, y, z, yaw = request.rehearsal.marker_at
-        if not np.isfinite(request.rehearsal.marker_at).all():
-            raise ConfigError(
-                f"no marker can be put at {request.rehearsal.marker_at}",
-                file="command line", key="--rehearse.marker-at", allowed="finite numbers",
-            )  # fmt: skip
-        changes["pose_world_marker"] = Pose((x, y, z), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
-    return replace(scene, **changes)
-
-
-def calibration_of(camera: str, intrinsics: Path | None) -> Path:
-    """The file, for a camera that shall measure; CalibrationError: none was given."""
-    if intrinsics is None:
-        raise CalibrationError(
-            f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
-            hint="give its calibration file (OpenCV or ROS YAML): --intrinsics FILE; "
-            "make one with: robot-ik camera calibrate",
-        )
-    return intrinsics
+    scene = replace(scene, **changes)
+    if (place := request.rehearsal.marker_at) is None:
+        return scene
+    if not np.isfinite(place).all():
+        raise ConfigError(
+            f"no marker can be put at {place}",
+            file="command line", key="--rehearse.marker-at", allowed="finite numbers",
+        )  # fmt: skip
+    return scene.with_marker_at(*place)
 
 
 def open_calibrated(
@@ -426,7 +412,13 @@ def open_calibrated(
         CalibrationError: There is no calibration, or it is for other pictures.
         CameraError: The camera cannot be opened.
     """
-    lens = CameraIntrinsics.load(calibration_of(camera, intrinsics))
+    if intrinsics is None:
+        raise CalibrationError(
+            f"the camera {camera!r} has no calibration, so nothing can be measured in its pictures",
+            hint="give its calibration file (OpenCV or ROS YAML): --intrinsics FILE; "
+            "make one with: robot-ik camera calibrate",
+        )
+    lens = CameraIntrinsics.load(intrinsics)
     source = stack.enter_context(open_source(camera, size=size))
     delivered = tuple(getattr(source, "size", lens.size))
     if scaled and delivered != lens.size:

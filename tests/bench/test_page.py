@@ -34,7 +34,7 @@ def test_what_misses_its_target_or_was_not_measured_is_said(
     monkeypatch.setattr(bench, "measure_page", measure)
     assert main(["bench", "page"]) == 1
     text = capsys.readouterr().out
-    assert "0.5 ms" in text and "NO" in text and "no browser" in text
+    assert "0.5 ms" in text and "FAIL" in text and "no browser" in text
     rows.pop()
     assert main(["bench", "page", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["passed"] is True

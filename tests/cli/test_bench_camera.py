@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from robot_ik.bench.camera import Effort, Quantity, Row
-from robot_ik.cli import bench_camera
+from robot_ik.cli import bench
 from robot_ik.cli.main import main
 from robot_ik.errors import CameraError
 
@@ -70,7 +70,7 @@ def test_what_failed_or_was_not_measured_says_so_and_fails(
 ) -> None:
     good = Row("good", "a row of this test", f"{__name__}:fine")
     row = Row("mine", "a row of this test", f"{__name__}:{function}")
-    monkeypatch.setattr(bench_camera, "ROWS", (row, good))
+    monkeypatch.setattr(bench, "ROWS", (row, good))
     file = tmp_path / "figures.json"
     assert main(["bench", "camera", *quick, "--json", str(file)]) == 1
     out = capsys.readouterr().out
@@ -88,8 +88,8 @@ def fine(_: Effort) -> Iterator[Quantity]:
 def test_real_pictures_that_are_not_there_are_not_left_out_in_silence(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (row,) = [row for row in bench_camera.ROWS if row.name == "photographs"]
-    monkeypatch.setattr(bench_camera, "ROWS", (row,))
+    (row,) = [row for row in bench.ROWS if row.name == "photographs"]
+    monkeypatch.setattr(bench, "ROWS", (row,))
     assert main(["bench", "camera"]) == 1
     assert "not measured: it needs photographs of yours" in capsys.readouterr().out
     assert main(["bench", "camera", "--skip", "photographs"]) == 2
@@ -110,7 +110,7 @@ def test_what_is_missed_or_interrupted_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     row = Row("mine", "a row of this test", f"{__name__}:{function}")
-    monkeypatch.setattr(bench_camera, "ROWS", (row,))
+    monkeypatch.setattr(bench, "ROWS", (row,))
     file = tmp_path / "figures.json"
     assert main(["bench", "camera", "--json", str(file)]) == code
     out = capsys.readouterr().out

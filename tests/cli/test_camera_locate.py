@@ -75,17 +75,17 @@ def test_a_folder_of_pictures_gives_a_file_that_reach_takes(robot_ik: Any) -> No
     position, angle = found.pose_parent_camera.distance(true)
     assert position < 1.5e-3 and angle < np.deg2rad(0.15)
     assert position < 4 * found.sigma_position
-    options = ReachOptions(camera="0", intrinsics="camera.yaml", camera_extrinsics="place.toml")
+    options = ReachOptions(camera="0", intrinsics=Path("camera.yaml"), camera_extrinsics=Path("place.toml"))
     assert make_request(options).pose_world_camera is not None
     dataclasses.replace(STANDARD_CAMERA, fx=802.0).save("other.yaml")
     with pytest.raises(CalibrationError, match="another calibration"):
-        make_request(dataclasses.replace(options, intrinsics="other.yaml"))
-    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": ""}):
+        make_request(dataclasses.replace(options, intrinsics=Path("other.yaml")))
+    for wrong in ({"camera_pose": (0.0,) * 7}, {"intrinsics": None}):
         with pytest.raises(ConfigError, match="extrinsics file"):
             make_request(dataclasses.replace(options, **wrong))  # type: ignore[arg-type]
     dataclasses.replace(found, parent="gripper").save("carried.toml")
     with pytest.raises(CalibrationError, match="'gripper'"):
-        make_request(dataclasses.replace(options, camera_extrinsics="carried.toml"))
+        make_request(dataclasses.replace(options, camera_extrinsics=Path("carried.toml")))
 
 
 def test_json(robot_ik: Any) -> None:

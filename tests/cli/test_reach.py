@@ -258,7 +258,7 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
     assert make_request(ReachOptions(bus="/dev/ttyUSB0", robot="ur5e")).robot == "ur5e"
     other = arm_file(tmp_path, 'robot = "puma560"', 'robot = "panda"')
     for bus in ("sim", "/dev/ttyUSB0"):
-        assert make_request(ReachOptions(bus=bus, arm=str(other))).robot == "panda"
+        assert make_request(ReachOptions(bus=bus, arm=other)).robot == "panda"
 
 
 def test_simulated_servos_and_a_reach_at_their_port_mean_the_same_arm(

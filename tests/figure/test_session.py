@@ -14,7 +14,7 @@ from PIL import Image as Pictures
 
 from robot_ik.bench.figure import measure_motion
 from robot_ik.cli.main import main
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import (
     FigureFrame,
@@ -158,7 +158,11 @@ def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilit
     assert words == f"{frame.action} {frame.decision.reason}"
     record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif")
     with Pictures.open(tmp_path / "film.gif") as film:
-        assert film.size == (480, 360)
+        shown = np.asarray(film.convert("RGB"))[..., ::-1].astype(int)
+    painted = Painter(abilities.figure.robot, size=(480, 360)).paint(frame)
+    assert shown.shape == (360, 480, 3) and np.abs(shown - painted).mean() < 1.0  # grey levels
+    with pytest.raises(OutputError):
+        record(abilities.figure.robot, [frame] * 8, tmp_path / "film.gif")
 
 
 def test_a_marker_in_the_pictures_of_a_camera_is_the_ball(

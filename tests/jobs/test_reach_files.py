@@ -17,8 +17,8 @@ from robot_ik.errors import OutputError
 from robot_ik.files import folder_for_results, plain
 from robot_ik.jobs import scene
 from robot_ik.jobs.reach import ReachReport
-from robot_ik.jobs.reach_files import reach_picture, reach_summary, save_reach
-from robot_ik.jobs.results import run_folder
+from robot_ik.jobs.reach_files import FILES, reach_picture, reach_summary, save_reach
+from robot_ik.jobs.results import results_folder
 
 # Key -> type of what summary.json promises; None may stand for whatever a run did not get to.
 DOCUMENTED = {
@@ -120,9 +120,9 @@ def test_the_drawn_robot_lies_on_the_seen_one(healthy: ReachReport) -> None:
     vision, robot = healthy.vision, healthy.robot
     assert vision is not None and healthy.q_end is not None
     for image, q in [(healthy.before, healthy.q_start), (healthy.after, healthy.q_end)]:
-        pose = vision.pose_world_camera
+        pose = vision.scene.pose_world_camera
         drawn = draw_robot(
-            image, robot.model, robot.qpos(q), vision.intrinsics, pose, alpha=0.0, style="registered"
+            image, robot.model, robot.qpos(q), vision.scene.intrinsics, pose, alpha=0.0, style="registered"
         )
         lines = np.abs(drawn.astype(int) - image.astype(int)).max(axis=2) > 40
         assert lines.sum() > 1000
@@ -164,10 +164,11 @@ def test_without_a_camera_there_is_no_picture(
 
 def test_folders_are_named_by_time_and_never_shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    first = run_folder("reach")
-    assert first.parent.name == "runs" and first.name.endswith("-reach") and not first.exists()
-    first.mkdir(parents=True)
-    assert run_folder("reach") != first
+    kept = results_folder("", "reach", FILES, overwrite=False)
+    with kept as first, results_folder("", "reach", FILES, overwrite=False) as second:
+        assert first.parent.name == "runs" and "-reach" in first.name
+        assert second != first and first.is_dir() and second.is_dir()
+    assert not Path("runs").exists()  # nothing was written
 
 
 def test_a_folder_is_taken_back_when_it_stays_empty(tmp_path: Path) -> None:

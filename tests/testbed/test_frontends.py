@@ -141,16 +141,23 @@ def test_view_opens_the_page_writes_its_log_and_ends(
     assert again.start.robot == "tabletop_puma" and again.digest
 
 
-def test_the_viewer_is_chosen_and_said(capsys: pytest.CaptureFixture[str]) -> None:
-    from robot_ik.cli.view import choose_viewer
+def test_the_viewer_is_chosen_and_said(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from robot_ik.cli import view
+    from robot_ik.environment import Probe
 
-    assert choose_viewer("auto", browser=True) == "browser"
-    assert choose_viewer("auto", browser=False, window=True) == "window"
+    monkeypatch.setattr(view, "find_spec", lambda name: name)
+    assert view.choose_viewer("auto") == "browser"
+    monkeypatch.setattr(view, "find_spec", lambda name: None)
+    monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(True, "display opened"))
+    assert view.choose_viewer("auto") == "window"
     assert "robot_ik[web]" in capsys.readouterr().err
-    assert choose_viewer("auto", browser=False, window=False) == "recorder"
+    monkeypatch.setattr(view, "probe_display", lambda timeout: Probe(False, "no display"))
+    assert view.choose_viewer("auto") == "recorder"
     assert "recorder" in capsys.readouterr().err
     with pytest.raises(MissingExtraError, match="viser"):
-        choose_viewer("browser", browser=False)
+        view.choose_viewer("browser")
 
 
 def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -> None:

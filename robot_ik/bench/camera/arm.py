@@ -27,6 +27,7 @@ from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
+from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -351,7 +352,7 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         # What is known of the board is the drawing of its mount, off by what the mount is made to.
         board = _mounted(scene.cube_offset, _MOUNTED, rng)
         request = VerifyRequest(
-            _VERIFIED_ROBOT, views=_VIEWS, fit=True, seed=seed, zero_offset_deg=offsets,
+            _VERIFIED_ROBOT, views=_VIEWS, fit=True, seed=seed, rehearsal=Rehearsal(offsets),
             frame=scene.cube_frame, pose_frame_board=board, board_sigma=_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)

@@ -253,7 +253,7 @@ def _scale_in_view(
 
     A robot that is nowhere near the middle of the picture (``base``) keeps the usual one.
     """
-    usual = _usual_scale(request, robot)
+    usual, size = _usual_scale(request, robot), np.array(opened.intrinsics.size)
     # A few moments tell as much as all of them: robot and board go on slowly.
     times = np.linspace(0.0, opened.total / _RATE_HZ, min(_MOMENTS, opened.total)).tolist()
     moments = [
@@ -262,10 +262,11 @@ def _scale_in_view(
 
     def fits(scale: float) -> bool:
         figure = _figure(request, robot, scale)
-        return all(
-            in_picture(figure.camera(camera).inverse().apply(points), opened.intrinsics)
-            for points, camera in moments
-        )
+        for points, camera in moments:
+            pixels, _, within = project(figure.camera(camera).inverse().apply(points), opened.intrinsics)
+            if not (within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all()):
+                return False
+        return True
 
     if fits(usual):
         return usual
@@ -276,13 +277,6 @@ def _scale_in_view(
         middle = float(np.sqrt(least * most))
         least, most = (middle, most) if fits(middle) else (least, middle)
     return least
-
-
-def in_picture(points: Array, lens: CameraIntrinsics) -> bool:
-    """Whether all points (n, 3) in the camera frame are in the picture, ``_MARGIN`` of its size to spare."""
-    pixels, _, within = project(points, lens)
-    size = np.array(lens.size)
-    return bool(within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all())
 
 
 def _figure(request: ArRequest, robot: Robot, scale: float) -> DrawnRobot:
@@ -324,17 +318,17 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
         occluders = None if request.occluders is None else load_occluders(request.occluders)
         still = None if occluders is None else AT_REST
         source, clock = synthetic_scene(
-            width, height, rate_hz=_RATE_HZ, motion=still, occluders=occluders,
-            follow=request.motion == "follow", seed=request.seed,
+            width, height, motion=still, occluders=occluders, follow=request.motion == "follow",
+            seed=request.seed,
         )  # fmt: skip
         board, camera = still or BoardMotion(), source.scene.pose_world_camera
         seconds = request.seconds or motion.seconds or _SECONDS
         count = max(1, round(seconds * _RATE_HZ))
 
         def made() -> Iterator[Frame]:
-            for _ in range(count):
+            for number in range(1, count + 1):
                 yield source.read().without_truth()
-                clock.ticks += 1
+                clock.sleep_until(number / _RATE_HZ)
 
         intrinsics = source.scene.intrinsics
         return _Opened(made(), intrinsics, count, lambda t: board.pose(t).inverse().compose(camera))

@@ -17,13 +17,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.camera.image import write_image
+from robot_ik.camera.image import Image, write_image
 from robot_ik.errors import MissingExtraError, OutputError
 from robot_ik.files import claimed, claimed_folder, folder_for_results
-
-Image = NDArray[np.uint8]
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -69,7 +66,7 @@ def _unbroken() -> Iterator[None]:
 
 
 class Film(PictureSink):
-    """A film, H.264, or a GIF of 256 colours; each picture is shown at the time it was taken."""
+    """A film, H.264, or a GIF, each picture in 256 colours of its own; shown at the time it was taken."""
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path = path
@@ -77,6 +74,7 @@ class Film(PictureSink):
         self._rate = rate_hz
         self._container: Any = None
         self._stream: Any = None
+        self._palettes: Any = None
         self._first = self._last = 0
 
     def write(self, image: Image, time: float) -> None:
@@ -94,7 +92,21 @@ class Film(PictureSink):
         self._last = max(round(time * _TICKS) - self._first, self._last + 1)
         frame.pts = self._last
         frame.time_base = Fraction(1, _TICKS)
-        self._container.mux(self._stream.encode(frame))
+        self._encode(frame)
+
+    def _encode(self, frame: Any) -> None:
+        """Adds one to the file; None: what is left is written."""
+        import av
+
+        if self._palettes is None:
+            self._container.mux(self._stream.encode(frame))
+            return
+        self._palettes.push(frame)
+        with contextlib.suppress(av.BlockingIOError, av.EOFError):
+            while True:
+                self._container.mux(self._stream.encode(self._palettes.pull()))
+        if frame is None:
+            self._container.mux(self._stream.encode(None))
 
     def _open(self, image: Image) -> None:
         import av
@@ -111,19 +123,39 @@ class Film(PictureSink):
             ) from error
         height, width = _even(image).shape[:2]
         self._stream.width, self._stream.height = width, height
-        self._stream.pix_fmt = "rgb8" if gif else "yuv420p"
+        self._stream.pix_fmt = "pal8" if gif else "yuv420p"
+        self._palettes = _palettes(width, height) if gif else None
         self._stream.options = {} if gif else {"crf": _CRF, "preset": "veryfast"}
         self._stream.codec_context.time_base = Fraction(1, _TICKS)
 
     def close(self) -> Path | None:
         if self._container is None:
             return self._path if self._path.exists() and self._last else None
-        self._container.mux(self._stream.encode(None))
+        self._encode(None)
         self._container.close()
         self._container = None
         os.replace(self._part, self._path)
         self._last = 1
         return self._path
+
+
+def _palettes(width: int, height: int) -> Any:
+    """What gives each BGR picture the 256 colours that suit it best."""
+    import av
+
+    graph = av.filter.Graph()
+    pictures = graph.add_buffer(
+        width=width, height=height, format=av.VideoFormat("bgr24"), time_base=Fraction(1, _TICKS)
+    )
+    split, chosen = graph.add("split"), graph.add("palettegen", "stats_mode=single")
+    used = graph.add("paletteuse", "new=1:dither=none")
+    pictures.link_to(split)
+    split.link_to(chosen, 0, 0)
+    split.link_to(used, 1, 0)
+    chosen.link_to(used, 0, 1)
+    used.link_to(graph.add("buffersink"))
+    graph.configure()
+    return graph
 
 
 class Pictures(PictureSink):

@@ -14,7 +14,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.ports import Array
+from robot_ik.ports import Array, VirtualClock
 
 #: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
 BOARD = "grid:2x2:50:12.5"
@@ -24,20 +24,6 @@ _DICTIONARY = "DICT_5X5_50"
 # An id that is not searched for.
 _SHEET = 49
 _EYE, _TARGET = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
-
-
-@dataclass
-class SteppedClock:
-    """Time that goes on by one picture with each picture."""
-
-    rate_hz: float
-    ticks: int = 0
-
-    def now(self) -> float:
-        return self.ticks / self.rate_hz
-
-    def sleep_until(self, deadline: float) -> None:
-        """A synthetic picture is not waited for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +87,6 @@ def synthetic_scene(
     width: int = 1280,
     height: int = 720,
     *,
-    rate_hz: float = 30.0,
     motion: BoardMotion | None = None,
     occluders: mujoco.MjModel | None = None,
     follow: bool = False,
@@ -109,8 +94,8 @@ def synthetic_scene(
     quality: str = "fast",
     eye: tuple[float, float, float] = _EYE,
     target: tuple[float, float, float] = _TARGET,
-) -> tuple[SyntheticSource, SteppedClock]:
-    """The camera and its clock; advance ``clock.ticks`` by one for each picture.
+) -> tuple[SyntheticSource, VirtualClock]:
+    """The camera and its clock, which stands until somebody lets it go on.
 
     ``occluders`` stand on the table, in the world's frame; to ``follow``, the other marker is there, too.
     The camera stands at ``eye`` and looks at ``target``; ``quality`` is ``fast`` or ``full``.
@@ -136,7 +121,7 @@ def synthetic_scene(
         tuple(markers),
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
-    clock = SteppedClock(rate_hz)
+    clock = VirtualClock()
     source = SyntheticSource(
         scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="full" if quality == "full" else "fast"
     )

@@ -28,7 +28,7 @@ from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
-from robot_ik.jobs.vision import calibration_of, open_calibrated
+from robot_ik.jobs.vision import open_calibrated
 from robot_ik.motion.trajectory import joint_move
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
@@ -174,14 +174,14 @@ def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
 
 
 def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> HandEyeScene:
-    calibration = calibration_of(request.camera, request.intrinsics)
-    if request.board is None:
+    if request.board is None and request.intrinsics is not None:
         raise CameraError(
             "what board the camera looks at is not given",
             hint="say it with --board, for example --board grid:2x2:50:12",
         )
+    source, intrinsics = open_calibrated(request.camera, request.intrinsics, stack)
+    assert request.board is not None
     carried = request.mounting == "eye_in_hand"
-    source, intrinsics = open_calibrated(request.camera, calibration, stack)
     if not source.live:
         raise ConfigError(
             "recorded pictures do not show this arm where it goes",

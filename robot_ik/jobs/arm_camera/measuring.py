@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -42,11 +42,6 @@ class ArmCameraRequest(ArmRequest):
     intrinsics: Path | None = None
     board: Board | None = None
     views: int = 15
-
-    @property
-    def shared(self) -> dict[str, Any]:
-        """These attributes by name, for a request of another kind."""
-        return {one.name: getattr(self, one.name) for one in fields(ArmCameraRequest)}
 
 
 # ------------------------------------------------------------------------------------------

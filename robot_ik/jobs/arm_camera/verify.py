@@ -6,8 +6,8 @@ The camera's pose must come from elsewhere than the arm: a board on the table (`
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from robot_ik.jobs.arm_camera import handeye
 from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, open_scene
 from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.results import png_of, require_plots
-from robot_ik.jobs.robot_setup import Rehearsal, RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
@@ -103,7 +103,6 @@ class VerifyRequest(ArmCameraRequest):
         pose_frame_board: Where the board is on ``frame``; None: the simulated one, or its frame.
         board_sigma: How well that is known, each axis: metres, rad.
         fit: Whether to estimate the joints' zero offsets.
-        zero_offset_deg: Joint -> degrees by which a simulated servo's shaft is ahead of its registers.
     """
 
     views: int = 30
@@ -111,7 +110,6 @@ class VerifyRequest(ArmCameraRequest):
     pose_frame_board: Pose | None = None
     board_sigma: tuple[float, float] = BOARD_SIGMA
     fit: bool = False
-    zero_offset_deg: Mapping[str, float] = field(default_factory=dict)
 
 
 # Pictures of the marker on the table by which the simulated camera is located.
@@ -209,13 +207,13 @@ def run_verify(
     Raises:
         RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
     """
-    if request.zero_offset_deg and request.camera != "synthetic":
+    if request.rehearsal.zero_offset_deg and request.camera != "synthetic":
         raise ConfigError(
             "a zero offset can be rehearsed before the synthetic camera only",
             file="command line", key="--rehearse-zero-offset", allowed="--camera synthetic, --bus sim or pty",
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
-        setup = prepare_robot(replace(request, rehearsal=Rehearsal(zero_offset_deg=request.zero_offset_deg)))
+        setup = prepare_robot(request)
         scene = open_scene(_scene_request(request), setup, stack)
         extrinsics = _given_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
@@ -277,7 +275,8 @@ def _scene_request(request: VerifyRequest) -> HandEyeRequest:
             f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
             hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
         )
-    return HandEyeRequest(**request.shared, pose_other_board=request.pose_frame_board)
+    shared = {one.name: getattr(request, one.name) for one in fields(ArmCameraRequest)}
+    return HandEyeRequest(**shared, pose_other_board=request.pose_frame_board)
 
 
 def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
@@ -303,7 +302,7 @@ def _locate(
     pose = request.pose_frame_board
     if pose is None:
         pose = Pose() if truth is None else truth.pose_other_board
-    offsets_deg = [request.zero_offset_deg.get(name, 0.0) for name in joints]
+    offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
     return VerifySamples(
         SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
         _known_camera(extrinsics),

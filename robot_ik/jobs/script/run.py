@@ -13,7 +13,6 @@ import numpy as np
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
-from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
@@ -42,7 +41,7 @@ def open_camera(
 ) -> Vision:
     """The camera of the robot's scene, ready: the first picture, which takes longest, has been taken.
 
-    ``marker_at``: x, y, z in metres and yaw in degrees of the printed marker; None: the scene's own.
+    ``marker_at``: as for ``Scene.with_marker_at``; None: the scene's own.
 
     Raises:
         CameraError: The robot's model has no scene, and none can be generated.
@@ -51,14 +50,11 @@ def open_camera(
     width, height = scene.intrinsics.size
     scene = replace(scene, intrinsics=scene.intrinsics.scaled(width // SMALLER, height // SMALLER))
     if marker_at is not None:
-        x, y, z, yaw = (*marker_at, 0.0)[:4]
-        pose = Pose((x, y, z), rotation_exp([0.0, 0.0, np.radians(yaw)]))
-        scene = replace(scene, pose_world_marker=pose)
+        scene = scene.with_marker_at(*marker_at)
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     stack.enter_context(source)
-    camera = scene.pose_world_camera
-    vision = Vision(scene, source, scene.intrinsics, camera, setup, synthetic=source, seed=seed)
+    vision = Vision(scene, source, setup, synthetic=source, seed=seed)
     vision.picture()
     return vision
 

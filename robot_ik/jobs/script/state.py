@@ -12,7 +12,6 @@ import numpy as np
 from robot_ik import errors
 from robot_ik.errors import ConfigError, RobotIkError, apart
 from robot_ik.execution import START_TOLERANCE, execute
-from robot_ik.hardware.arm import ArmState
 from robot_ik.jobs.robot_setup import RobotSetup
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.motion.trajectory import Trajectory
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
 
 GRACE = 2.0
 """s beyond the planned time in which servos must have arrived where a step names no time limit."""
-
-STATES_OF_MOTION = (ArmState.ENABLED, ArmState.HOLD)
 
 
 class StepFailed(Exception):
@@ -114,11 +111,6 @@ class RunState:
     def config(self) -> ArmConfig:
         assert self.setup.config is not None
         return self.setup.config
-
-    @property
-    def movable(self) -> bool:
-        """Whether the arm takes commands."""
-        return self.arm.state in STATES_OF_MOTION
 
     def now(self) -> float:
         """Seconds since the run began."""

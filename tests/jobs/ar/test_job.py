@@ -18,7 +18,7 @@ from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import job, output
 from robot_ik.jobs.ar.job import ArRequest, run_ar
 from robot_ik.jobs.ar.motion import make_motion, play_script, robot_of
-from robot_ik.jobs.ar.scene import SteppedClock, lens
+from robot_ik.jobs.ar.scene import lens, synthetic_scene
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
@@ -248,11 +248,11 @@ def test_the_synthetic_scene_and_a_marker_that_is_followed(tmp_path: Path) -> No
         run_ar(replace(request, marker=(2, 0.05)))
 
 
-def test_the_scenes_clock_stands_until_the_next_picture() -> None:
-    clock = SteppedClock(50.0)
-    assert clock.now() == clock.now() == 0.0
-    clock.ticks += 5
-    assert clock.now() == pytest.approx(0.1)
+def test_the_scenes_clock_stands_until_it_is_let_go_on() -> None:
+    source, clock = synthetic_scene(64, 48)
+    assert source.read().time == source.read().time == 0.0
+    clock.sleep_until(0.1)
+    assert source.read().time == 0.1
     assert lens(640, 480).scaled(1280, 960).fx == pytest.approx(lens(1280, 960).fx)
 
 

@@ -30,6 +30,7 @@ from robot_ik.jobs.arm_camera.verify import (
     run_verify,
     summary,
 )
+from robot_ik.jobs.robot_setup import Rehearsal
 
 HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5": 2.0, "joint6": 1.0}
 
@@ -79,7 +80,7 @@ def _draw_lightly(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(scope="module")
 def report(_drawn: None) -> VerifyReport:
     """Hidden zeros, found; made once."""
-    return run_verify(VerifyRequest("tabletop_puma", views=7, fit=True, seed=3, zero_offset_deg=HIDDEN))
+    return run_verify(VerifyRequest("tabletop_puma", views=7, fit=True, seed=3, rehearsal=Rehearsal(HIDDEN)))
 
 
 def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
@@ -174,8 +175,8 @@ def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytes
     ("changes", "error", "text"),
     [
         ({"camera": "0"}, CalibrationError, "camera locate"),
-        ({"camera": "0", "zero_offset_deg": {"joint1": 1.0}}, ConfigError, "synthetic camera only"),
-        ({"zero_offset_deg": {"joint9": 1.0}}, UnknownJointError, "joint9"),
+        ({"camera": "0", "rehearsal": Rehearsal({"joint1": 1.0})}, ConfigError, "synthetic camera only"),
+        ({"rehearsal": Rehearsal({"joint9": 1.0})}, UnknownJointError, "joint9"),
         ({"extrinsics": Path("nowhere.toml")}, CalibrationError, "nowhere.toml"),
     ],
 )

@@ -5,7 +5,8 @@ Lengths are metres, angles degrees (``_deg``), tolerances millimetres and degree
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, get_args
 
 import mujoco
@@ -15,7 +16,8 @@ from pydantic import AfterValidator, Field
 from robot_ik.errors import apart
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, error_classes
+from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
+from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.tables import Pair, Table, WrongKey
@@ -125,16 +127,43 @@ class Action(ScriptStep):
     raises: ErrorClass | None = None
 
 
+@dataclass(frozen=True)
+class Finding:
+    """One finding: what it is, and what it should be; ``numbers``: the same for programs."""
+
+    right: bool
+    found: str
+    wanted: str
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return self.found if self.right else f"{self.found} instead of {self.wanted}"
+
+
+def near(off: float, allowed: float, unit: str, what: str, key: str) -> Finding:
+    """How far something is off, both in ``unit``; ``key``: what the number is called in the report."""
+    here, permitted = apart(off, allowed, digits=2)
+    return Finding(
+        off <= allowed, f"{what} {here}{unit} off", f"at most {permitted}{unit}", {key: round(off, 4)}
+    )
+
+
+def report_findings(findings: Sequence[Finding], result: StepResult, failure: str = "") -> None:
+    """All of them go into ``result``; StepFailed, which begins with ``failure``: one is not right."""
+    for finding in findings:
+        result.numbers.update(finding.numbers)
+    result.found = "; ".join(map(str, findings))
+    if wrong := "; ".join(str(finding) for finding in findings if not finding.right):
+        raise StepFailed(failure + wrong)
+
+
 # ------------------------------------------------------------------------------------------
 # Joints and frames by name, and how far off they are.
 
 
 def keyframes(robot: Robot) -> dict[str, Array]:
     """Name -> (nq,) of the model's keyframes, and ``home``."""
-    model = robot.model
-    places = model.jnt_qposadr[list(robot.tree.joint_ids)]  # a servo's joint is a hinge: one number
-    found = {model.key(k).name: np.array(model.key_qpos[k][places]) for k in range(model.nkey)}
-    return {**found, "home": robot.home}
+    return {**named_poses(robot, KeyPoses(robot)), "home": robot.home}
 
 
 def slides(robot: Robot, joint: str) -> bool:
@@ -210,13 +239,14 @@ class Tolerant(ScriptStep):
     tolerance_mm: Positive = 2.0
     tolerance_deg: Positive = 0.5
 
-    def farthest(self, robot: Robot, q: Array, wanted: Array) -> tuple[str, float, float, str]:
-        """The joint that is farthest off: its name, by how much, what is allowed, and the unit of both."""
+    def farthest(self, robot: Robot, q: Array, wanted: Array, key: str = "off") -> Finding:
+        """Of the joint that is farthest off at ``q`` (nq,)."""
         rows = []
         for joint, off in zip(robot.joints, np.abs(q - wanted).tolist(), strict=True):
             allowed, unit = (self.tolerance_mm, " mm") if slides(robot, joint) else (self.tolerance_deg, "°")
-            rows.append((joint, off / per_unit(robot, joint), allowed, unit))
-        return max(rows, key=lambda row: row[1] / row[2])
+            rows.append((off / per_unit(robot, joint), allowed, unit, joint))
+        off, allowed, unit, joint = max(rows, key=lambda row: row[0] / row[1])
+        return near(off, allowed, unit, joint, f"{key}_deg" if unit == "°" else f"{key}_mm")
 
 
 # ------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ class WaitStep(Action):
     seconds: Annotated[float, Field(ge=0.0, le=LONGEST)]
 
     def run(self, now: RunState, result: StepResult) -> None:
-        if now.movable:
+        if now.arm.state in (ArmState.ENABLED, ArmState.HOLD):
             now.setup.repeat(self.seconds)
         else:
             now.setup.clock.sleep_until(now.setup.clock.now() + self.seconds)

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
 from pydantic import model_validator
 
-from robot_ik.errors import apart
 from robot_ik.geometry import Pose
 from robot_ik.jobs.script.report import StepResult
-from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
+from robot_ik.jobs.script.state import RunState, error_classes
 from robot_ik.jobs.script.steps.base import (
     ErrorClass,
+    Finding,
     Framed,
     GripperWidth,
     JointValues,
@@ -22,6 +21,8 @@ from robot_ik.jobs.script.steps.base import (
     Tolerant,
     Word,
     keyframes,
+    near,
+    report_findings,
     require_keyframe,
     width_mm,
 )
@@ -32,26 +33,6 @@ from robot_ik.tables import Position, WrongKey, Wxyz
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""
-
-
-@dataclass(frozen=True)
-class _Finding:
-    """One finding: what it is, and what it should be."""
-
-    right: bool
-    found: str
-    wanted: str
-    numbers: Mapping[str, float] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        return self.found if self.right else f"{self.found} instead of {self.wanted}"
-
-
-def _near(off: float, allowed: float, unit: str, what: str, key: str) -> _Finding:
-    here, permitted = apart(off, allowed, digits=2)
-    return _Finding(
-        off <= allowed, f"{what} {here}{unit} off", f"at most {permitted}{unit}", {key: round(off, 4)}
-    )
 
 
 _POSE_KEYS = ("position", "wxyz", "joints_deg", "joints_mm", "keyframe", "width_mm")
@@ -119,20 +100,15 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             StepFailed: Something is otherwise.
             RobotIkError: Of the arm, while it is read.
         """
-        findings = [*self._poses(now), *self._error(now), *self._rest(now)]
-        for finding in findings:
-            result.numbers.update(finding.numbers)
-        result.found = "; ".join(str(finding) for finding in findings)
-        if not all(finding.right for finding in findings):
-            raise StepFailed("; ".join(str(finding) for finding in findings if not finding.right))
+        report_findings([*self._poses(now), *self._error(now), *self._rest(now)], result)
 
-    def _poses(self, now: RunState) -> Iterator[_Finding]:
+    def _poses(self, now: RunState) -> Iterator[Finding]:
         if self.width_mm is not None:
             off = abs(width_mm(now) - self.width_mm)
-            yield _near(off, self.tolerance_mm, " mm", "gripper's width", "width_off_mm")
+            yield near(off, self.tolerance_mm, " mm", "gripper's width", "width_off_mm")
         if self.object is not None and self.position is not None:
             off = 1e3 * float(np.linalg.norm(_position_of(now, self.object) - self.position))
-            yield _near(off, self.tolerance_mm, " mm", self.object, "off_mm")
+            yield near(off, self.tolerance_mm, " mm", self.object, "off_mm")
             return
         placed = self.position is not None or self.wxyz is not None
         jointwise = any(key is not None for key in (self.joints_deg, self.joints_mm, self.keyframe))
@@ -143,50 +119,49 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
             yield from self._pose(now.robot, q)
         if jointwise:
             goal = q if self.keyframe is None else keyframes(now.robot)[self.keyframe]
-            joint, off, allowed, unit = self.farthest(now.robot, q, self.placed(now.robot, goal))
-            yield _near(off, allowed, unit, joint, "joint_off_deg" if unit == "°" else "joint_off_mm")
+            yield self.farthest(now.robot, q, self.placed(now.robot, goal), "joint_off")
 
-    def _pose(self, robot: Robot, q: Array) -> Iterator[_Finding]:
+    def _pose(self, robot: Robot, q: Array) -> Iterator[Finding]:
         """How far the frame at ``q`` is off, by MuJoCo."""
         at, what = robot.measure(q, self.frame), self.frame or robot.tool
         if self.position is not None:
             metres = float(np.linalg.norm(at.position - np.asarray(self.position)))
-            yield _near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")
+            yield near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")
         if self.wxyz is not None:
             degrees = float(np.degrees(at.distance(Pose(at.position, self.wxyz))[1]))
-            yield _near(degrees, self.tolerance_deg, "°", what, "off_deg")
+            yield near(degrees, self.tolerance_deg, "°", what, "off_deg")
 
-    def _error(self, now: RunState) -> Iterator[_Finding]:
+    def _error(self, now: RunState) -> Iterator[Finding]:
         wanted = [word for word in (self.error, self.joint, self.cause) if word is not None]
         if not wanted:
             return
         error = now.error
         if error is None:
-            yield _Finding(False, "no error", ", ".join(wanted))
+            yield Finding(False, "no error", ", ".join(wanted))
             return
         if self.error is not None:
             right = isinstance(error, error_classes()[self.error])
-            yield _Finding(right, type(error).__name__, self.error)
+            yield Finding(right, type(error).__name__, self.error)
         if self.joint is not None:
             joint = str(getattr(error, "joint", ""))
-            yield _Finding(joint == self.joint, joint or "no joint", self.joint)
+            yield Finding(joint == self.joint, joint or "no joint", self.joint)
         if self.cause is not None:
             causes = getattr(error, "status", ())
-            yield _Finding(self.cause in causes, ", ".join(causes) or "no cause", self.cause)
+            yield Finding(self.cause in causes, ", ".join(causes) or "no cause", self.cause)
 
-    def _rest(self, now: RunState) -> Iterator[_Finding]:
+    def _rest(self, now: RunState) -> Iterator[Finding]:
         if self.state is not None:
             state = now.arm.state.value
-            yield _Finding(state == self.state, f"state {state}", self.state)
+            yield Finding(state == self.state, f"state {state}", self.state)
         if self.status is not None:
-            yield _Finding(now.status == self.status, f"solver {now.status or 'not asked'}", self.status)
+            yield Finding(now.status == self.status, f"solver {now.status or 'not asked'}", self.status)
         for what, seconds, span in (
             ("last step", now.seconds, self.step_seconds),
             ("run", now.now(), self.run_seconds),
         ):
             if span is not None:
                 inside = span[0] - ROUNDING <= seconds <= span[1] + ROUNDING
-                yield _Finding(inside, f"{what} {seconds:.3f} s", f"{span[0]:g} … {span[1]:g} s")
+                yield Finding(inside, f"{what} {seconds:.3f} s", f"{span[0]:g} … {span[1]:g} s")
 
 
 def _position_of(now: RunState, name: str) -> Array:

@@ -21,6 +21,7 @@ from robot_ik.jobs.script.state import RunState, StepFailed
 from robot_ik.jobs.script.steps.base import (
     GRIPPER,
     Action,
+    Finding,
     Framed,
     GripperWidth,
     JointValues,
@@ -34,6 +35,8 @@ from robot_ik.jobs.script.steps.base import (
     fingers_on,
     gripper_joints,
     keyframes,
+    near,
+    report_findings,
     require_keyframe,
     width_mm,
 )
@@ -45,8 +48,8 @@ from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 from robot_ik.tables import Position, WrongKey, Wxyz
 
-Judge = Callable[[], tuple[bool, str, dict[str, float]]]
-"""Whether it has arrived, what was found, and its numbers."""
+Judge = Callable[[], list[Finding]]
+"""How far off it is: once all of that is right it has arrived."""
 
 
 class Move(Tolerant, Action):
@@ -63,11 +66,8 @@ class Move(Tolerant, Action):
             RobotIkError: Of the arm or the camera.
         """
         trajectory, judge = self.plan(now, now.start(), result)
-        now.play(trajectory, self.time_limit_s, lambda: judge()[0], result)
-        there, result.found, numbers = judge()
-        result.numbers.update(numbers)
-        if not there:
-            raise StepFailed(f"not arrived: {result.found}")
+        now.play(trajectory, self.time_limit_s, lambda: all(finding.right for finding in judge()), result)
+        report_findings(judge(), result, "not arrived: ")
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
         """The path from ``start`` (nq,), and who says whether the arm is at its end."""
@@ -80,26 +80,14 @@ class Move(Tolerant, Action):
     def by_goal(self, now: RunState, goal: Goal) -> Judge:
         """Judges by MuJoCo where the goal's frame is."""
 
-        def judge() -> tuple[bool, str, dict[str, float]]:
+        def judge() -> list[Finding]:
             metres, radians = goal.off(now.robot.measure(now.arm.read().q, goal.frame), goal.target)
-            rows = [("off_mm", 1e3 * metres, self.tolerance_mm, " mm")]
+            what = goal.frame or now.robot.tool
+            found = [near(1e3 * metres, self.tolerance_mm, " mm", what, "off_mm")]
             if goal.has_angle:
-                rows.append(("off_deg", float(np.degrees(radians)), self.tolerance_deg, "°"))
-            texts = [[text + row[3] for text in apart(row[1], row[2], digits=2)] for row in rows]
-            off, allowed = (", ".join(column) for column in zip(*texts, strict=True))
-            inside = all(row[1] <= row[2] for row in rows)
-            return inside, f"{off} off; allowed {allowed}", {row[0]: round(row[1], 4) for row in rows}
-
-        return judge
-
-    def by_joints(self, now: RunState, wanted: Array) -> Judge:
-        """Judges by the joint that is farthest off."""
-
-        def judge() -> tuple[bool, str, dict[str, float]]:
-            joint, off, allowed, unit = self.farthest(now.robot, now.arm.read().q, wanted)
-            here, permitted = apart(off, allowed, digits=2)
-            text = f"{joint} {here}{unit} off; allowed {permitted}{unit}"
-            return off <= allowed, text, {"off_deg" if unit == "°" else "off_mm": round(off, 4)}
+                degrees = float(np.degrees(radians))
+                found.append(near(degrees, self.tolerance_deg, "°", what, "off_deg"))
+            return found
 
         return judge
 
@@ -109,8 +97,12 @@ class Move(Tolerant, Action):
         return joint_move(now.robot, start, q, **self.caps(now)), self.by_goal(now, wanted)
 
     def to_joints(self, now: RunState, start: Array, q: Array) -> tuple[Trajectory, Judge]:
-        """Straight in joint space; judged joint by joint."""
-        return joint_move(now.robot, start, q, **self.caps(now)), self.by_joints(now, q)
+        """Straight in joint space; judged by the joint that is farthest off."""
+
+        def judge() -> list[Finding]:
+            return [self.farthest(now.robot, now.arm.read().q, q)]
+
+        return joint_move(now.robot, start, q, **self.caps(now)), judge
 
 
 def solve_for(now: RunState, goal: Goal, start: Array) -> Array:
