@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame
 from robot_ik.figure.footprints import Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import REACH, STIFF, find_pose, pinned, support, touches_itself
-from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
@@ -61,13 +62,13 @@ class Motion:
 def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
     """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
     stance = figure.stance(q)
-    x, y = -(rotation("z", -stance[2])[:2, :2] @ stance[:2])
+    x, y = -(axis_rotations("z", -stance[2])[:2, :2] @ stance[:2])
     return figure.placed(q, x, y, -stance[2]), stance
 
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
     """A motion of a figure at the origin, put where its stance is."""
-    matrix = rotation("z", float(stance[2]))
+    matrix = axis_rotations("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
     target = None if motion.target is None else matrix @ motion.target + [stance[0], stance[1], 0.0]
     return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2], target=target)

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.figure import Figure, chain, in_stance_frame, remembered, rotation
+from robot_ik.figure.figure import Figure, chain, in_stance_frame, remembered
 from robot_ik.figure.poses import BEND, REACH
+from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 
 ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
@@ -52,7 +53,7 @@ class Box:
         """(n,) distances of points on the floor, 0 inside; inf where the figure passes under or over it."""
         if self.center[2] - self.half[2] > _TALL or self.center[2] + self.half[2] < 0.0:
             return np.full(len(xy), np.inf)
-        local = (xy - np.array(self.center[:2])) @ rotation("z", np.radians(self.heading_deg))[:2, :2]
+        local = (xy - np.array(self.center[:2])) @ axis_rotations("z", np.radians(self.heading_deg))[:2, :2]
         return np.linalg.norm(np.maximum(np.abs(local) - np.array(self.half[:2]), 0.0), axis=1)
 
 
@@ -216,7 +217,7 @@ class Decider:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
         stands, balls, sides, arms = [], [], [], list(self.figure.hands)
         headings = _HEADINGS + stance[2]
-        matrices = rotation("z", headings)[:, :2, :2]
+        matrices = axis_rotations("z", headings)[:, :2, :2]
         for side, arm in enumerate(arms):
             if kind == "jump":
                 cells = self.abilities.under(arm)[None]

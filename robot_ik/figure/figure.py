@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError
+from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -40,25 +41,9 @@ def remembered(memory: dict[str, Any], key: str, make: Callable[[], _Made]) -> _
     return found
 
 
-def rotation(axis: str, angle: ArrayLike) -> Array:
-    """(..., 3, 3) rotation matrices about a world axis, angles (...)."""
-    angle = np.asarray(angle, dtype=float)
-    c, s, out = np.cos(angle), np.sin(angle), np.zeros((*angle.shape, 3, 3))
-    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
-    out[..., i, i] = out[..., j, j] = c
-    out[..., i, j], out[..., j, i], out[..., k, k] = -s, s, 1.0
-    return out
-
-
 def in_stance_frame(stance: Array, point: Array) -> Array:
     """A point (3,) of the world seen from a stance (x, y, heading)."""
-    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
-
-
-def minimum_jerk(s: ArrayLike) -> Array:
-    """0 to 1 with no speed and no acceleration at both ends (Flash & Hogan 1985)."""
-    s = np.clip(s, 0.0, 1.0)
-    return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
+    return np.asarray(axis_rotations("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
 
 def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
@@ -237,7 +222,7 @@ class Figure:
         """``q`` (nq,) moved as a whole: rotated about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
         quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
-        moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
+        moved[:3] = axis_rotations("z", heading) @ q[:3] + [x, y, 0.0]
         mujoco.mju_mulQuat(moved[3:7], quaternion, np.ascontiguousarray(q[3:7]))
         return moved
 

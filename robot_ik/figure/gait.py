@@ -25,9 +25,11 @@ from robot_ik.figure.balance import (
     smooth,
     zero_moment_slices,
 )
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure
 from robot_ik.figure.footprints import WALK, Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
+from robot_ik.geometry import axis_rotations
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 AIR, HEEL, FLAT, TOE = range(4)
@@ -202,8 +204,12 @@ class _Plan:
         yaw = np.radians(self.gait.turn_deg) * size * np.cos(angle)
         lean = np.radians(4.0) * size * np.sin(angle - 0.35)
         tilt, bow = np.radians(4.0) * self.going, np.radians(self.gait.lean_deg) * self.going
-        pelvis = rotation("z", heading - yaw) @ rotation("x", lean) @ rotation("y", tilt)
-        chest = rotation("z", heading + 0.8 * yaw) @ rotation("x", 0.15 * lean) @ rotation("y", bow)
+        pelvis = axis_rotations("z", heading - yaw) @ axis_rotations("x", lean) @ axis_rotations("y", tilt)
+        chest = (
+            axis_rotations("z", heading + 0.8 * yaw)
+            @ axis_rotations("x", 0.15 * lean)
+            @ axis_rotations("y", bow)
+        )
         return pelvis, chest, heading
 
     def _leaving(self, side: int) -> Array:
@@ -220,7 +226,7 @@ class _Plan:
             foot = self.figure.feet[name]
             bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
             leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
-            matrix = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
+            matrix = axis_rotations("z", self.yaw[side]) @ axis_rotations("y", self.pitch[side])
             ankle, hip = self.foot_positions[side] + matrix @ foot.ankle, pelvis @ foot.hip
             flat = ((ankle[:, :2] - pelvis_xy - hip[:, :2]) ** 2).sum(axis=1)
             top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
@@ -294,7 +300,7 @@ def walk_slices(
     yield
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
-    offset = -0.012 * rotation("z", heading)[:, :2, 0]
+    offset = -0.012 * axis_rotations("z", heading)[:, :2, 0]
     frames: Frames | None = None
     # The first passes learn where the pelvis is beside the centre of mass.
     knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + corrections)
@@ -325,7 +331,9 @@ def solve_walk_once(
     """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
-    height = plan.pelvis_height(pelvis, plan.com - 0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
+    height = plan.pelvis_height(
+        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], gait.knee_deg
+    )
     return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
 
 
@@ -334,7 +342,7 @@ def _solve(
 ) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
-    matrices = rotation("z", plan.yaw) @ rotation("y", plan.pitch)
+    matrices = axis_rotations("z", plan.yaw) @ axis_rotations("y", plan.pitch)
     rows.feet({side: (plan.foot_positions[k], matrices[k]) for k, side in enumerate(SIDES)})
     rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
     pelvis, chest, heading = plan.trunk()
@@ -348,7 +356,7 @@ def _solve(
     if figure.gaze is not None:
         eyes, matrix = figure.pose(q, figure.gaze)
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
-        forward = 3.0 * rotation("z", heading)[:, :, 0]
+        forward = 3.0 * axis_rotations("z", heading)[:, :, 0]
         forward += np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
         to = forward if gaze is None else np.broadcast_to(gaze, forward.shape)
         seen = before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None]

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, pinned, touches_itself
+from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.whole_body import HARD
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 TAKE_OFF = 2.6
@@ -306,7 +308,7 @@ def _frames(
     for side, foot in figure.feet.items():
         at = figure.pose(plan.ready, foot.frame)[0]
         position = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
-        poses[side] = position, rotation("y", pitch)
+        poses[side] = position, axis_rotations("y", pitch)
     rows.feet(poses, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
@@ -321,7 +323,7 @@ def _frames(
     deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
     on_floor = 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0
     upright = np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), on_floor)
-    rows.orientation(figure.trunk, rotation("y", np.radians(60.0) * deep), upright)
+    rows.orientation(figure.trunk, axis_rotations("y", np.radians(60.0) * deep), upright)
     if figure.gaze is not None:
         eyes, gaze = figure.pose(start, figure.gaze)
         seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, lowest_points, remembered, rotation, shape_points
+from robot_ik.figure.figure import Figure, lowest_points, remembered, shape_points
 from robot_ik.figure.frames import FrameRows, Frames
+from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 
 AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
@@ -310,13 +311,13 @@ def _attempt(
     rows.center(path, upright, axes="xy")
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
-    rows.orientation(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
+    rows.orientation(figure.trunk, axis_rotations("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
     if figure.gaze is not None:
         rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
     if flat:
-        rows.orientation(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
+        rows.orientation(figure.hands[arm], axis_rotations("y", -np.pi / 2), 0.3 * s)
     if abduction:
         goal = figure.posture({f"{arm}_shoulder_roll": abduction, f"{arm}_shoulder_yaw": -abduction}, goal)
     posture = start + (goal - start) * s[:, None]

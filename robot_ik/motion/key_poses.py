@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,10 +21,8 @@ from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
 from robot_ik.motion.keyframes import Keyframes, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.reading import shown
+from robot_ik.robot import Robot
 from robot_ik.tables import Several, Table, read_table
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
 
 
 @dataclass(frozen=True)

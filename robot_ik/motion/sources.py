@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,9 +15,7 @@ from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.ports import Array
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
+from robot_ik.robot import Robot
 
 Goals = Goal | Sequence[Goal]
 """One goal or several at once, as ``solve`` takes them; a source does not inspect them."""
