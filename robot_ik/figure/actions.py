@@ -176,7 +176,7 @@ def _balanced(
     figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
 ) -> Slices[_Try]:
     """Frames whose zero-moment point follows ``point`` (n, 2), as the whole body's dynamics have it."""
-    _, normal, offset = support(figure)
+    normal, offset = support(figure)
     omega2 = np.full(len(point), GRAVITY / figure.center_at_home[2])
     center = point
     for left in reversed(range(_ROUNDS)):

@@ -165,6 +165,13 @@ def hull(points: Array) -> Array:
     return np.array(half(ordered) + half(ordered[::-1]))
 
 
+def hull_edges(corners: Array) -> tuple[Array, Array]:
+    """Edges of a hull as (h, 2) inward normals and (h,) offsets: p is inside by ``normal @ p - offset``."""
+    edge = np.concatenate([corners[1:], corners[:1]]) - corners
+    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    return normal, (normal * corners).sum(axis=1)
+
+
 def hull_margin(points: Array, z: Array) -> float:
     """Distance of z (2,) to the border of the hull of (n, 2) points: positive inside."""
     corners = hull(points)

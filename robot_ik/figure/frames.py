@@ -22,6 +22,8 @@ _Given = ParamSpec("_Given")
 Slices = Generator[None, None, _Result]
 SLICE, _STEPS = 60, 8
 """Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
+_REST, _CLOSE = 1e-3, 1e-6
+"""A step shorter than the first (rad, m) is a frame's last if its hard rows are as close as the second."""
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -95,7 +97,7 @@ class FrameRows:
     def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS,
     ) -> Slices[Frames]:  # fmt: skip
         """The frames, some at a time.
 
@@ -108,8 +110,6 @@ class FrameRows:
             speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
             dt: Time between frames, s.
             steps: Most steps a frame.
-            rest: A step shorter than this (rad, m) was the last …
-            close: … if hard rows are this close.
         """
         each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
         ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
@@ -121,7 +121,7 @@ class FrameRows:
         cuts = sorted({*range(0, n, some), *changes.tolist(), n})
         for a, b in itertools.pairwise(cuts):
             ready.stiffness[:] = each[a]
-            ready.solve(found, a, b, here, before, steps, rest, close)
+            ready.solve(found, a, b, here, before, steps, _REST, _CLOSE)
             before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
             if b < n and b % some == 0:
                 yield
@@ -153,8 +153,8 @@ class FrameRows:
         robot, groups = self.figure.robot, len(self._rows)
         kind, node, local, axes, share, *_ = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
-        n, nv, hard = robot.tree.size, robot.nv, 3 * groups
-        arrays: dict[str, NDArray[Any]] = {
+        n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
+        arrays = whole_body.WHOLE_BODY.zeros(sizes | {"n": n, "m": n + 1}) | {
             "kind": np.array(kind, dtype=np.int64),
             "node": np.array(node, dtype=np.int64),
             "local": np.array(local).reshape(groups, 12),
@@ -165,18 +165,7 @@ class FrameRows:
             "lower": lower,
             "upper": upper,
             "stride": np.ascontiguousarray(stride),
-            "held": np.zeros(nv, dtype=np.int64),
         }
-        for name, shape in {
-            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
-            "row": (3, nv),
-            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "hard_solved": (hard, nv),
-            "schur": (hard, hard),
-            "center": (3,), "previous": (robot.nq,), "displacement": (nv,), "miss": (3,), "wanted": (hard,),
-            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
-            "multiplier": (hard,),
-        }.items():  # fmt: skip
-            arrays[name] = np.zeros(shape)
         return whole_body.WHOLE_BODY.pack(arrays)
 
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import hull, inset
+from robot_ik.figure.balance import hull, hull_edges, inset
 from robot_ik.figure.figure import Figure, lowest_points, remembered, shape_points
 from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.geometry import axis_rotations
@@ -275,7 +275,7 @@ class _Polish:
         That is where balance is, and the node and position of what is under the floor, by the solver's own
         forward pass.
         """
-        _, normal, offset = support(self.figure)
+        normal, offset = support(self.figure)
         center, n = self.center[:2], 2 * len(self.feet)
         off = float(np.abs(self.pose[0:n:2] - self.feet).max())  # m, or about as much as the angle, rad
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
@@ -326,15 +326,12 @@ def _attempt(
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
-def support(figure: Figure) -> tuple[Array, Array, Array]:
-    """Hull of the soles at home: (h, 2) corners, and its edges as (h, 2) normals and (h,) offsets.
-
-    A point p is inside by the least of ``normals @ p - offsets``.
-    """
+def support(figure: Figure) -> tuple[Array, Array]:
+    """Edges of the hull of the soles at home, as of ``hull_edges``."""
     return remembered(figure.robot.memory, "figure.support", lambda: _support(figure))
 
 
-def _support(figure: Figure) -> tuple[Array, Array, Array]:
+def _support(figure: Figure) -> tuple[Array, Array]:
     found, data = [], figure.data
     data.qpos[:] = figure.home
     mujoco.mj_kinematics(figure.model, data)
@@ -343,15 +340,12 @@ def _support(figure: Figure) -> tuple[Array, Array, Array]:
         points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
         world = data.xpos[body] + points @ matrix.T
         found.append(world[world[:, 2] < 0.003, :2])
-    corners = hull(np.concatenate(found))
-    edge = np.concatenate([corners[1:], corners[:1]]) - corners
-    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
-    return corners, normal, (normal * corners).sum(axis=1)
+    return hull_edges(hull(np.concatenate(found)))
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> FigurePose:
     """A pose with its miss and why it is not admissible, by MuJoCo; contacts are looked at last."""
-    _, normal, offset = support(figure)
+    normal, offset = support(figure)
     miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
     center, flaw = figure.center(q), ""
     if miss > AT_BALL:
