@@ -39,19 +39,16 @@ class CenterPlan:
         return point + self.growing[piece] * e + self.shrinking[piece] / e, point
 
 
-def plan_center(
-    nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None
-) -> CenterPlan:
+def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) -> CenterPlan:
     """Centre of mass for a zero-moment point that runs straight from node to node and rests at the last.
 
-    In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with
-    ``speed`` to meet the second: this is the shift backwards and to the swinging foot before the first step.
+    In the first piece the zero-moment point is constant, wherever it must be for a body at rest at ``x`` to
+    meet the second: this is the shift backwards and to the swinging foot before the first step.
 
     Args:
         nodes: (time, (2,) zero-moment point); the first gives the time of the start only.
         x: (2,) the centre of mass at the start.
         omega: ω, 1/s.
-        speed: (2,) its speed; default: at rest.
     """
     times = np.array([t for t, _ in nodes])
     points = np.array([p for _, p in nodes])
@@ -63,9 +60,8 @@ def plan_center(
         shift, shrunk = slope[k] / omega, np.exp(-omega * (times[k + 1] - times[k]))
         diverging[k] = points[k] + shift + (diverging[k + 1] - points[k + 1] - shift) * shrunk
     start = points[:-1].copy()
-    here = x + (0.0 if speed is None else speed / omega)
     e = np.exp(-omega * (times[1] - times[0]))
-    start[0], slope[0], diverging[0] = (diverging[1] * e - here) / (e - 1.0), 0.0, here
+    start[0], slope[0], diverging[0] = (diverging[1] * e - x) / (e - 1.0), 0.0, x
     growing, shrinking, at = np.empty((count, 2)), np.empty((count, 2)), x.copy()
     for k in range(count):
         growing[k] = (diverging[k] - start[k] - slope[k] / omega) / 2

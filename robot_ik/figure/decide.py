@@ -92,13 +92,10 @@ class Decider:
     Args:
         abilities: What it can do.
         obstacles: What it may not walk through.
-        workspace: Radius about the figure, m.
     """
 
-    def __init__(
-        self, abilities: Abilities, obstacles: Sequence[Obstacle] = (), workspace: float = WORKSPACE
-    ) -> None:
-        self.abilities, self.obstacles, self.workspace = abilities, tuple(obstacles), workspace
+    def __init__(self, abilities: Abilities, obstacles: Sequence[Obstacle] = ()) -> None:
+        self.abilities, self.obstacles = abilities, tuple(obstacles)
 
     @property
     def figure(self) -> Figure:
@@ -147,8 +144,8 @@ class Decider:
         away = float(np.linalg.norm(point[:2] - stance[:2]))
         if point[2] < 0.0:
             return point, f"the ball is {-100 * point[2]:.0f} cm under the floor"
-        if away > self.workspace:
-            return point, f"the ball is {away:.1f} m away, outside the workspace of {self.workspace:g} m"
+        if away > WORKSPACE:
+            return point, f"the ball is {away:.1f} m away, outside the workspace of {WORKSPACE:g} m"
         part = inside_body(self.figure, in_stance_frame(stance, point))
         return point, f"the ball is inside its {part}" if part else ""
 
@@ -341,11 +338,3 @@ def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     arms = [body for hand in figure.hands.values() for body in chain(model, frame(hand).body, trunk)]
     geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, arms))
     return geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
-
-
-def decide(
-    abilities: Abilities, ball: ArrayLike | None, stance: ArrayLike = (0.0, 0.0, 0.0),
-    obstacles: Sequence[Obstacle] = (), last: Decision | None = None,
-) -> Decision:  # fmt: skip
-    """One decision; ``Decider`` keeps obstacles and workspace for many."""
-    return Decider(abilities, obstacles).decide(ball, stance, last)

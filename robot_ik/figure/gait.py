@@ -44,6 +44,8 @@ _LEAN, _SETTLE = 0.75, 1.4
 _LEAVING_DEG, _LEAVING = 27.0, 0.08
 # Pitch of the sole as a foot leaves the floor for a step of no length, as a share of that for a whole one.
 _LEAST_OFF = 0.45
+# Rounds of the dynamics filter.
+_CORRECTIONS = 4
 # Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
 _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
@@ -279,10 +281,8 @@ _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle
 
 
 def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
-    gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
-    corrections: int = 4,
-) -> Slices[Walk]:  # fmt: skip
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, dt: float = 1.0 / RATE
+) -> Slices[Walk]:
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
     Args:
@@ -290,10 +290,7 @@ def walk_slices(
         q: (nq,) standing still.
         prints: Footsteps, alternating sides after the first two.
         gait: How.
-        gaze_target: (3,) what it looks at; default: straight forward.
-        second: (nq,) the frame before q.
         dt: Time between frames, s.
-        corrections: Rounds of the dynamics filter.
     """
     yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
     plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
@@ -303,7 +300,7 @@ def walk_slices(
     offset = -0.012 * axis_rotations("z", heading)[:, :2, 0]
     frames: Frames | None = None
     # The first passes learn where the pelvis is beside the centre of mass.
-    knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + corrections)
+    knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + _CORRECTIONS)
     for k, knee in enumerate(knees):
         if frames is not None and k > 2:
             points, force = yield from zero_moment_slices(figure, frames.q, dt)
@@ -313,7 +310,7 @@ def walk_slices(
             share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / dt)
             shift = shift + compensate(error, plan.omega**2 * share, dt)
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
-        frames = yield from _solve(plan, q, second, height, shift, gaze_target, dt)
+        frames = yield from _solve(plan, q, height, shift, dt)
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
@@ -325,26 +322,23 @@ def walk_slices(
 walk = at_once(walk_slices)
 
 
-def solve_walk_once(
-    figure: Figure, prints: Sequence[Footprint], gait: Gait = WALK, dt: float = 1.0 / RATE
-) -> int:
+def solve_walk_once(figure: Figure, prints: Sequence[Footprint]) -> int:
     """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
+    gait, dt = WALK, 1.0 / RATE
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
     height = plan.pelvis_height(
         pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], gait.knee_deg
     )
-    return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
+    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com), dt)).q)
 
 
-def _solve(
-    plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, gaze: Array | None, dt: float
-) -> Slices[Frames]:
+def _solve(plan: _Plan, q: Array, height: Array, shift: Array, dt: float) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
     matrices = axis_rotations("z", plan.yaw) @ axis_rotations("y", plan.pitch)
     rows.feet({side: (plan.foot_positions[k], matrices[k]) for k, side in enumerate(SIDES)})
-    rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
+    rows.center(plan.com + shift, axes="xy")
     pelvis, chest, heading = plan.trunk()
     # What it does not come from at once: the pose it begins in goes over into the walk.
     start = minimum_jerk(plan.times / 0.5)
@@ -358,11 +352,10 @@ def _solve(
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
         forward = 3.0 * axis_rotations("z", heading)[:, :, 0]
         forward += np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
-        to = forward if gaze is None else np.broadcast_to(gaze, forward.shape)
-        seen = before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None]
+        seen = before + (forward - before) * minimum_jerk(plan.times / 0.8)[:, None]
         rows.aim(figure.gaze, seen, 5.0, figure.neck or None)
     posture = _posture(plan, q, start, go)
-    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, second, dt=dt))
+    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, dt=dt))
 
 
 def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:

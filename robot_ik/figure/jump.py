@@ -40,6 +40,8 @@ _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
+_CORRECTIONS = 3
+"""Rounds of the dynamics filter."""
 _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
@@ -376,9 +378,8 @@ def _posture(
 
 
 def jump_slices(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
-    corrections: int = 3,
-) -> Slices[Motion]:  # fmt: skip
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE
+) -> Slices[Motion]:
     """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
 
     Args:
@@ -388,7 +389,6 @@ def jump_slices(
         arm: Which hand.
         speed: At take-off, m/s (``Abilities.take_off`` knows it); more where bodies would touch.
         dt: Time between frames, s.
-        corrections: Rounds of the dynamics filter.
 
     Raises:
         InvalidGoalError: Faster than a man jumps.
@@ -398,7 +398,7 @@ def jump_slices(
     found: Motion | None = None
     for abduction, more in _WAYS:
         plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
-        motion = yield from _motion(replace(plan, abduction=abduction), start, dt, corrections)
+        motion = yield from _motion(replace(plan, abduction=abduction), start, dt)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion
@@ -411,7 +411,7 @@ def jump_slices(
 jump = at_once(jump_slices)
 
 
-def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices[Motion]:
+def _motion(plan: JumpPlan, start: Array, dt: float) -> Slices[Motion]:
     """The jump from a stance at the origin."""
     figure = plan.figure
     # A frame at the apex: the moment of the touch.
@@ -419,13 +419,13 @@ def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
     error: tuple[Array, Array] | None = None
     before: Array | None = None
-    for k in range(corrections + 1):
+    for k in range(_CORRECTIONS + 1):
         forward = _forward(plan, error)
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
             top = yield from _arm_at_apex(plan, _palm(plan, forward))
         frames, contact = yield from _frames(plan, forward, top, t, start, dt, before)
-        if k == corrections:
+        if k == _CORRECTIONS:
             break
         before = frames.q
         points, force = yield from zero_moment_slices(figure, frames.q, dt)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
-from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
+from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.frames import Frames, PreparedRows
 from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
@@ -123,7 +123,8 @@ def test_decisions_do_not_depend_on_place_and_heading(
     abilities: Abilities, ball: tuple[float, ...], stance: tuple[float, float, float]
 ) -> None:
     x, y, z = axis_rotations("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
-    here, there = decide(abilities, ball), decide(abilities, (x, y, z), stance)
+    decider = Decider(abilities)
+    here, there = decider.decide(ball), decider.decide((x, y, z), stance)
     assert (here.action, here.arm) == (there.action, there.arm)
 
 
@@ -271,5 +272,5 @@ def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities)
     assert parts is not None
     file = robot.file.model_copy(update={"figure": parts.model_copy(update={"hands": {}})})
     armless = load_figure(replace(robot, file=file))
-    found = decide(replace(abilities, figure=armless, maps={}), (0.4, -0.2, 1.2))
+    found = Decider(replace(abilities, figure=armless, maps={})).decide((0.4, -0.2, 1.2))
     assert found.action == "nothing" and "no hands" in found.reason

@@ -127,7 +127,7 @@ def test_a_jump_flies_by_its_own_momentum(
     """Also to the rim, as fast as a man's: soles that neither slip nor flail, the palm on the ball."""
     speed = abilities.take_off(np.array(ball), "right")
     assert speed is not None
-    motion = jump(figure, figure.home, np.array(ball), "right", speed, corrections=2)
+    motion = jump(figure, figure.home, np.array(ball), "right", speed)
     near = min(float(np.linalg.norm(figure.pose(row, "right_hand")[0] - ball)) for row in motion.q)
     assert near <= 0.005
     measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")
