@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
@@ -308,13 +308,10 @@ class CommandLog:
                 "the first line is not that of a command log",
                 file=file, key="testbed_log", allowed=f"{FORMAT}; logs come from robot-ik view --log FILE",
             )  # fmt: skip
-        return cls._of_rows(_checked(Start, first, file), rows[1:], file)
-
-    @classmethod
-    def _of_rows(cls, start: Start, rows: Iterable[tuple[int, Any]], file: Path | str) -> CommandLog:
+        start: Start = _checked(Start, first, file)
         commands: list[tuple[int, Command]] = []
         ticks, digest = 0, ""
-        for k, row in rows:
+        for k, row in rows[1:]:
             here, values = f"{file}:{k}", dict(row)
             tick = values.pop("end" if "end" in values else "tick", None)
             last = commands[-1][0] if commands else 0
