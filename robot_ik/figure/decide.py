@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.figure import Figure, chain, in_stance_frame, remembered
+from robot_ik.figure.figure import Figure, chain, in_stance_frame, once_each
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
@@ -307,9 +307,7 @@ class Decider:
 def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms excepted, that holds a point seen from the feet; empty where none does."""
     model = figure.model
-    geoms, positions, matrices = remembered(
-        figure.robot.memory, "figure.shapes", lambda: _trunk_shapes(figure)
-    )
+    geoms, positions, matrices = _trunk_shapes(figure)
     kinds = mujoco.mjtGeom
     away = local - positions
     for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
@@ -329,6 +327,7 @@ def inside_body(figure: Figure, local: Array) -> str:
     return ""
 
 
+@once_each
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
     model, data, frame = figure.model, figure.data, figure.robot.frame

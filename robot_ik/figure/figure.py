@@ -6,12 +6,13 @@ two feet there can walk.  Angles rad, lengths m, world axes with z up; the floor
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
@@ -31,14 +32,22 @@ RATE = 60.0
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom
 _Made = TypeVar("_Made")
+_More = ParamSpec("_More")
 
 
-def remembered(memory: dict[str, Any], key: str, make: Callable[[], _Made]) -> _Made:
-    """What ``make`` gives, made once and kept under a name."""
-    if key not in memory:
-        memory[key] = make()
-    found: _Made = memory[key]
-    return found
+def once_each(
+    make: Callable[Concatenate[Figure, _More], _Made],
+) -> Callable[Concatenate[Figure, _More], _Made]:
+    """A function of a figure (and names, numbers) whose results the figure keeps."""
+
+    @functools.wraps(make)
+    def kept(figure: Figure, *more: _More.args, **_: _More.kwargs) -> _Made:
+        if (make, *more) not in figure.memory:
+            figure.memory[make, *more] = make(figure, *more, **_)
+        found: _Made = figure.memory[make, *more]
+        return found
+
+    return kept
 
 
 def in_stance_frame(stance: Array, point: Array) -> Array:
@@ -144,8 +153,8 @@ class Figure:
     apart: float  # half the distance of the feet at home
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
-    # Tables that solves fill in, by name: one thread uses a figure at a time.
-    workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    # Of ``once_each``; tables that solves fill in, too: one thread uses a figure at a time.
+    memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -177,8 +186,7 @@ class Figure:
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
-        key = f"figure.stiffness {list(rows.items())}"
-        return remembered(self.robot.memory, key, lambda: _by_pattern(self.robot, rows, 0.0))
+        return _stiffnesses(self, tuple(rows.items()))
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
@@ -273,6 +281,11 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
+
+
+@once_each
+def _stiffnesses(figure: Figure, rows: tuple[tuple[str, float], ...]) -> Array:
+    return _by_pattern(figure.robot, dict(rows), 0.0)
 
 
 def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, once_each
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, pinned, touches_itself
@@ -117,6 +117,7 @@ def highest_take_off(figure: Figure) -> float:
     return wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
 
 
+@once_each
 def forward_at_take_off(figure: Figure) -> float:
     """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
     plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import hull, hull_edges, inset
-from robot_ik.figure.figure import Figure, lowest_points, remembered, shape_points
+from robot_ik.figure.figure import Figure, lowest_points, once_each, shape_points
 from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
@@ -68,15 +68,12 @@ _UPRIGHT = {
 }
 
 
+@once_each
 def limits_of(figure: Figure, kind: str) -> tuple[Array, Array]:
     """(nv,) lower and upper joint limits of a ``reach`` or a ``bend``."""
-    if kind == REACH:
-        return remembered(figure.robot.memory, "figure.upright", lambda: _upright(figure))
-    return figure.robot.lower, figure.robot.upper
-
-
-def _upright(figure: Figure) -> tuple[Array, Array]:
     lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
+    if kind != REACH:
+        return lower, upper
     for joint in figure.robot.joints:
         for part, (low, high) in _UPRIGHT.items():
             if joint.endswith(part):
@@ -294,8 +291,7 @@ class _Polish:
         return node, row
 
 
-def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
-    return remembered(figure.workspace, f"polish {arm} {kind}", lambda: _Polish(figure, arm, kind))
+_polish = once_each(_Polish)
 
 
 def _attempt(
@@ -326,12 +322,9 @@ def _attempt(
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
+@once_each
 def support(figure: Figure) -> tuple[Array, Array]:
     """Edges of the hull of the soles at home, as of ``hull_edges``."""
-    return remembered(figure.robot.memory, "figure.support", lambda: _support(figure))
-
-
-def _support(figure: Figure) -> tuple[Array, Array]:
     found, data = [], figure.data
     data.qpos[:] = figure.home
     mujoco.mj_kinematics(figure.model, data)
@@ -384,6 +377,7 @@ def touches_itself(figure: Figure, q: Array) -> bool:
     return False
 
 
+@once_each
 def _no_soles(figure: Figure) -> NDArray[np.int64]:
     """Colliding geoms that are no soles."""
     soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
@@ -396,7 +390,7 @@ def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
     if q is not None:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-    may_not = remembered(figure.robot.memory, "figure.floor", lambda: _no_soles(figure))
+    may_not = _no_soles(figure)
     least: tuple[int, Array, float] = 0, np.zeros(3), np.inf
     near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():

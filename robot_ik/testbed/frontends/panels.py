@@ -11,7 +11,7 @@ import functools
 import html
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ import viser
 from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
+from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import Robot
 from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
@@ -32,19 +33,17 @@ from robot_ik.testbed.frontends.widgets import (
     pressed,
     update,
 )
+from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
-
-if TYPE_CHECKING:
-    from robot_ik.motion.trajectory import Trajectory
-    from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
 _COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
 _MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
 _KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
 _KIND_LABELS = dict(zip(_KINDS, commands.GOAL_KINDS, strict=True))
-_MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
-_TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
+_ARM_LABELS = {
+    "Follow": "follow", "Hold": "hold", "Torque off": "release", "Teach": "teach", "Replay": "replay",
+}  # fmt: skip
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
@@ -118,7 +117,7 @@ class RunPanel:
 class MethodPanel:
     """A folder for each instance: its method, and that method's options made from the solver's fields."""
 
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send) -> None:
         self._limits = Control(
             gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
             lambda value: send(commands.SetLimits(value)),
@@ -196,9 +195,7 @@ class _MethodFolder:
 class GoalsPanel:
     """What the ball asks of the tool, goals beside it with their priorities, branches to pick from."""
 
-    _ROWS = 14
-
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send) -> None:
         self._gui, self._send = gui, send
         self._kind = Control(
             gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
@@ -212,7 +209,6 @@ class GoalsPanel:
             gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"), self._picked
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
-        self._names: tuple[str, ...] = ()
         self._folder = gui.add_folder(None)
         self._misses = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
@@ -230,15 +226,13 @@ class GoalsPanel:
         if self._pick.handle.options != names:
             self._pick.handle.options = names
             self._pick.handle.value = "–"
-        if self._names != (shown := tuple(extra.name for extra in view.extras)):
-            self._names = shown
+        if list(self._rows) != [extra.name for extra in view.extras]:
             self._rebuild(view)
         for extra in view.extras:
-            if extra.name in self._rows:
-                box, rank = self._rows[extra.name]
-                if box is not None:
-                    box.follow(extra.on)
-                rank.follow(extra.priority)
+            box, rank = self._rows[extra.name]
+            if box is not None:
+                box.follow(extra.on)
+            rank.follow(extra.priority)
         rows = [
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
@@ -250,7 +244,7 @@ class GoalsPanel:
             child.remove()
         self._rows = {}
         with self._folder:
-            for extra in view.extras[: self._ROWS]:
+            for extra in view.extras:
                 name = extra.name
                 changed = functools.partial(self._changed, name)
                 box = None
@@ -319,23 +313,19 @@ class ArmPanel:
         self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
     ) -> None:
         self._text, there = gui.add_html(""), view.arm is not None
-        for label, labels, hint in (
-            ("Arm", _MODE_LABELS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
-            ("By hand", _TEACH_LABELS, "Teach: torque off, and a hand is recorded; Replay repeats it"),
+        labels = tuple(_ARM_LABELS)
+        for label, buttons, hint in (
+            ("Arm", labels[:3], "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+            ("By hand", labels[3:], "Teach: torque off, and a hand is recorded; Replay repeats it"),
         ):
-            group = gui.add_button_group(label, tuple(labels.values()), visible=there, hint=hint)
-            pressed(group, functools.partial(self._pressed, send, labels))
+            group = gui.add_button_group(label, buttons, visible=there, hint=hint)
+            pressed(group, lambda event: send(commands.SetArm(_ARM_LABELS[event.target.value])))  # type: ignore[arg-type]
         save = gui.add_button(
             "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
             hint="As CSV: robot-ik servo play repeats it, too",
         )  # fmt: skip
         pressed(save, lambda event: self._save(event, recording()))
         self._table = gui.add_html("", visible=there)
-
-    @staticmethod
-    def _pressed(send: Send, labels: Mapping[str, str], event: Any) -> None:
-        mode = next(mode for mode, label in labels.items() if label == event.target.value)
-        send(commands.SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -387,7 +377,7 @@ class MeasuredPanel:
 
     _PLOTS: Mapping[str, tuple[int, str]] = {"distance to the goal, mm": (0, "mm"), "manipulability": (1, "")}
 
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi) -> None:
         self._table = gui.add_html("")
         self._menu = gui.add_dropdown("Plot", tuple(self._PLOTS), hint="Over the last 5 seconds")
         # Made once for every number of robots and hidden, as the folders of the methods.
