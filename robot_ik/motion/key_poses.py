@@ -22,7 +22,7 @@ from robot_ik.motion.keyframes import Keyframes, qpos_addresses
 from robot_ik.ports import Array
 from robot_ik.reading import shown
 from robot_ik.robot import Robot
-from robot_ik.tables import Several, Table, read_table
+from robot_ik.tables import Several, Table, keys_of, read_table
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class KeySequence:
         loop: Whether it runs round.
     """
 
-    poses: tuple[str, ...]
-    durations: tuple[float, ...] = ()
+    poses: Annotated[Several[str], Field(description="names of poses")]
+    durations: Annotated[Several[float], Field(description="seconds")] = ()
     loop: bool = False
 
 
@@ -163,17 +163,11 @@ class KeyPoses:
         return book
 
 
-class _KeySequenceTable(Table):
-    poses: Annotated[Several[str], Field(description="names of poses")]
-    durations: Annotated[Several[float], Field(description="seconds")] = ()
-    loop: bool = False
-
-
 class _KeyPosesFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     robot: str = ""
     poses: dict[str, dict[str, float | Several[float]]] = Field(default={})
-    motions: dict[str, _KeySequenceTable] = Field(default={})
+    motions: dict[str, Annotated[KeySequence, keys_of(KeySequence)]] = Field(default={})
 
 
 def _stated_limits(robot: Robot) -> Array:

@@ -177,7 +177,8 @@ class _Measures:
             role: robot.measure(rest, body).position - self.positions[role] for role, body in bodies.items()
         }
         self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
-        self.ankle = float(_middle(self.positions, "ankle")[2] - min(self.foot_height(robot, rest)))
+        lowest = min(float(robot.measure(rest, bodies[f"{side}_ankle"]).position[2]) for side in SIDES)
+        self.ankle = float(_middle(self.positions, "ankle")[2] - lowest)
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
         """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
@@ -188,10 +189,6 @@ class _Measures:
                 below.append(body)
         origin = self.positions[role] + self.offsets[role]
         return np.vstack([np.zeros(3), data.site_xpos[np.isin(model.site_bodyid, below)] - origin])
-
-    def foot_height(self, robot: Robot, q: Array) -> list[float]:
-        """Height of both foot frames."""
-        return [float(robot.measure(q, self.frames[f"{side}_ankle"]).position[2]) for side in SIDES]
 
 
 def _length(positions: Mapping[str, Array], *roles: str) -> float:
@@ -329,13 +326,8 @@ def _foot_path(
             share = share * share * (3.0 - 2.0 * share)
             for k in (first - step, end - 1 + step):
                 if 0 <= k < len(path) and not rests[k]:
-                    path[k] = _between(path[k], pin, share)
+                    path[k] = path[k] @ Pose.exp(share * (path[k].inverse() @ pin).log())
     return path
-
-
-def _between(one: Pose, two: Pose, share: float) -> Pose:
-    """The pose that far along the screw from one to the other."""
-    return one.compose(Pose.exp(share * one.inverse().compose(two).log()))
 
 
 def retarget(
@@ -364,28 +356,18 @@ def retarget(
     """
     joints = SkeletonMap.of(robot) if joints is None else joints
     indices = joints.find(bvh)
-    bvh, rest = _thinned(bvh, rate), _rest_of(bvh, rest_frame)
+    if not len(bvh.values):
+        raise TrajectoryError("the BVH file has no frames")
+    if rest_frame is not None and not 0 <= rest_frame < len(bvh.values):
+        raise TrajectoryError(f"there is no frame {rest_frame}", hint=f"0 … {len(bvh.values) - 1}")
+    rest = bvh.rest() if rest_frame is None else replace(bvh, values=bvh.values[[rest_frame]])
+    every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
+    bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
     ours = _Measures(robot, joints.bodies)
     wanted, scale = _targets(bvh, indices, ours, rest, up)
     rows, miss = _solve_frames(robot, joints.bodies, wanted)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
     return Retargeted(motion, miss, wanted.rests, scale)
-
-
-def _rest_of(bvh: Bvh, frame: int | None) -> Bvh:
-    if frame is None:
-        return bvh.rest()
-    if not 0 <= frame < len(bvh.values):
-        raise TrajectoryError(f"there is no frame {frame}", hint=f"0 … {len(bvh.values) - 1}")
-    return Bvh(bvh.joints, bvh.frame_time, bvh.values[frame : frame + 1])
-
-
-def _thinned(bvh: Bvh, rate: float | None) -> Bvh:
-    """The file with as many frames a second as asked for, or a little more."""
-    if not len(bvh.values):
-        raise TrajectoryError("the BVH file has no frames")
-    every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
-    return Bvh(bvh.joints, every / bvh.rate, bvh.values[::every])
 
 
 def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:

@@ -142,7 +142,10 @@ class CurveSource:
     def poll(self, now: float) -> PoseGoal | PositionGoal:
         """Where the curve is at ``now``."""
         self._begin = now if self._begin is None else self._begin
-        return _goal(self.frame, self.curve(now - self._begin))
+        there = self.curve(now - self._begin)
+        if isinstance(there, Pose):
+            return PoseGoal.at(self.frame, there)
+        return PositionGoal(self.frame, position=np.asarray(there, dtype=float))
 
 
 class RandomSource:
@@ -153,7 +156,6 @@ class RandomSource:
         frame: The frame; None means the robot's default tool.
         seed: Same seed, same goals.
         period: Seconds that each goal lasts.
-        free_orientation: Give positions instead of poses.
     """
 
     def __init__(
@@ -163,34 +165,26 @@ class RandomSource:
         *,
         seed: int = 0,
         period: float = 2.0,
-        free_orientation: bool = False,
     ) -> None:
         if not (np.isfinite(period) and period > 0.0):
             raise InvalidGoalError(f"a new goal every {period} s", hint="the period must be above zero")
         self.robot = robot
         self.frame = robot.tool if frame is None else frame
         self.period = period
-        self.free_orientation = free_orientation
         self._rng = np.random.default_rng(seed)
         self._begin: float | None = None
         self._count = 0
-        self._goal: PoseGoal | PositionGoal | None = None
+        self._goal: PoseGoal | None = None
 
-    def poll(self, now: float) -> PoseGoal | PositionGoal:
+    def poll(self, now: float) -> PoseGoal:
         """The goal of the running period."""
         self._begin = now if self._begin is None else self._begin
         due = int((now - self._begin) / self.period) + 1
         while self._goal is None or self._count < due:  # skipped ones are drawn too: the seed decides
             pose = self.robot.forward(self.robot.sample(self._rng), self.frame)
-            self._goal = _goal(self.frame, pose.position if self.free_orientation else pose)
+            self._goal = PoseGoal.at(self.frame, pose)
             self._count += 1
         return self._goal
-
-
-def _goal(frame: str, where: Pose | ArrayLike) -> PoseGoal | PositionGoal:
-    if isinstance(where, Pose):
-        return PoseGoal.at(frame, where)
-    return PositionGoal(frame, position=np.asarray(where, dtype=float))
 
 
 def _oriented(

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
-from robot_ik.motion.timing import PROFILES, minimum_jerk
+from robot_ik.motion.timing import PROFILES, quintic
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
@@ -436,10 +436,11 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
 
 
 def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
-    """From rest to rest by a quintic, at ``APPROACH`` of the caps; its peaks: 1.875 d/T and 5.774 d/T^2."""
+    """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
     distance = np.abs(there - here)
-    fast = 1.875 * distance / (APPROACH * caps.velocity)
-    soft = np.sqrt(5.774 * distance / (APPROACH * caps.acceleration))
-    seconds = max(float(np.max([fast, soft])), 2.0 / caps.rate_hz)
+    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
+        fast, soft = np.min(APPROACH * np.array([caps.velocity, caps.acceleration]) / distance, axis=1)
+    shape = quintic(float(fast), float(soft))
+    seconds = max(shape.duration, 2.0 / caps.rate_hz)
     t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
-    return Trajectory(t, here + np.outer(minimum_jerk(t / seconds), there - here), caps.names)
+    return Trajectory(t, here + np.outer(shape.progress(t / seconds), there - here), caps.names)

@@ -65,9 +65,9 @@ _WITHOUT_WINDOW = "run it without --view: the pictures are written to the output
 _WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
 
 
-def _require_display(limit: float, instead: str) -> None:
+def _require_display(instead: str) -> None:
     """Raises before MuJoCo waits for ever for a window that cannot come."""
-    probe = probe_display(timeout=limit)
+    probe = probe_display(timeout=OPEN_LIMIT)
     if probe.ok:
         return
     raise ViewerError(
@@ -76,8 +76,8 @@ def _require_display(limit: float, instead: str) -> None:
     )
 
 
-def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any:
-    """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``limit`` seconds."""
+def _call_with_limit(call: Callable[[], Any], instead: str) -> Any:
+    """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``OPEN_LIMIT`` seconds."""
     box: list[Any] = []
     failure: list[BaseException] = []
 
@@ -89,12 +89,12 @@ def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any
 
     thread = threading.Thread(target=body, daemon=True, name="viewer-opening")
     thread.start()
-    thread.join(limit)
+    thread.join(OPEN_LIMIT)
     if failure:
         raise ViewerError(f"the viewer window failed to open: {failure[0]}") from failure[0]
     if not box:
         raise ViewerError(
-            f"the viewer window did not open within {limit:.0f} s",
+            f"the viewer window did not open within {OPEN_LIMIT:.0f} s",
             hint=f"{instead}\nlook closer with: robot-ik doctor",
         )
     return box[0]
@@ -107,9 +107,7 @@ def _light(model: Any) -> None:
         model.vis.headlight.diffuse[:] = _DIFFUSE
 
 
-def _launch(
-    model: Any, data: Any, limit: float, instead: str, **options: Any
-) -> tuple[Any, list[threading.Thread]]:
+def _launch(model: Any, data: Any, instead: str, **options: Any) -> tuple[Any, list[threading.Thread]]:
     """MuJoCo's passive viewer without its side panels, and its threads.
 
     ``instead`` says what to run where there can be no window.
@@ -131,10 +129,10 @@ def _launch(
                 hint=f"run: mjpython -m robot_ik …\nor {instead}",
             )
     else:
-        _require_display(limit, instead)
+        _require_display(instead)
     options |= {"show_left_ui": False, "show_right_ui": False}
     before = set(threading.enumerate())
-    window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
+    window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), instead)
     return window, [thread for thread in threading.enumerate() if thread not in before]
 
 
@@ -198,7 +196,6 @@ class WindowSink(_ViewerWindow):
     Args:
         robot: What to show.
         start: (nq,) first joint angles, rad or m; the robot's home if ``None``.
-        limit: Seconds the window may take to appear.
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
         viewpoint: From where the camera looks; None: from the side that MuJoCo takes.
@@ -218,7 +215,6 @@ class WindowSink(_ViewerWindow):
         robot: Robot,
         *,
         start: Array | None = None,
-        limit: float = OPEN_LIMIT,
         solids: Sequence[Solid] = (),
         see: Array | None = None,
         viewpoint: Array | None = None,
@@ -230,7 +226,7 @@ class WindowSink(_ViewerWindow):
         _light(self._model)
         self.data = mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
-        self._viewer, self._threads = _launch(self._model, self.data, limit, instead)
+        self._viewer, self._threads = _launch(self._model, self.data, instead)
         with self._lock():
             self._aim_camera(see, viewpoint)
             for solid in solids:
@@ -352,7 +348,7 @@ class SessionWindow(_ViewerWindow):
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
         self._viewer, self._threads = _launch(
-            self._model, self._data, OPEN_LIMIT, _WITHOUT_VIEWER, key_callback=self._on_key
+            self._model, self._data, _WITHOUT_VIEWER, key_callback=self._on_key
         )
         body = int(self._model.body(_BALL).id)
         with self._viewer.lock():
