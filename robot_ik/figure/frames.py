@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.figure.figure import RATE, Figure
 from robot_ik.kernels import whole_body
-from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
 
@@ -120,7 +119,7 @@ class FrameRows:
         some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
         cuts = sorted({*range(0, n, some), *changes.tolist(), n})
         for a, b in itertools.pairwise(cuts):
-            ready.stiffness[:] = each[a]
+            ready.arrays["stiffness"][:] = each[a]
             ready.solve(found, a, b, here, before, steps, _REST, _CLOSE)
             before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
             if b < n and b % some == 0:
@@ -134,24 +133,8 @@ class FrameRows:
         speeds: str | None = "daily", dt: float = 1.0 / RATE,
     ) -> PreparedRows:  # fmt: skip
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
-        robot = self.figure.robot
-        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
-        *_, targets, weights = zip(*self._rows, strict=True)
-        ready = PreparedRows(
-            robot.tree.handle,
-            np.ascontiguousarray(np.stack(targets, axis=1)),
-            np.ascontiguousarray(np.stack(weights, axis=1)),
-            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
-            np.array(stiffness),
-        )
-        ready.body = self._table(ready.stiffness, stride, limits)
-        return ready
-
-    def _table(
-        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
-    ) -> NDArray[np.int64]:
         robot, groups = self.figure.robot, len(self._rows)
-        kind, node, local, axes, share, *_ = zip(*self._rows, strict=True)
+        kind, node, local, axes, share, targets, weights = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
         n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
         arrays = whole_body.WHOLE_BODY.zeros(sizes | {"n": n, "m": n + 1}) | {
@@ -161,35 +144,39 @@ class FrameRows:
             "axes": np.array(axes, dtype=np.int64),
             "share": np.array(share),
             "inertia": self.figure.inertia,
-            "stiffness": np.ascontiguousarray(stiffness),
+            "stiffness": np.array(stiffness, order="C"),
             "lower": lower,
             "upper": upper,
-            "stride": np.ascontiguousarray(stride),
+            "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt,
         }
-        return whole_body.WHOLE_BODY.pack(arrays)
+        return PreparedRows(
+            robot.tree.handle,
+            arrays,
+            np.ascontiguousarray(np.stack(targets, axis=1)),
+            np.ascontiguousarray(np.stack(weights, axis=1)),
+            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
+        )
 
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with their tables.  All but the tables may change between solves, in place."""
+    """Rows with their tables.  All but ``tree`` may change between solves, in place."""
 
-    tree: NDArray[np.int64]  # tables of the kernel
+    tree: NDArray[np.int64]  # table of the kernel
+    arrays: dict[str, NDArray[Any]]  # of ``WHOLE_BODY``: work space is as the last gathering of rows left it
     target: Array  # (frames, groups, 12), in the order in which the rows were added
     weight: Array  # (frames, groups)
     posture: Array  # (frames, nq)
-    stiffness: Array  # (nv,)
-    body: NDArray[np.int64] = field(init=False, repr=False)
 
-    def table(self, name: str) -> NDArray[Any]:
-        """An array of ``whole_body.WHOLE_BODY``: work space holds what the last gathering of rows left."""
-        return owned(self.body)[list(whole_body.WHOLE_BODY.fields).index(name)]
+    def __post_init__(self) -> None:
+        self._body = whole_body.WHOLE_BODY.pack(self.arrays)
 
     def solve(
         self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
     ) -> None:
         """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
         whole_body.solve_frames(
-            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            self.tree, self._body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
             found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
         )  # fmt: skip
 
