@@ -15,8 +15,9 @@ import numpy as np
 
 from robot_ik.errors import TrajectoryError, UnsupportedJointError
 from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_log
+from robot_ik.model import qpos_addresses
 from robot_ik.motion.bvh import POSITION, Bvh, BvhJoint
-from robot_ik.motion.keyframes import Keyframes, qpos_addresses, sign_continuous
+from robot_ik.motion.keyframes import Keyframes, sign_continuous
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
@@ -240,7 +241,7 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
             qpos[:, address] = model.qpos0[address] + _hinge_angles(robot, node, bvh.rotation(n))
         elif node.joints:
             _put_quaternions(bvh, n, model, node, qpos)
-    rows = qpos[:, qpos_addresses(robot)]
+    rows = qpos[:, qpos_addresses(robot.model, robot.tree)]
     return Keyframes(robot, np.arange(len(rows)) / bvh.rate, sign_continuous(robot, rows))
 
 

@@ -18,7 +18,8 @@ from robot_ik.files import write_atomically
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
-from robot_ik.motion.keyframes import Keyframes, qpos_addresses
+from robot_ik.model import qpos_addresses
+from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
 from robot_ik.reading import shown
 from robot_ik.robot import Robot
@@ -229,7 +230,7 @@ _FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
 
 def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
     """(nq,) by name: those of the file, and the keyframes of the model that it does not have."""
-    places = qpos_addresses(robot)
+    places = qpos_addresses(robot.model, robot.tree)
     keys = [robot.model.key(k) for k in range(robot.model.nkey)]
     return {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
 

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
+from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import (
     Trajectory,
@@ -56,12 +56,6 @@ def column_names(robot: Robot) -> tuple[str, ...]:
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
         names += [joint + end for end in ends.get(int(kind), ("",))]
     return tuple(names)
-
-
-def qpos_addresses(robot: Robot) -> list[int]:
-    """Where the numbers of q stand in MuJoCo's qpos."""
-    joints = zip(robot.tree.joint_ids, robot.tree.kind, strict=True)
-    return [int(robot.model.jnt_qposadr[j]) + i for j, kind in joints for i in range(Q_WIDTH[int(kind)])]
 
 
 def sign_continuous(robot: Robot, q: ArrayLike) -> Array:

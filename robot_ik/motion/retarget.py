@@ -22,9 +22,10 @@ from pydantic import Field, field_validator
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.model import qpos_addresses
 from robot_ik.motion.bvh import Bvh
 from robot_ik.motion.bvh_robot import data_at_rest
-from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
+from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
@@ -171,7 +172,7 @@ class _Measures:
                 raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
         self.frames = bodies
         self.positions = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
-        rest = robot.model.qpos0[qpos_addresses(robot)]
+        rest = robot.model.qpos0[qpos_addresses(robot.model, robot.tree)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
             role: robot.measure(rest, body).position - self.positions[role] for role, body in bodies.items()
