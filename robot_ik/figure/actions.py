@@ -193,7 +193,7 @@ class _Way:
         t = np.arange(1, round((duration + self.hold) / dt) + 1, dtype=np.float64) * dt
         s = minimum_jerk(t / duration)
         posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, self.arms)
-        trunk = [figure.pose(q, figure.trunk)[1] for q in (start, goal)]
+        trunk = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
         here, there = figure.center(start)[:2], figure.center(goal)[:2]
         center = point = here + (there - here) * s[:, None]
         normal, offset = support(figure)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from robot_ik.figure.figure import Figure
-from robot_ik.figure.frames import SLICE, Slices
+from robot_ik.figure.frames import SLICE, Slices, at_once
 from robot_ik.motion.keyframes import monotone_slope
 from robot_ik.ports import Array
 
@@ -83,7 +83,7 @@ def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Arra
     return speed, change, forward
 
 
-def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Array]:
+def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
     """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
 
     The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
@@ -93,34 +93,27 @@ def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Arra
     speed, change, _ = derivatives(figure, q, dt)
     points, force = np.empty((len(q), 2)), np.empty(len(q))
     flags, off = model.opt.disableflags, mujoco.mjtDisableBit
-    model.opt.disableflags = flags | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT
-    try:
-        for i in range(len(q)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = q[i], speed[i], change[i]
-            mujoco.mj_inverse(model, data)
-            push = data.qfrc_inverse[:3]
-            moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
-            force[i] = push[2]
-            up = push[2] if abs(push[2]) > 1.0 else 1.0
-            points[i] = (
-                q[i, 0] - (moment[1] + q[i, 2] * push[0]) / up,
-                q[i, 1] - (q[i, 2] * push[1] - moment[0]) / up,
-            )
-    finally:
-        model.opt.disableflags = flags
-    return points, force
-
-
-def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
-    """``zero_moment_points`` some frames at a time: the same numbers."""
-    points, force = np.empty((len(q), 2)), np.empty(len(q))
     for a in range(0, len(q), SLICE):
-        first, last = max(0, a - 1), min(len(q), a + SLICE + 1)
-        found, pushed = zero_moment_points(figure, q[first:last], dt)
-        some = slice(a, min(len(q), a + SLICE))
-        points[some], force[some] = found[a - first :][:SLICE], pushed[a - first :][:SLICE]
+        model.opt.disableflags = flags | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT
+        try:
+            for i in range(a, min(len(q), a + SLICE)):
+                data.qpos[:], data.qvel[:], data.qacc[:] = q[i], speed[i], change[i]
+                mujoco.mj_inverse(model, data)
+                push = data.qfrc_inverse[:3]
+                moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
+                force[i] = push[2]
+                up = push[2] if abs(push[2]) > 1.0 else 1.0
+                points[i] = (
+                    q[i, 0] - (moment[1] + q[i, 2] * push[0]) / up,
+                    q[i, 1] - (q[i, 2] * push[1] - moment[0]) / up,
+                )
+        finally:
+            model.opt.disableflags = flags
         yield
     return points, force
+
+
+zero_moment_points = at_once(zero_moment_slices)
 
 
 def compensate(error: Array, omega2: Array, dt: float) -> Array:

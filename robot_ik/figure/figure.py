@@ -41,7 +41,7 @@ def once_each(
     """A function of a figure (and names, numbers) whose results the figure keeps."""
 
     @functools.wraps(make)
-    def kept(figure: Figure, *more: _More.args, **_: _More.kwargs) -> _Made:
+    def kept(figure: Figure, /, *more: _More.args, **_: _More.kwargs) -> _Made:
         if (make, *more) not in figure.memory:
             figure.memory[make, *more] = make(figure, *more, **_)
         found: _Made = figure.memory[make, *more]

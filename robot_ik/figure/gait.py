@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import (
-    CenterPlan,
     clamped_curve,
     compensate,
     decay,
@@ -89,8 +88,7 @@ class _Plan:
             was = mine[-1].print if mine else at
             share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
             mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
-        self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
-        self.com, self.zmp = self.center.at(self.times)
+        self.com, self.zmp = plan_center(self._pressure(), x, self.omega).at(self.times)
         self.foot_positions = np.empty((2, len(self.times), 3))
         self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
         self.toes = np.zeros((2, len(self.times)))
@@ -268,7 +266,6 @@ class Walk:
 
     frames: Frames  # and how well their hard rows hold
     contact: NDArray[np.int64]  # (n, 2) AIR, HEEL, FLAT or TOE of each foot
-    center: Array  # (n, 2) planned centre of mass
     zmp: Array  # (n, 2) planned zero-moment point
     prints: tuple[Footprint, ...]  # the first two where the feet stood
     strikes: tuple[float, ...]  # times of the heel strikes, s
@@ -314,9 +311,7 @@ def walk_slices(
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
-    return Walk(
-        frames, plan.contact.T.copy(), plan.com + shift, plan.zmp, tuple(prints), tuple(plan.strikes), falls
-    )
+    return Walk(frames, plan.contact.T.copy(), plan.zmp, tuple(prints), tuple(plan.strikes), falls)
 
 
 walk = at_once(walk_slices)

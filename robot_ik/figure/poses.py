@@ -53,12 +53,6 @@ def pinned(figure: Figure, q: Array, rows: FrameRows) -> None:
     rows.feet({side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()})
 
 
-def support_middle(figure: Figure) -> Array:
-    """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
-    sole = figure.feet["left"].sole
-    return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
-
-
 # Degrees of joints that a figure without bending keeps to: what separates ``reach`` from ``bend``.
 _UPRIGHT = {
     "knee_pitch": (0.0, 25.0),
@@ -302,9 +296,9 @@ def _attempt(
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
     rows = FrameRows(figure, _STEPS)
     rows.feet(figure.feet_at_home)
-    here = figure.center_at_home[:2]
-    path = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
-    rows.center(path, upright, axes="xy")
+    here, sole = figure.center_at_home[:2], figure.feet["left"].sole
+    middle = np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])  # over it balance is safest
+    rows.center(here + (middle - here) * s[:, None], upright, axes="xy")
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
     rows.orientation(figure.trunk, axis_rotations("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)

@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
 
@@ -39,14 +39,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Command:
-    """Something that a person asked for; the fields are what a log holds.
-
-    Class attributes:
-        rebuilds: It changes what is solved, so that kernels may have to be compiled: the session prepares
-            it beside the loop and takes it when it is ready.
-    """
-
-    rebuilds: ClassVar[bool] = False
+    """Something that a person asked for; the fields are what a log holds."""
 
     @classmethod
     def key(cls) -> str:
@@ -55,9 +48,10 @@ class Command:
 
 
 class SetupCommand(Command):
-    """A command that rebuilds."""
+    """A command that changes what is solved, so that kernels may have to be compiled.
 
-    rebuilds: ClassVar[bool] = True
+    The session prepares it beside the loop and takes it when it is ready.
+    """
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.base import IterativeSolver, Solver
-from robot_ik.testbed.commands import Command, SetRobot
+from robot_ik.testbed.commands import Command, SetRobot, SetupCommand
 from robot_ik.testbed.setup import BUDGET, Ready, RobotGoals, Setup, first_ball, prepare, warm_drag
 
 _log = logging.getLogger(__name__)
@@ -143,7 +143,7 @@ class Preparer:
     ) -> None:
         self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
         self._ready: Ready | None = None
-        self._jobs: queue.Queue[Command | type[Preparer] | None] = queue.Queue()
+        self._jobs: queue.Queue[SetupCommand | type[Preparer] | None] = queue.Queue()
         self._thread: threading.Thread | None = None
         self._compilers = Compilers()
         self.can_drag = False
@@ -161,7 +161,7 @@ class Preparer:
             self._thread.start()
             self.ask(None)
 
-    def ask(self, command: Command | None) -> None:
+    def ask(self, command: SetupCommand | None) -> None:
         """Prepares what the command asks for; None: what the session begins with."""
         self._jobs.put(command)
         if not self._beside:

@@ -299,7 +299,7 @@ class Session(AbstractContextManager["Session"]):
         except RobotIkError as error:
             self._say(str(error).splitlines()[0])
             return
-        if command.rebuilds:
+        if isinstance(command, commands.SetupCommand):
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
             self._say("parts can be dragged in a moment: what that needs is being compiled")

@@ -105,8 +105,8 @@ class Setup:
         """What a session begins with."""
         return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
 
-    def after(self, command: commands.Command) -> Setup:
-        """What is solved after a command that rebuilds.
+    def after(self, command: commands.SetupCommand) -> Setup:
+        """What is solved after a command of this kind.
 
         Raises:
             ConfigError: It names a goal that there is not.
@@ -132,7 +132,7 @@ class Setup:
                 return self._with_extra(command)
             case commands.SetFigure(mode):
                 return replace(self, figure=mode)
-        raise TypeError(f"{command!r} rebuilds nothing")
+        raise TypeError(f"{command!r} changes no setup")
 
     def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
