@@ -116,8 +116,8 @@ def rest_slices(
     """Back to standing at ease, the feet where they are."""
     start, stance = to_stance(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
-    limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    least = max(_LEAST, 1.875 * float((np.abs(difference) / np.minimum(0.6 * limit, 2.5)).max()))
+    limit = np.minimum(0.6 * figure.speeds["daily"][6:], 2.5)
+    least = max(_LEAST, 1.875 * float((np.abs(difference) / limit).max()))
     seen = None if gaze_target is None else in_stance_frame(stance, gaze_target)
     least = max(least, glance_time(figure, start, seen))
 

@@ -275,8 +275,8 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         trunk=parts.trunk,
         home=robot.home.copy(),
         bent=bent,
-        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()}
-        or {"daily": np.full(robot.nv, np.inf)},
+        speeds={"daily": np.full(robot.nv, np.inf)}
+        | {key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()},
         apart=abs(left - right) / 2,
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),

@@ -7,13 +7,13 @@ which it took effect, and the digest of the view at the end.  It replays to the 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.alias_generators import to_snake
 
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.files import write_atomically
@@ -44,7 +44,7 @@ class Command:
     @classmethod
     def key(cls) -> str:
         """Its name in a log: ``SetMethod`` is ``set_method``."""
-        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        return to_snake(cls.__name__)
 
 
 class SetupCommand(Command):

@@ -31,7 +31,6 @@ from robot_ik.testbed.frontends.widgets import (
     option_widget,
     page,
     pressed,
-    update,
 )
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
@@ -104,7 +103,7 @@ class RunPanel:
             dot, label = "#f58220", "getting ready"
         line = html.escape(view.busy or view.message or HINT)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
-        update(self._state, content=self._large + page(text))
+        self._state.content = self._large + page(text)
         self._motion.follow(label_of(_MOTION_LABELS, view.motion))
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
@@ -148,12 +147,12 @@ class _MethodFolder:
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
-        update(self._folder, visible=one is not None and one.method != "")
+        self._folder.visible = one is not None and one.method != ""
         if one is None or not one.method:
             return
         colour = hexadecimal(INSTANCE_COLOURS[self._k])
         bar = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
-        update(self._colour, content=bar, visible=count > 1)
+        self._colour.content, self._colour.visible = bar, count > 1
         if self._shown != one.method:
             self._shown = one.method
             self._rebuild(one)
@@ -222,7 +221,7 @@ class GoalsPanel:
         self._kind.follow(label_of(_KIND_LABELS, view.kind))
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
-        update(self._pick.handle, visible=view.show_branches)
+        self._pick.handle.visible = view.show_branches
         if self._pick.handle.options != names:
             self._pick.handle.options = names
             self._pick.handle.value = "–"
@@ -237,7 +236,7 @@ class GoalsPanel:
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
         ]
-        update(self._misses, content=page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else ""))
+        self._misses.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):
@@ -279,11 +278,11 @@ class FigurePanel:
     def show(self, view: View) -> None:
         """Decision, reason, and what it does now."""
         acting = view.figure
-        update(self._mode.handle, visible=view.can_act)
+        self._mode.handle.visible = view.can_act
         if not view.busy:
             self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
-        update(self._act, visible=acting is not None and acting.mode == "passive")
-        update(self._text, content=page(self._figure_text(view)))
+        self._act.visible = acting is not None and acting.mode == "passive"
+        self._text.content = page(self._figure_text(view))
 
     @staticmethod
     def _figure_text(view: View) -> str:
@@ -344,7 +343,7 @@ class ArmPanel:
         arm = view.arm
         if arm is None:
             line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
-            update(self._text, content=page(line))
+            self._text.content = page(line)
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
@@ -434,7 +433,7 @@ class MeasuredPanel:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
             visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
-            update(plot, visible=visible)
+            plot.visible = visible
             if visible:
                 self._fill(plot, view, name)
         self._joints.content = page(joint_bars(view, robot))
