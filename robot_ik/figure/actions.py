@@ -53,8 +53,6 @@ class Motion:
     miss: Array  # (n,) largest miss of what must hold, m or rad
     zmp: Array  # (n, 2) planned zero-moment point
     free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
-    arm: str | None = None  # the hand that acts
-    target: Array | None = None  # (3,) what it acts on
     speeds: str = "daily"  # set of joint speed limits that it holds
 
     def __len__(self) -> int:
@@ -72,16 +70,17 @@ def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
     """A motion of a figure at the origin, put where its stance is."""
     matrix = axis_rotations("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
-    target = None if motion.target is None else matrix @ motion.target + [stance[0], stance[1], 0.0]
-    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2], target=target)
+    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2])
 
 
-def _standing(action: str, frames: Frames, center: Array, **more: object) -> Motion:
+def _standing(figure: Figure, action: str, frames: Frames, center: Array, stance: Array) -> Motion:
+    """Frames seen from the feet, which stay flat where the stance is."""
     n = len(frames.q)
-    return Motion(
-        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)).copy(),
-        np.ones(n, dtype=bool), **more,  # type: ignore[arg-type]
+    motion = Motion(
+        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)),
+        np.ones(n, dtype=bool),
     )  # fmt: skip
+    return placed_motion(figure, motion, stance)
 
 
 def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
@@ -128,7 +127,7 @@ def rest_slices(
     arms = tuple(figure.hands)
     way = _Way(figure, start, figure.home, 0.1, figure.stiffnesses(STIFF), 3.0, arms, dt, look)
     frames = yield from way.fastest(least)
-    return placed_motion(figure, _standing("rest", frames, figure.center_at_home[:2]), stance)
+    return _standing(figure, "rest", frames, figure.center_at_home[:2], stance)
 
 
 def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
@@ -271,8 +270,7 @@ def take_slices(
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
     held = 20.0 if upright else 3.0
     frames = yield from _Way(figure, start, goal, _HOLD, stiff, held, (arm,), dt, lead).fastest(least)
-    there = figure.center(goal)[:2]
-    return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
+    return _standing(figure, kind, frames, figure.center(goal)[:2], stance)
 
 
 take = at_once(take_slices)

@@ -125,7 +125,6 @@ class Sole:
 class Foot:
     """A foot: its frame, the shapes that touch the floor, its toes and the leg above it."""
 
-    side: str
     frame: str  # on the sole under the ankle, x to the toes, z up
     parts: tuple[tuple[int, tuple[int, ...]], ...]  # body and collision geoms of foot and toes
     toes: tuple[int, int] | None  # index in q and in dq of their hinge, if there is one
@@ -262,7 +261,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
             f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all move",
             path=robot.path, hint="load it without `joints=`; split ball joints into hinges",
         )  # fmt: skip
-    feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
+    feet = {side: _foot(robot, parts.feet[side], parts.pelvis) for side in SIDES}
     bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
     left, right = (float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES)
     return Figure(
@@ -299,7 +298,7 @@ def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
     return found
 
 
-def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
+def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     body = robot.frame(frame).body
@@ -322,9 +321,9 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
         )
     ankle, knee, hip = leg
     foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-    at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
+    at = robot.measure(model.qpos0, pelvis).position
     return Foot(
-        side, frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
+        frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
         float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
     )  # fmt: skip
 

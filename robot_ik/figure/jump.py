@@ -438,4 +438,4 @@ def _motion(plan: JumpPlan, start: Array, dt: float) -> Slices[Motion]:
     zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
     both = np.column_stack([contact, contact])
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
-    return Motion("jump", frames.q, both, frames.miss, zmp, free, plan.arm, plan.ball, "jump")
+    return Motion("jump", frames.q, both, frames.miss, zmp, free, "jump")

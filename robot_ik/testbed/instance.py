@@ -98,7 +98,6 @@ class InstanceView:
     miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
     angle: float  # rad, likewise
     iterations: int  # steps of the last solve
-    manipulability: float  # product of the singular values of the tool's Jacobian
     statistics: Statistics  # of the last second
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
@@ -245,7 +244,7 @@ class Instance:
         return InstanceView(
             "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
             self.data.xquat.copy(), self._status, not self.refused, self.note, self.miss, self.angle,
-            self._iterations, self.manipulability, self._statistics, self._goals, self._trail.rows(),
+            self._iterations, self._statistics, self._goals, self._trail.rows(),
             self._errors.rows(),
         )  # fmt: skip
 
