@@ -276,7 +276,7 @@ def take_slices(
 take = at_once(take_slices)
 
 
-def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
+def walk_motion(found: Walk, dt: float) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
     done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
     return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)

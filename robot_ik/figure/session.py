@@ -280,7 +280,7 @@ class FigureSession:
         if isinstance(found, Motion):
             self._begin(found)
             return
-        motion = walk_motion(self.figure, found, self.dt)
+        motion = walk_motion(found, self.dt)
         if planning.replaces:
             motion = rest_of(motion, self._index)
             if self._motion is not None and len(motion) < len(self._motion) - self._index:

@@ -238,7 +238,7 @@ def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
                 assert angle is not None
                 qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(axis[np.abs(axis).argmax()])
         elif node.kind == mujoco.mjtJoint.mjJNT_HINGE:
-            qpos[:, address] = model.qpos0[address] + _hinge_angles(robot, node, bvh.rotation(n))
+            qpos[:, address] = model.qpos0[address] + _hinge_angles(node, bvh.rotation(n))
         elif node.joints:
             _put_quaternions(bvh, n, model, node, qpos)
     rows = qpos[:, qpos_addresses(robot.model, robot.tree)]
@@ -267,7 +267,7 @@ def _put_quaternions(bvh: Bvh, n: int, model: mujoco.MjModel, node: _Node, qpos:
     qpos[:, a : a + 4] = np.array([matrix_to_quat(matrix) for matrix in matrices]).reshape(-1, 4)
 
 
-def _hinge_angles(robot: Robot, node: _Node, rotations: Array) -> Array:
+def _hinge_angles(node: _Node, rotations: Array) -> Array:
     """(n, k) angles of hinges with any axes whose product is ``rotations`` (n, 3, 3), by Gauss-Newton.
 
     Raises:

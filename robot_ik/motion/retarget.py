@@ -9,7 +9,7 @@ rest pose, in which the figure is taken to stand upright, toes forward.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -74,13 +74,11 @@ class SkeletonMap:
     """Which joint of a file is which part of a figure.
 
     Attributes:
-        bodies: Our body, by role (``ROLES``).
-        names: Names that a file may have for it, the likeliest first.
+        roles: By role (``ROLES``), our body and the names that a file may have for it, the likeliest first.
         file: Where it comes from.
     """
 
-    bodies: Mapping[str, str]
-    names: Mapping[str, Sequence[str]]
+    roles: Mapping[str, _Role]
     file: Path
 
     @classmethod
@@ -91,12 +89,7 @@ class SkeletonMap:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        parsed = read_table(_MapFile, file, "the map of joints")
-        return cls(
-            {role: row.body for role, row in parsed.roles.items()},
-            {role: row.names for role, row in parsed.roles.items()},
-            file,
-        )
+        return cls(read_table(_MapFile, file, "the map of joints").roles, file)
 
     @classmethod
     def of(cls, robot: Robot) -> SkeletonMap:
@@ -121,7 +114,7 @@ class SkeletonMap:
         """
         found = {}
         for role in ROLES:
-            indices = [index for index in map(bvh.named, self.names[role]) if index >= 0]
+            indices = [index for index in map(bvh.named, self.roles[role].names) if index >= 0]
             if not indices:
                 known = ", ".join(joint.name for joint in bvh.joints[:30])
                 raise ConfigError(
@@ -356,7 +349,7 @@ def retarget(
         TrajectoryError: No frame at all, or a rest frame that is not there.
     """
     joints = SkeletonMap.of(robot) if joints is None else joints
-    indices = joints.find(bvh)
+    indices, bodies = joints.find(bvh), {role: row.body for role, row in joints.roles.items()}
     if not len(bvh.values):
         raise TrajectoryError("the BVH file has no frames")
     if rest_frame is not None and not 0 <= rest_frame < len(bvh.values):
@@ -364,14 +357,14 @@ def retarget(
     rest = bvh.rest() if rest_frame is None else replace(bvh, values=bvh.values[[rest_frame]])
     every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
     bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
-    ours = _Measures(robot, joints.bodies)
+    ours = _Measures(robot, bodies)
     wanted, scale = _targets(bvh, indices, ours, rest, up)
-    rows, miss = _solve_frames(robot, joints.bodies, wanted)
+    rows, miss = _solve_frames(robot, bodies, wanted)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
     return Retargeted(motion, miss, wanted.rests, scale)
 
 
-def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
+def _goals(bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
     """Of one frame, always in the same order: what is compiled for the first serves all."""
     goals: list[Goal] = [
         PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
@@ -398,7 +391,7 @@ def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> 
         q[base : base + 3] += wanted.pelvis[0].position - robot.forward(q, bodies["pelvis"]).position
     problem: Problem | None = None
     for k in range(len(wanted.pelvis)):
-        goals = _goals(robot, bodies, wanted, k, robot.home)
+        goals = _goals(bodies, wanted, k, robot.home)
         if problem is None:
             problem = Problem(robot, goals, budget=_FIRST_BUDGET)
         else:

@@ -128,7 +128,6 @@ class Instance:
         """Home, with empty statistics."""
         self.move_to(self.robot.home)
         self._problem: Problem | None = None
-        self._kind: tuple[Any, ...] = ()
         self._drag: Drag | None = None
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
