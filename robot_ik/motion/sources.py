@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 Goals = Goal | Sequence[Goal]
@@ -123,8 +122,8 @@ class CurveSource:
 
         It runs counter-clockwise about ``normal``; ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
-        point = _in_plane(center, radius, period, normal, lambda angle: (np.cos(angle), np.sin(angle)))
-        return cls(frame, _oriented(point, wxyz))
+        shape = lambda angle: (np.cos(angle), np.sin(angle))  # noqa: E731
+        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
 
     @classmethod
     def lemniscate(
@@ -137,7 +136,7 @@ class CurveSource:
         ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
         shape = lambda angle: (np.sin(angle), np.sin(angle) * np.cos(angle))  # noqa: E731
-        return cls(frame, _oriented(_in_plane(center, radius, period, normal, shape), wxyz))
+        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
 
     def poll(self, now: float) -> PoseGoal | PositionGoal:
         """Where the curve is at ``now``."""
@@ -187,20 +186,11 @@ class RandomSource:
         return self._goal
 
 
-def _oriented(
-    position: Callable[[float], Array], wxyz: ArrayLike | None
-) -> Callable[[float], Pose | ArrayLike]:
-    if wxyz is None:
-        return position
-    rotation = Pose((0.0, 0.0, 0.0), wxyz)
-    return lambda t: Pose(position(t), rotation.wxyz)
-
-
 def _in_plane(
-    center: ArrayLike, radius: float, period: float, normal: ArrayLike,
+    center: ArrayLike, radius: float, period: float, normal: ArrayLike, wxyz: ArrayLike | None,
     shape: Callable[[float], tuple[float, float]],
-) -> Callable[[float], Array]:  # fmt: skip
-    """A curve (3,) of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
+) -> Callable[[float], Pose | ArrayLike]:  # fmt: skip
+    """A curve of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
     middle, axis = np.asarray(center, dtype=float), np.asarray(normal, dtype=float)
     numbers = np.concatenate([middle.ravel(), axis.ravel(), [radius, period]])
     length = float(np.linalg.norm(axis))
@@ -218,4 +208,10 @@ def _in_plane(
     up = np.cross(axis, helper)
     up /= np.linalg.norm(up)
     plane = radius * np.array([np.cross(up, axis), up])  # right-handed with the normal
-    return lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane
+    orientation = None if wxyz is None else Pose(wxyz=wxyz)
+
+    def curve(t: float) -> Pose | ArrayLike:
+        position = middle + np.array(shape(2.0 * np.pi * t / period)) @ plane
+        return position if orientation is None else Pose(position, orientation.wxyz)
+
+    return curve
