@@ -218,12 +218,9 @@ class _Way:
 
 def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> Array:
     """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
-    out = np.zeros((len(s), figure.robot.nq))
-    for side in arms:
-        joint = f"{side}_shoulder_roll"
-        if abduction and joint in figure.robot.joints:
-            out[:, figure.addresses(joint)[0]] = abduction * 16 * (s * (1 - s)) ** 2
-    return out
+    away = abduction * 16 * (s * (1 - s)) ** 2
+    rolls = {f"{side}_shoulder_roll": away for side in arms}
+    return figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
 
 
 def take_slices(

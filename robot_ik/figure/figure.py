@@ -170,17 +170,15 @@ class Figure:
         node = self.robot.joints.index(name)
         return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
 
-    def posture(self, angles: Mapping[str, float], base: Array | None = None) -> Array:
-        """(nq,) ``base`` (default: home) with some joints elsewhere; ``both_…`` names a pair, left and right.
+    def posture(self, angles: Mapping[str, float | Array], base: Array | None = None) -> Array:
+        """``base`` (nq,) or (n, nq), by default home, with some joints elsewhere: numbers, or (n,) each.
 
         Joints that the model does not have are left out: a figure without clavicles reaches without them.
         """
         q = (self.home if base is None else base).copy()
-        for key, value in angles.items():
-            names = [f"{s}_{key.removeprefix('both_')}" for s in SIDES] if key.startswith("both_") else [key]
-            for name in names:
-                if name in self.robot.joints:
-                    q[self.addresses(name)[0]] = value
+        for name, value in angles.items():
+            if name in self.robot.joints:
+                q[..., self.addresses(name)[0]] = value
         return q
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:

@@ -359,17 +359,12 @@ def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
     swing = np.radians(plan.gait.swing_deg)
     # An arm is foremost when the other side's heel strikes.
     wave = np.cos(2 * np.pi * plan.phase + 0.15)
-    postures = np.tile(figure.home, (len(plan.times), 1))
-    for side, name in enumerate(SIDES):
-        mine = -wave if side == 0 else wave
-        moves = {
-            f"{name}_shoulder_pitch": go * (swing * mine - 0.7 * swing),
-            f"{name}_elbow_pitch": go * (1.3 * swing + 0.77 * swing * mine),
-        }
-        for joint, angles in moves.items():
-            if joint in figure.robot.joints:
-                postures[:, figure.addresses(joint)[0]] += angles
-    postures = q + (postures - q) * start[:, None]
+    moves: dict[str, Array] = {}
+    for name, mine in zip(SIDES, (-wave, wave), strict=True):
+        moves[f"{name}_shoulder_pitch"] = go * (swing * mine - 0.7 * swing)
+        moves[f"{name}_elbow_pitch"] = go * (1.3 * swing + 0.77 * swing * mine)
+    swung = figure.home + figure.posture(moves, np.zeros((len(wave), figure.robot.nq)))
+    postures = q + (swung - q) * start[:, None]
     for side, name in enumerate(SIDES):
         toes = figure.feet[name].toes
         if toes is not None:

@@ -257,12 +257,8 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
             if part == "shoulder_pitch":
                 w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
-    for joint, values in {
-        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02],
-        f"{other}_elbow_pitch": [0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3],
-    }.items():
-        if joint in figure.robot.joints:
-            out[joint] = curve(values)
+    out[f"{other}_shoulder_pitch"] = curve([0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02])
+    out[f"{other}_elbow_pitch"] = curve([0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3])
     roll = f"{other}_shoulder_roll"
     if plan.abduction and roll in figure.robot.joints:
         out[roll] = figure.home[figure.addresses(roll)[0]] + curve([0.0, 0.0, *[plan.abduction] * 5, 0.0])
@@ -362,16 +358,13 @@ def _posture(
     plan: JumpPlan, t: Array, deep: Array, top: Array, pitch: Array, contact: NDArray[np.int64]
 ) -> Array:
     figure = plan.figure
-    out = np.tile(figure.home, (len(t), 1))
     bent = {"hip_pitch": 0.06 + 1.2 * deep, "knee_pitch": 0.12 + 1.5 * deep, "ankle_pitch": 0.06 + 0.4 * deep}
     level = pitch * np.where(t > plan.ends[3], 1.0, 1 - minimum_jerk((t - plan.ends[2]) / 0.3))
     back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
     level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
     moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
     moves |= _arms(plan, t, top)
-    for joint, angle in moves.items():
-        if joint in figure.robot.joints:
-            out[:, figure.addresses(joint)[0]] = angle
+    out = figure.posture(moves, np.tile(figure.home, (len(t), 1)))
     for foot in figure.feet.values():
         if foot.toes is not None:
             out[:, foot.toes[0]] = level
