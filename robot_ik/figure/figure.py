@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import ModelError
 from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.motion.keyframes import Displacement
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -226,9 +227,7 @@ class Figure:
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
         """``q`` (nq,) moved as a whole: rotated about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
-        quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
-        moved[:3] = axis_rotations("z", heading) @ q[:3] + [x, y, 0.0]
-        mujoco.mju_mulQuat(moved[3:7], quaternion, np.ascontiguousarray(q[3:7]))
+        Displacement(x, y, heading).move(moved[:7])
         return moved
 
     def stance(self, q: Array) -> Array:
