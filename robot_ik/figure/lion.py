@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError, TrajectoryError
 from robot_ik.figure.balance import hull, hull_edges, inset
+from robot_ik.figure.figure import chain
 from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.keyframes import Keyframes
@@ -150,11 +151,8 @@ class Lion:
     def _way_from_root(self, frame: str) -> float:
         """Length of the bones between the free base and a frame."""
         model, at = self.robot.model, self.robot.frame(frame)
-        body, total = at.body, float(np.linalg.norm(at.local.position))
-        while model.body_parentid[body] != 0:
-            total += float(np.linalg.norm(model.body_pos[body]))
-            body = int(model.body_parentid[body])
-        return total
+        bones = [at.local.position, *model.body_pos[chain(model, at.body, 0)[:-1]]]
+        return float(np.linalg.norm(bones, axis=1).sum())
 
     def _posed(self, standing: Sequence[str], ball: Array, mass: Array, more: Sequence[Goal]) -> Array:
         goals = [
