@@ -93,6 +93,16 @@ def rotation_exp(vector: ArrayLike) -> Array:
     return np.concatenate([[np.cos(half)], v * scale])
 
 
+def axis_rotations(axis: str, angles: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) by ``angles`` (...), rad, about the axis x, y or z."""
+    angle = np.asarray(angles, dtype=float)
+    c, s, out = np.cos(angle), np.sin(angle), np.zeros((*angle.shape, 3, 3))
+    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
+    out[..., i, i] = out[..., j, j] = c
+    out[..., i, j], out[..., j, i], out[..., k, k] = -s, s, 1.0
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Position (3,) in metres and unit quaternion (4,), wxyz.

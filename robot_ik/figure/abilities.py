@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import GRAVITY, Figure, remembered, rotation_points
+from robot_ik.figure.figure import GRAVITY, Figure, once_each, rotation_points
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
@@ -116,9 +116,6 @@ class Abilities:
 
     figure: Figure
     maps: dict[tuple[str, str], Map]
-    take_off_forward: float  # how far before its middle the centre of mass takes off, m
-    # By arm: shoulder over the centre of mass (3,), and how far the palm is from it with a stretched arm.
-    raised: dict[str, tuple[Array, float]] = field(repr=False)
 
     @cached_property
     def shoulders(self) -> dict[str, Array]:
@@ -127,7 +124,8 @@ class Abilities:
 
     def under(self, arm: str) -> Array:
         """(2,) where a ball is highest that a jump reaches: over the shoulder at take-off."""
-        return np.asarray(self.raised[arm][0][:2] + np.array([self.take_off_forward, 0.0]))
+        x, y, _ = raised(self.figure, arm)[0]
+        return np.array([x + forward_at_take_off(self.figure), y])
 
     def can(self, kind: str, ball: Array, arm: str, starts: int = _ASKED) -> FigurePose | None:
         """An admissible pose, confirmed by a solve from so many poses; None where map or solve says no."""
@@ -141,15 +139,9 @@ class Abilities:
         """The natural pose at a ball, or the one that comes nearest."""
         return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
-    def _summit(self, arm: str) -> float:
-        """How far above the centre of mass a palm comes at all, m."""
-        shoulder = self.raised[arm][0][:2]
-        highest = lambda: float(palm_over_center(self.figure, arm, shoulder, 1.25, 0.05)[2])  # noqa: E731
-        return remembered(self.figure.workspace, f"summit {arm}", highest)
-
     def _highest(self, arm: str, xy: Array) -> Array:
         """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered."""
-        known = self.figure.workspace.setdefault(f"highest {arm}", {})
+        known = self.figure.memory.setdefault(f"highest {arm}", {})
         if xy.tobytes() not in known:
             known.clear()
             known[xy.tobytes()] = palm_over_center(self.figure, arm, xy, None)
@@ -161,13 +153,13 @@ class Abilities:
         None where no jump does.  The trunk upright, the palm over the centre of mass as high as it comes, or
         lower for a ball that needs hardly a jump; confirmed by a solve.
         """
-        shoulder, length = self.raised[arm]
-        over = ball - [self.take_off_forward, 0.0, highest_take_off(self.figure)]
+        shoulder, length = raised(self.figure, arm)
+        over = ball - [forward_at_take_off(self.figure), 0.0, highest_take_off(self.figure)]
         least = float(over[2]) - TAKE_OFF**2 / (2 * GRAVITY)
         lateral = max(float(np.linalg.norm(over[:2] - shoulder[:2])) - LATERAL_TOLERANCE, 0.0)
         if over[2] <= 0.0 or np.hypot(lateral, max(least - shoulder[2], 0.0)) > length + _GIRDLE:
             return None
-        if least - 1e-3 > self._summit(arm):
+        if least - 1e-3 > _summit(self.figure, arm):
             return None
         for palm in self._palms(arm, over, least, shoulder[:2]):
             if float(np.linalg.norm(palm[:2] - over[:2])) <= LATERAL_TOLERANCE and palm[2] >= least - 1e-3:
@@ -198,12 +190,19 @@ def shoulder_of(figure: Figure, arm: str, q: Array | None = None) -> Array:
     return anchors[min(2, len(anchors) - 1)]  # wrist, elbow, shoulder
 
 
-def _raised(figure: Figure, arm: str) -> tuple[Array, float]:
-    """The shoulder beside the centre of mass with the arm stretched up, and the length of the arm."""
+@once_each
+def raised(figure: Figure, arm: str) -> tuple[Array, float]:
+    """The shoulder (3,) seen from the centre of mass with the arm stretched up, and the length of the arm."""
     shoulder = shoulder_of(figure, arm) - figure.center_at_home
     q = _lifted(figure, arm, shoulder[:2], None)
     palm, at = figure.pose(q, figure.hands[arm])[0], shoulder_of(figure, arm, q)
     return at - figure.center(q), float(np.linalg.norm(palm - at))
+
+
+@once_each
+def _summit(figure: Figure, arm: str) -> float:
+    """How far above the centre of mass a palm comes at all, m."""
+    return float(palm_over_center(figure, arm, raised(figure, arm)[0][:2], 1.25, 0.05)[2])
 
 
 def palm_over_center(
@@ -260,8 +259,10 @@ def load_abilities(
     found = found or {}
     if symmetric:
         found |= {(kind, "left"): _reflected(figure, found[kind, "right"]) for kind in (REACH, BEND)}
-    raised = {arm: _raised(figure, arm) for arm in figure.hands}
-    return Abilities(figure, found, forward_at_take_off(figure) if figure.hands else 0.0, raised)
+    abilities = Abilities(figure, found)
+    for arm in figure.hands:
+        abilities.under(arm)  # now, and not in the frame of the first decision
+    return abilities
 
 
 def _reflected(figure: Figure, right: Map) -> Map:

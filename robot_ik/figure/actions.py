@@ -5,19 +5,20 @@ All are computed in the frame of the feet (``Figure.stance``) and put into the w
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame
 from robot_ik.figure.footprints import Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import REACH, STIFF, find_pose, pinned, support, touches_itself
-from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 # Peak speed of a hand, m/s, reaching (Flash & Hogan 1985: 0.3-0.5 m in 0.5-0.8 s) and bending; least
@@ -34,6 +35,8 @@ _INSIDE, _ROUNDS = 0.005, 3
 _ABRUPT, _SLOWER, _AWAY, _TRIES = 1.8, 1.35, 0.35, 4
 # A hand that the posture leads is drawn to its ball from this share of the path on, so strongly.
 _LATE, _CLOSE = 0.8, 300.0
+# How long a hand stays at its ball, s.
+_HOLD = 0.2
 # Self-contact is checked in every so many frames.
 _CHECK_EVERY = 2
 # A motion that is left decays into the next in this time, s.
@@ -50,8 +53,6 @@ class Motion:
     miss: Array  # (n,) largest miss of what must hold, m or rad
     zmp: Array  # (n, 2) planned zero-moment point
     free: NDArray[np.bool_]  # (n,) whether the motion may be left after this frame
-    arm: str | None = None  # the hand that acts
-    target: Array | None = None  # (3,) what it acts on
     speeds: str = "daily"  # set of joint speed limits that it holds
 
     def __len__(self) -> int:
@@ -61,24 +62,25 @@ class Motion:
 def to_stance(figure: Figure, q: Array) -> tuple[Array, Array]:
     """``q`` seen from the middle between its feet, and that stance (x, y, heading)."""
     stance = figure.stance(q)
-    x, y = -(rotation("z", -stance[2])[:2, :2] @ stance[:2])
+    x, y = -(axis_rotations("z", -stance[2])[:2, :2] @ stance[:2])
     return figure.placed(q, x, y, -stance[2]), stance
 
 
 def placed_motion(figure: Figure, motion: Motion, stance: Array) -> Motion:
     """A motion of a figure at the origin, put where its stance is."""
-    matrix = rotation("z", float(stance[2]))
+    matrix = axis_rotations("z", float(stance[2]))
     q = np.array([figure.placed(row, *stance) for row in motion.q])
-    target = None if motion.target is None else matrix @ motion.target + [stance[0], stance[1], 0.0]
-    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2], target=target)
+    return replace(motion, q=q, zmp=motion.zmp @ matrix[:2, :2].T + stance[:2])
 
 
-def _standing(action: str, frames: Frames, center: Array, **more: object) -> Motion:
+def _standing(figure: Figure, action: str, frames: Frames, center: Array, stance: Array) -> Motion:
+    """Frames seen from the feet, which stay flat where the stance is."""
     n = len(frames.q)
-    return Motion(
-        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)).copy(),
-        np.ones(n, dtype=bool), **more,  # type: ignore[arg-type]
+    motion = Motion(
+        action, frames.q, np.full((n, 2), FLAT), frames.miss, np.broadcast_to(center, (n, 2)),
+        np.ones(n, dtype=bool),
     )  # fmt: skip
+    return placed_motion(figure, motion, stance)
 
 
 def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, within: float = 0.45) -> None:
@@ -107,42 +109,25 @@ def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
     return 1.875 * float(np.arccos(np.clip(matrix[:, 0] @ to, -1.0, 1.0))) / _GLANCE
 
 
-def _times(duration: float, hold: float, dt: float) -> Array:
-    return np.arange(1, round((duration + hold) / dt) + 1, dtype=np.float64) * dt
-
-
 def rest_slices(
     figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE
 ) -> Slices[Motion]:
     """Back to standing at ease, the feet where they are."""
     start, stance = to_stance(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
-    limit = figure.speeds.get("daily", np.full(figure.robot.nv, 4.0))[6:]
-    least = max(_LEAST, 1.875 * float((np.abs(difference) / np.minimum(0.6 * limit, 2.5)).max()))
+    limit = np.minimum(0.6 * figure.speeds["daily"][6:], 2.5)
+    least = max(_LEAST, 1.875 * float((np.abs(difference) / limit).max()))
     seen = None if gaze_target is None else in_stance_frame(stance, gaze_target)
     least = max(least, glance_time(figure, start, seen))
-    here, home = figure.center(start)[:2], figure.center_at_home[:2]
-    matrix = figure.pose(start, figure.trunk)[1]
 
-    def plan(duration: float, abduction: float) -> Slices[_Try]:
-        t = _times(duration, 0.1, dt)
-        s = minimum_jerk(t / duration)
+    def look(rows: FrameRows, t: Array, duration: float) -> None:
+        if seen is not None:
+            _gaze(figure, rows, start, seen, t)
 
-        def solve(center: Array) -> Slices[Frames]:
-            rows = FrameRows(figure, len(t))
-            pinned(figure, start, rows)
-            rows.center(_flat(center), axes="xy")
-            rows.orientation(figure.trunk, _interpolated_rotation(matrix, np.eye(3), s), 3.0)
-            if seen is not None:
-                _gaze(figure, rows, start, seen, t)
-            posture = start + (figure.home - start) * s[:, None]
-            posture += _elbows(figure, s, abduction)
-            return rows.slices(posture, figure.stiffnesses(STIFF), start, dt=dt)
-
-        return _balanced(figure, solve, here + (home - here) * s[:, None], dt)
-
-    frames = yield from _best(plan, least)
-    return placed_motion(figure, _standing("rest", frames, home), stance)
+    arms = tuple(figure.hands)
+    way = _Way(figure, start, figure.home, 0.1, figure.stiffnesses(STIFF), 3.0, arms, dt, look)
+    frames = yield from way.fastest(least)
+    return _standing(figure, "rest", frames, figure.center_at_home[:2], stance)
 
 
 def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
@@ -171,63 +156,76 @@ class _Try:
         return not self.touching, not self.unsteady, self.inside
 
 
-def _balanced(
-    figure: Figure, solve: Callable[[Array], Slices[Frames]], point: Array, dt: float
-) -> Slices[_Try]:
-    """Frames whose zero-moment point follows ``point`` (n, 2), as the whole body's dynamics have it."""
-    _, normal, offset = support(figure)
-    omega2 = np.full(len(point), GRAVITY / figure.center_at_home[2])
-    center = point
-    for left in reversed(range(_ROUNDS)):
-        frames = yield from solve(center)
-        found, _ = yield from zero_moment_slices(figure, frames.q, dt)
-        inside = float((found[1:-1] @ normal.T - offset).min())
-        if inside >= _INSIDE or not left:
-            break
-        error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
-        error[:2], error[-2:] = 0.0, 0.0
-        center = center + compensate(error, omega2, dt)
-    change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
-    yield
-    return _Try(frames, inside, change, touches_itself(figure, frames.q[::_CHECK_EVERY]))
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """From a pose to another, the feet where they are."""
+
+    figure: Figure
+    start: Array  # (nq,) seen from the feet
+    goal: Array  # (nq,) to which the posture, the centre of mass and the trunk are led
+    hold: float  # how long it is held, s
+    stiffness: Array  # (nv,) of the posture
+    upright: float  # weight of the trunk's rotation
+    arms: Sequence[str]  # whose elbows go away from a body that they touch
+    dt: float
+    # Adds further rows for frames at times (n,), s, of a motion that takes so long, s.
+    add: Callable[[FrameRows, Array, float], None]
+
+    def fastest(self, duration: float) -> Slices[Frames]:
+        """In a duration, s, or the least that keeps balance and in which no bodies touch; or the best try."""
+        best: _Try | None = None
+        abduction = 0.0
+        for _ in range(_TRIES):
+            found = yield from self._try(duration, abduction)
+            if best is None or found.order > best.order:
+                best = found
+            if not found.unsteady and not found.touching:
+                break
+            duration *= _SLOWER if found.unsteady else 1.0
+            abduction += _AWAY if found.touching else 0.0
+        assert best is not None
+        return best.frames
+
+    def _try(self, duration: float, abduction: float) -> Slices[_Try]:
+        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led."""
+        figure, start, goal, dt = self.figure, self.start, self.goal, self.dt
+        t = np.arange(1, round((duration + self.hold) / dt) + 1, dtype=np.float64) * dt
+        s = minimum_jerk(t / duration)
+        posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, self.arms)
+        trunk = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
+        here, there = figure.center(start)[:2], figure.center(goal)[:2]
+        center = point = here + (there - here) * s[:, None]
+        normal, offset = support(figure)
+        omega2 = np.full(len(t), GRAVITY / figure.center_at_home[2])
+        for left in reversed(range(_ROUNDS)):
+            rows = FrameRows(figure, len(t))
+            pinned(figure, start, rows)
+            rows.center(center, axes="xy")
+            rows.orientation(figure.trunk, _interpolated_rotation(*trunk, s), self.upright)
+            self.add(rows, t, duration)
+            frames = yield from rows.slices(posture, self.stiffness, start, dt=dt)
+            found, _ = yield from zero_moment_slices(figure, frames.q, dt)
+            inside = float((found[1:-1] @ normal.T - offset).min())
+            if inside >= _INSIDE or not left:
+                break
+            error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
+            error[:2], error[-2:] = 0.0, 0.0
+            center = center + compensate(error, omega2, dt)
+        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
+        yield
+        return _Try(frames, inside, change, touches_itself(figure, frames.q[::_CHECK_EVERY]))
 
 
-def _best(plan: Callable[[float, float], Slices[_Try]], duration: float) -> Slices[Frames]:
-    """The fastest of some plans that keeps its balance and does not touch itself, or the best of all.
-
-    A plan is made for a duration, s, and for the abduction of the arm, rad.
-    """
-    best: _Try | None = None
-    abduction = 0.0
-    for _ in range(_TRIES):
-        found = yield from plan(duration, abduction)
-        if best is None or found.order > best.order:
-            best = found
-        if not found.unsteady and not found.touching:
-            break
-        duration *= _SLOWER if found.unsteady else 1.0
-        abduction += _AWAY if found.touching else 0.0
-    assert best is not None
-    return best.frames
-
-
-def _elbows(figure: Figure, s: Array, abduction: float, arm: str | None = None) -> Array:
+def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> Array:
     """(n, nq) what is added to a posture so that elbows keep away from the body on the way."""
-    out = np.zeros((len(s), figure.robot.nq))
-    for side in figure.hands if arm is None else (arm,):
-        joint = f"{side}_shoulder_roll"
-        if abduction and joint in figure.robot.joints:
-            out[:, figure.addresses(joint)[0]] = abduction * 16 * (s * (1 - s)) ** 2
-    return out
-
-
-def _flat(xy: Array) -> Array:
-    return np.column_stack([xy, np.zeros(len(xy))])
+    away = abduction * 16 * (s * (1 - s)) ** 2
+    rolls = {f"{side}_shoulder_roll": away for side in arms}
+    return figure.posture(rolls, np.zeros((len(s), figure.robot.nq)))
 
 
 def take_slices(
     figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
-    hold: float = 0.2, dt: float = 1.0 / RATE,
+    dt: float = 1.0 / RATE,
 ) -> Slices[Motion]:  # fmt: skip
     """The hand to a ball, a few milliseconds at a time.
 
@@ -241,7 +239,6 @@ def take_slices(
         arm: Which hand.
         kind: ``reach``: standing, along a nearly straight line of least jerk; ``bend``: hips back.
         end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
-        hold: How long the hand stays there, s.
         dt: Time between frames, s.
     """
     start, stance = to_stance(figure, q)
@@ -254,41 +251,29 @@ def take_slices(
     limit = np.minimum(0.75 * figure.speeds["daily"][6:], np.inf if upright else 3.0)
     slowest = 1.875 * float((np.abs(difference) / limit).max())
     length = float(np.linalg.norm(ball - hand))
-    here, there = figure.center(start)[:2], figure.center(goal)[:2]
-    matrices = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
-    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
 
-    def plan(duration: float, abduction: float) -> Slices[_Try]:
-        t = _times(duration, hold, dt)
-        s = minimum_jerk(t / duration)
-
-        def solve(center: Array) -> Slices[Frames]:
-            rows = FrameRows(figure, len(t))
-            pinned(figure, start, rows)
-            rows.center(_flat(center), axes="xy")
-            rows.orientation(figure.trunk, _interpolated_rotation(*matrices, s), 20.0 if upright else 3.0)
-            if upright:
-                rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
-            else:  # the last millimetres
-                last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
-                rows.position(figure.hands[arm], ball, _CLOSE * last)
-            _gaze(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
-            posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, arm)
-            return rows.slices(posture, stiff, start, dt=dt)
-
-        return _balanced(figure, solve, here + (there - here) * s[:, None], dt)
+    def lead(rows: FrameRows, t: Array, duration: float) -> None:
+        if upright:
+            s = minimum_jerk(t / duration)
+            rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 30.0 * 10.0 ** (2 * s))
+        else:  # the last millimetres
+            last = minimum_jerk((t / duration - _LATE) / (1 - _LATE))
+            rows.position(figure.hands[arm], ball, _CLOSE * last)
+        _gaze(figure, rows, start, ball, t, within=0.6 if upright else 0.7 * duration)
 
     # Of a minimum-jerk path: its peak speed is 15/8 of the mean.
     straight = 1.875 * length / (_REACH_SPEED if upright else _BEND_SPEED)
     least = max(_LEAST, straight, slowest, glance_time(figure, start, ball))
-    frames = yield from _best(plan, least)
-    return placed_motion(figure, _standing(kind, frames, there, arm=arm, target=ball), stance)
+    stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
+    held = 20.0 if upright else 3.0
+    frames = yield from _Way(figure, start, goal, _HOLD, stiff, held, (arm,), dt, lead).fastest(least)
+    return _standing(figure, kind, frames, figure.center(goal)[:2], stance)
 
 
 take = at_once(take_slices)
 
 
-def walk_motion(figure: Figure, found: Walk, dt: float = 1.0 / RATE) -> Motion:
+def walk_motion(found: Walk, dt: float) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
     done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
     return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)

@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from robot_ik.figure.figure import Figure
-from robot_ik.figure.frames import SLICE, Slices
+from robot_ik.figure.frames import SLICE, Slices, at_once
 from robot_ik.motion.keyframes import monotone_slope
 from robot_ik.ports import Array
 
@@ -39,19 +39,16 @@ class CenterPlan:
         return point + self.growing[piece] * e + self.shrinking[piece] / e, point
 
 
-def plan_center(
-    nodes: Sequence[tuple[float, Array]], x: Array, omega: float, speed: Array | None = None
-) -> CenterPlan:
+def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) -> CenterPlan:
     """Centre of mass for a zero-moment point that runs straight from node to node and rests at the last.
 
-    In the first piece the zero-moment point is constant, wherever it must be for a body at ``x`` with
-    ``speed`` to meet the second: this is the shift backwards and to the swinging foot before the first step.
+    In the first piece the zero-moment point is constant, wherever it must be for a body at rest at ``x`` to
+    meet the second: this is the shift backwards and to the swinging foot before the first step.
 
     Args:
         nodes: (time, (2,) zero-moment point); the first gives the time of the start only.
         x: (2,) the centre of mass at the start.
         omega: ω, 1/s.
-        speed: (2,) its speed; default: at rest.
     """
     times = np.array([t for t, _ in nodes])
     points = np.array([p for _, p in nodes])
@@ -63,9 +60,8 @@ def plan_center(
         shift, shrunk = slope[k] / omega, np.exp(-omega * (times[k + 1] - times[k]))
         diverging[k] = points[k] + shift + (diverging[k + 1] - points[k + 1] - shift) * shrunk
     start = points[:-1].copy()
-    here = x + (0.0 if speed is None else speed / omega)
     e = np.exp(-omega * (times[1] - times[0]))
-    start[0], slope[0], diverging[0] = (diverging[1] * e - here) / (e - 1.0), 0.0, here
+    start[0], slope[0], diverging[0] = (diverging[1] * e - x) / (e - 1.0), 0.0, x
     growing, shrinking, at = np.empty((count, 2)), np.empty((count, 2)), x.copy()
     for k in range(count):
         growing[k] = (diverging[k] - start[k] - slope[k] / omega) / 2
@@ -87,7 +83,7 @@ def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Arra
     return speed, change, forward
 
 
-def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Array]:
+def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
     """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
 
     The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
@@ -97,34 +93,27 @@ def zero_moment_points(figure: Figure, q: Array, dt: float) -> tuple[Array, Arra
     speed, change, _ = derivatives(figure, q, dt)
     points, force = np.empty((len(q), 2)), np.empty(len(q))
     flags, off = model.opt.disableflags, mujoco.mjtDisableBit
-    model.opt.disableflags = flags | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT
-    try:
-        for i in range(len(q)):
-            data.qpos[:], data.qvel[:], data.qacc[:] = q[i], speed[i], change[i]
-            mujoco.mj_inverse(model, data)
-            push = data.qfrc_inverse[:3]
-            moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
-            force[i] = push[2]
-            up = push[2] if abs(push[2]) > 1.0 else 1.0
-            points[i] = (
-                q[i, 0] - (moment[1] + q[i, 2] * push[0]) / up,
-                q[i, 1] - (q[i, 2] * push[1] - moment[0]) / up,
-            )
-    finally:
-        model.opt.disableflags = flags
-    return points, force
-
-
-def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
-    """``zero_moment_points`` some frames at a time: the same numbers."""
-    points, force = np.empty((len(q), 2)), np.empty(len(q))
     for a in range(0, len(q), SLICE):
-        first, last = max(0, a - 1), min(len(q), a + SLICE + 1)
-        found, pushed = zero_moment_points(figure, q[first:last], dt)
-        some = slice(a, min(len(q), a + SLICE))
-        points[some], force[some] = found[a - first :][:SLICE], pushed[a - first :][:SLICE]
+        model.opt.disableflags = flags | off.mjDSBL_CONTACT | off.mjDSBL_LIMIT
+        try:
+            for i in range(a, min(len(q), a + SLICE)):
+                data.qpos[:], data.qvel[:], data.qacc[:] = q[i], speed[i], change[i]
+                mujoco.mj_inverse(model, data)
+                push = data.qfrc_inverse[:3]
+                moment = data.xmat[1].reshape(3, 3) @ data.qfrc_inverse[3:6]
+                force[i] = push[2]
+                up = push[2] if abs(push[2]) > 1.0 else 1.0
+                points[i] = (
+                    q[i, 0] - (moment[1] + q[i, 2] * push[0]) / up,
+                    q[i, 1] - (q[i, 2] * push[1] - moment[0]) / up,
+                )
+        finally:
+            model.opt.disableflags = flags
         yield
     return points, force
+
+
+zero_moment_points = at_once(zero_moment_slices)
 
 
 def compensate(error: Array, omega2: Array, dt: float) -> Array:
@@ -163,6 +152,13 @@ def hull(points: Array) -> Array:
         return out[:-1]
 
     return np.array(half(ordered) + half(ordered[::-1]))
+
+
+def hull_edges(corners: Array) -> tuple[Array, Array]:
+    """Edges of a hull as (h, 2) inward normals and (h,) offsets: p is inside by ``normal @ p - offset``."""
+    edge = np.concatenate([corners[1:], corners[:1]]) - corners
+    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
+    return normal, (normal * corners).sum(axis=1)
 
 
 def hull_margin(points: Array, z: Array) -> float:

@@ -20,8 +20,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.figure import Figure, chain, in_stance_frame, remembered, rotation
+from robot_ik.figure.figure import Figure, chain, in_stance_frame, once_each
 from robot_ik.figure.poses import BEND, REACH
+from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 
 ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
@@ -52,7 +53,7 @@ class Box:
         """(n,) distances of points on the floor, 0 inside; inf where the figure passes under or over it."""
         if self.center[2] - self.half[2] > _TALL or self.center[2] + self.half[2] < 0.0:
             return np.full(len(xy), np.inf)
-        local = (xy - np.array(self.center[:2])) @ rotation("z", np.radians(self.heading_deg))[:2, :2]
+        local = (xy - np.array(self.center[:2])) @ axis_rotations("z", np.radians(self.heading_deg))[:2, :2]
         return np.linalg.norm(np.maximum(np.abs(local) - np.array(self.half[:2]), 0.0), axis=1)
 
 
@@ -91,13 +92,10 @@ class Decider:
     Args:
         abilities: What it can do.
         obstacles: What it may not walk through.
-        workspace: Radius about the figure, m.
     """
 
-    def __init__(
-        self, abilities: Abilities, obstacles: Sequence[Obstacle] = (), workspace: float = WORKSPACE
-    ) -> None:
-        self.abilities, self.obstacles, self.workspace = abilities, tuple(obstacles), workspace
+    def __init__(self, abilities: Abilities, obstacles: Sequence[Obstacle] = ()) -> None:
+        self.abilities, self.obstacles = abilities, tuple(obstacles)
 
     @property
     def figure(self) -> Figure:
@@ -146,8 +144,8 @@ class Decider:
         away = float(np.linalg.norm(point[:2] - stance[:2]))
         if point[2] < 0.0:
             return point, f"the ball is {-100 * point[2]:.0f} cm under the floor"
-        if away > self.workspace:
-            return point, f"the ball is {away:.1f} m away, outside the workspace of {self.workspace:g} m"
+        if away > WORKSPACE:
+            return point, f"the ball is {away:.1f} m away, outside the workspace of {WORKSPACE:g} m"
         part = inside_body(self.figure, in_stance_frame(stance, point))
         return point, f"the ball is inside its {part}" if part else ""
 
@@ -216,7 +214,7 @@ class Decider:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
         stands, balls, sides, arms = [], [], [], list(self.figure.hands)
         headings = _HEADINGS + stance[2]
-        matrices = rotation("z", headings)[:, :2, :2]
+        matrices = axis_rotations("z", headings)[:, :2, :2]
         for side, arm in enumerate(arms):
             if kind == "jump":
                 cells = self.abilities.under(arm)[None]
@@ -309,9 +307,7 @@ class Decider:
 def inside_body(figure: Figure, local: Array) -> str:
     """Name of the body part, arms excepted, that holds a point seen from the feet; empty where none does."""
     model = figure.model
-    geoms, positions, matrices = remembered(
-        figure.robot.memory, "figure.shapes", lambda: _trunk_shapes(figure)
-    )
+    geoms, positions, matrices = _trunk_shapes(figure)
     kinds = mujoco.mjtGeom
     away = local - positions
     for i in np.flatnonzero((away**2).sum(axis=1) <= model.geom_rbound[geoms] ** 2).tolist():
@@ -331,6 +327,7 @@ def inside_body(figure: Figure, local: Array) -> str:
     return ""
 
 
+@once_each
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
     model, data, frame = figure.model, figure.data, figure.robot.frame
@@ -340,11 +337,3 @@ def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     arms = [body for hand in figure.hands.values() for body in chain(model, frame(hand).body, trunk)]
     geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, arms))
     return geoms, data.geom_xpos[geoms].copy(), data.geom_xmat[geoms].reshape(-1, 3, 3).copy()
-
-
-def decide(
-    abilities: Abilities, ball: ArrayLike | None, stance: ArrayLike = (0.0, 0.0, 0.0),
-    obstacles: Sequence[Obstacle] = (), last: Decision | None = None,
-) -> Decision:  # fmt: skip
-    """One decision; ``Decider`` keeps obstacles and workspace for many."""
-    return Decider(abilities, obstacles).decide(ball, stance, last)

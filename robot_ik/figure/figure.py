@@ -6,19 +6,22 @@ two feet there can walk.  Angles rad, lengths m, world axes with z up; the floor
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError
+from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.motion.keyframes import Displacement
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -30,35 +33,28 @@ RATE = 60.0
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom
 _Made = TypeVar("_Made")
+_More = ParamSpec("_More")
 
 
-def remembered(memory: dict[str, Any], key: str, make: Callable[[], _Made]) -> _Made:
-    """What ``make`` gives, made once and kept under a name."""
-    if key not in memory:
-        memory[key] = make()
-    found: _Made = memory[key]
-    return found
+def once_each(
+    make: Callable[Concatenate[Figure, _More], _Made],
+) -> Callable[Concatenate[Figure, _More], _Made]:
+    """A function of a figure (and names, numbers) whose results the figure keeps."""
 
+    @functools.wraps(make)
+    def kept(figure: Figure, /, *more: _More.args, **named: _More.kwargs) -> _Made:
+        key = (make, *more, *named.items())
+        if key not in figure.memory:
+            figure.memory[key] = make(figure, *more, **named)
+        found: _Made = figure.memory[key]
+        return found
 
-def rotation(axis: str, angle: ArrayLike) -> Array:
-    """(..., 3, 3) rotation matrices about a world axis, angles (...)."""
-    angle = np.asarray(angle, dtype=float)
-    c, s, out = np.cos(angle), np.sin(angle), np.zeros((*angle.shape, 3, 3))
-    i, j, k = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}[axis]
-    out[..., i, i] = out[..., j, j] = c
-    out[..., i, j], out[..., j, i], out[..., k, k] = -s, s, 1.0
-    return out
+    return kept
 
 
 def in_stance_frame(stance: Array, point: Array) -> Array:
     """A point (3,) of the world seen from a stance (x, y, heading)."""
-    return np.asarray(rotation("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
-
-
-def minimum_jerk(s: ArrayLike) -> Array:
-    """0 to 1 with no speed and no acceleration at both ends (Flash & Hogan 1985)."""
-    s = np.clip(s, 0.0, 1.0)
-    return np.asarray(s * s * s * (10.0 + s * (6.0 * s - 15.0)))
+    return np.asarray(axis_rotations("z", -stance[2]) @ (point - [stance[0], stance[1], 0.0]))
 
 
 def shape_points(model: mujoco.MjModel, g: int, up: Array) -> Array:
@@ -131,7 +127,6 @@ class Sole:
 class Foot:
     """A foot: its frame, the shapes that touch the floor, its toes and the leg above it."""
 
-    side: str
     frame: str  # on the sole under the ankle, x to the toes, z up
     parts: tuple[tuple[int, tuple[int, ...]], ...]  # body and collision geoms of foot and toes
     toes: tuple[int, int] | None  # index in q and in dq of their hinge, if there is one
@@ -159,8 +154,8 @@ class Figure:
     apart: float  # half the distance of the feet at home
     inertia: Array = field(repr=False)
     data: mujoco.MjData = field(repr=False)
-    # Tables that solves fill in, by name: one thread uses a figure at a time.
-    workspace: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
+    # Of ``once_each``; tables that solves fill in, too: one thread uses a figure at a time.
+    memory: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -177,23 +172,20 @@ class Figure:
         node = self.robot.joints.index(name)
         return int(self.robot.tree.qadr[node]), int(self.robot.tree.vadr[node])
 
-    def posture(self, angles: Mapping[str, float], base: Array | None = None) -> Array:
-        """(nq,) ``base`` (default: home) with some joints elsewhere; ``both_…`` names a pair, left and right.
+    def posture(self, angles: Mapping[str, float | Array], base: Array | None = None) -> Array:
+        """``base`` (nq,) or (n, nq), by default home, with some joints elsewhere: numbers, or (n,) each.
 
         Joints that the model does not have are left out: a figure without clavicles reaches without them.
         """
         q = (self.home if base is None else base).copy()
-        for key, value in angles.items():
-            names = [f"{s}_{key.removeprefix('both_')}" for s in SIDES] if key.startswith("both_") else [key]
-            for name in names:
-                if name in self.robot.joints:
-                    q[self.addresses(name)[0]] = value
+        for name, value in angles.items():
+            if name in self.robot.joints:
+                q[..., self.addresses(name)[0]] = value
         return q
 
     def stiffnesses(self, rows: Mapping[str, float]) -> Array:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
-        key = f"figure.stiffness {list(rows.items())}"
-        return remembered(self.robot.memory, key, lambda: _by_pattern(self.robot, rows, 0.0))
+        return _stiffnesses(self, tuple(rows.items()))
 
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
@@ -236,9 +228,7 @@ class Figure:
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
         """``q`` (nq,) moved as a whole: rotated about the world's origin by ``heading``, then shifted."""
         moved = q.copy()
-        quaternion = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
-        moved[:3] = rotation("z", heading) @ q[:3] + [x, y, 0.0]
-        mujoco.mju_mulQuat(moved[3:7], quaternion, np.ascontiguousarray(q[3:7]))
+        Displacement(x, y, heading).move(moved[:7])
         return moved
 
     def stance(self, q: Array) -> Array:
@@ -269,7 +259,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
             f"{robot.name!r} cannot move as a figure: it needs a free base and hinges that all move",
             path=robot.path, hint="load it without `joints=`; split ball joints into hinges",
         )  # fmt: skip
-    feet = {side: _foot(robot, side, parts.feet[side], parts.pelvis) for side in SIDES}
+    feet = {side: _foot(robot, parts.feet[side], parts.pelvis) for side in SIDES}
     bent = robot.model.key(parts.bend).qpos.copy() if parts.bend else robot.home.copy()
     left, right = (float(robot.forward(robot.home, parts.feet[side]).position[1]) for side in SIDES)
     return Figure(
@@ -282,12 +272,17 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         trunk=parts.trunk,
         home=robot.home.copy(),
         bent=bent,
-        speeds={key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()}
-        or {"daily": np.full(robot.nv, np.inf)},
+        speeds={"daily": np.full(robot.nv, np.inf)}
+        | {key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()},
         apart=abs(left - right) / 2,
         inertia=robot.inertias(),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
+
+
+@once_each
+def _stiffnesses(figure: Figure, rows: tuple[tuple[str, float], ...]) -> Array:
+    return _by_pattern(figure.robot, dict(rows), 0.0)
 
 
 def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
@@ -301,7 +296,7 @@ def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
     return found
 
 
-def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
+def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_forward(model, data)
     body = robot.frame(frame).body
@@ -324,9 +319,9 @@ def _foot(robot: Robot, side: str, frame: str, pelvis: str) -> Foot:
         )
     ankle, knee, hip = leg
     foot_at = data.xpos[body] + data.xmat[body].reshape(3, 3) @ position
-    at = robot.measure(robot.qpos(robot.home) * 0 + model.qpos0, pelvis).position
+    at = robot.measure(model.qpos0, pelvis).position
     return Foot(
-        side, frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
+        frame, parts, toes, _sole(model, parts[0][1], position, np.asarray(matrix)),
         float(np.linalg.norm(hip - knee)), float(np.linalg.norm(knee - ankle)), ankle - foot_at, hip - at,
     )  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.figure.figure import RATE, Figure
 from robot_ik.kernels import whole_body
-from robot_ik.kernels.bundle import owned
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
 
@@ -22,6 +21,8 @@ _Given = ParamSpec("_Given")
 Slices = Generator[None, None, _Result]
 SLICE, _STEPS = 60, 8
 """Frames solved between two yields, some 3 ms, where each takes so many steps at most."""
+_REST, _CLOSE = 1e-3, 1e-6
+"""A step shorter than the first (rad, m) is a frame's last if its hard rows are as close as the second."""
 
 
 def finished(slices: Slices[_Result]) -> _Result:
@@ -95,7 +96,7 @@ class FrameRows:
     def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
         limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
-        steps: int = _STEPS, rest: float = 1e-3, close: float = 1e-6,
+        steps: int = _STEPS,
     ) -> Slices[Frames]:  # fmt: skip
         """The frames, some at a time.
 
@@ -108,8 +109,6 @@ class FrameRows:
             speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
             dt: Time between frames, s.
             steps: Most steps a frame.
-            rest: A step shorter than this (rad, m) was the last …
-            close: … if hard rows are this close.
         """
         each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
         ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
@@ -120,8 +119,8 @@ class FrameRows:
         some = max(1, SLICE * _STEPS // steps)  # frames that may take more steps, fewer at a time
         cuts = sorted({*range(0, n, some), *changes.tolist(), n})
         for a, b in itertools.pairwise(cuts):
-            ready.stiffness[:] = each[a]
-            ready.solve(found, a, b, here, before, steps, rest, close)
+            ready.arrays["stiffness"][:] = each[a]
+            ready.solve(found, a, b, here, before, steps, _REST, _CLOSE)
             before, here = (found.q[b - 2] if b > a + 1 else here).copy(), found.q[b - 1].copy()
             if b < n and b % some == 0:
                 yield
@@ -134,73 +133,50 @@ class FrameRows:
         speeds: str | None = "daily", dt: float = 1.0 / RATE,
     ) -> PreparedRows:  # fmt: skip
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
-        robot = self.figure.robot
-        stride = self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt
-        *_, targets, weights = zip(*self._rows, strict=True)
-        ready = PreparedRows(
-            robot.tree.handle,
-            np.ascontiguousarray(np.stack(targets, axis=1)),
-            np.ascontiguousarray(np.stack(weights, axis=1)),
-            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
-            np.array(stiffness),
-        )
-        ready.body = self._table(ready.stiffness, stride, limits)
-        return ready
-
-    def _table(
-        self, stiffness: Array, stride: Array, limits: tuple[Array, Array] | None
-    ) -> NDArray[np.int64]:
         robot, groups = self.figure.robot, len(self._rows)
-        kind, node, local, axes, share, *_ = zip(*self._rows, strict=True)
+        kind, node, local, axes, share, targets, weights = zip(*self._rows, strict=True)
         lower, upper = limits or (robot.tree.lower, robot.tree.upper)
-        n, nv, hard = robot.tree.size, robot.nv, 3 * groups
-        arrays: dict[str, NDArray[Any]] = {
+        n, sizes = robot.tree.size, {"g": groups, "h": 3 * groups, "nq": robot.nq, "nv": robot.nv}
+        arrays = whole_body.WHOLE_BODY.zeros(sizes | {"n": n, "m": n + 1}) | {
             "kind": np.array(kind, dtype=np.int64),
             "node": np.array(node, dtype=np.int64),
             "local": np.array(local).reshape(groups, 12),
             "axes": np.array(axes, dtype=np.int64),
             "share": np.array(share),
             "inertia": self.figure.inertia,
-            "stiffness": np.ascontiguousarray(stiffness),
+            "stiffness": np.array(stiffness, order="C"),
             "lower": lower,
             "upper": upper,
-            "stride": np.ascontiguousarray(stride),
-            "held": np.zeros(nv, dtype=np.int64),
+            "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt,
         }
-        for name, shape in {
-            "world": (n, 12), "scratch": (2, 12), "pose": (groups, 12), "carried": (n + 1, 10),
-            "row": (3, nv),
-            "hard": (hard, nv), "matrix": (nv, nv), "factor": (nv, nv), "hard_solved": (hard, nv),
-            "schur": (hard, hard),
-            "center": (3,), "previous": (robot.nq,), "displacement": (nv,), "miss": (3,), "wanted": (hard,),
-            "gradient": (nv,), "step": (nv,), "low": (nv,), "high": (nv,), "bound": (nv,),
-            "multiplier": (hard,),
-        }.items():  # fmt: skip
-            arrays[name] = np.zeros(shape)
-        return whole_body.WHOLE_BODY.pack(arrays)
+        return PreparedRows(
+            robot.tree.handle,
+            arrays,
+            np.ascontiguousarray(np.stack(targets, axis=1)),
+            np.ascontiguousarray(np.stack(weights, axis=1)),
+            np.array(np.broadcast_to(posture, (self.frames, robot.nq)), order="C"),
+        )
 
 
 @dataclass(eq=False)
 class PreparedRows:
-    """Rows with their tables.  All but the tables may change between solves, in place."""
+    """Rows with their tables.  All but ``tree`` may change between solves, in place."""
 
-    tree: NDArray[np.int64]  # tables of the kernel
+    tree: NDArray[np.int64]  # table of the kernel
+    arrays: dict[str, NDArray[Any]]  # of ``WHOLE_BODY``: work space is as the last gathering of rows left it
     target: Array  # (frames, groups, 12), in the order in which the rows were added
     weight: Array  # (frames, groups)
     posture: Array  # (frames, nq)
-    stiffness: Array  # (nv,)
-    body: NDArray[np.int64] = field(init=False, repr=False)
 
-    def table(self, name: str) -> NDArray[Any]:
-        """An array of ``whole_body.WHOLE_BODY``: work space holds what the last gathering of rows left."""
-        return owned(self.body)[list(whole_body.WHOLE_BODY.fields).index(name)]
+    def __post_init__(self) -> None:
+        self._body = whole_body.WHOLE_BODY.pack(self.arrays)
 
     def solve(
         self, found: Frames, a: int, b: int, here: Array, before: Array, steps: int, rest: float, close: float
     ) -> None:
         """Frames a to b into ``found``, after ``here`` and ``before`` that (nq,)."""
         whole_body.solve_frames(
-            self.tree, self.body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
+            self.tree, self._body, self.target[a:b].reshape(-1, 12), self.weight[a:b], self.posture[a:b],
             found.q[a:b], here, before, steps, rest, close, found.miss[a:b], found.steps[a:b],
         )  # fmt: skip
 

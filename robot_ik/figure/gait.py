@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import (
-    CenterPlan,
     clamped_curve,
     compensate,
     decay,
@@ -25,9 +24,11 @@ from robot_ik.figure.balance import (
     smooth,
     zero_moment_slices,
 )
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure
 from robot_ik.figure.footprints import WALK, Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
+from robot_ik.geometry import axis_rotations
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 AIR, HEEL, FLAT, TOE = range(4)
@@ -42,6 +43,8 @@ _LEAN, _SETTLE = 0.75, 1.4
 _LEAVING_DEG, _LEAVING = 27.0, 0.08
 # Pitch of the sole as a foot leaves the floor for a step of no length, as a share of that for a whole one.
 _LEAST_OFF = 0.45
+# Rounds of the dynamics filter.
+_CORRECTIONS = 4
 # Heights of a foot in the air are smoothed over so long, s, but for these shares of the swing at its ends.
 _EASE, _EASE_IN, _EASE_OUT = 0.025, 0.3, 0.25
 
@@ -85,8 +88,7 @@ class _Plan:
             was = mine[-1].print if mine else at
             share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
             mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
-        self.center: CenterPlan = plan_center(self._pressure(), x, self.omega)
-        self.com, self.zmp = self.center.at(self.times)
+        self.com, self.zmp = plan_center(self._pressure(), x, self.omega).at(self.times)
         self.foot_positions = np.empty((2, len(self.times), 3))
         self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
         self.toes = np.zeros((2, len(self.times)))
@@ -202,8 +204,12 @@ class _Plan:
         yaw = np.radians(self.gait.turn_deg) * size * np.cos(angle)
         lean = np.radians(4.0) * size * np.sin(angle - 0.35)
         tilt, bow = np.radians(4.0) * self.going, np.radians(self.gait.lean_deg) * self.going
-        pelvis = rotation("z", heading - yaw) @ rotation("x", lean) @ rotation("y", tilt)
-        chest = rotation("z", heading + 0.8 * yaw) @ rotation("x", 0.15 * lean) @ rotation("y", bow)
+        pelvis = axis_rotations("z", heading - yaw) @ axis_rotations("x", lean) @ axis_rotations("y", tilt)
+        chest = (
+            axis_rotations("z", heading + 0.8 * yaw)
+            @ axis_rotations("x", 0.15 * lean)
+            @ axis_rotations("y", bow)
+        )
         return pelvis, chest, heading
 
     def _leaving(self, side: int) -> Array:
@@ -220,7 +226,7 @@ class _Plan:
             foot = self.figure.feet[name]
             bent = np.radians(knee_deg + max(0.0, _LEAVING_DEG - knee_deg) * self._leaving(side))
             leg = foot.thigh**2 + foot.shank**2 + 2 * foot.thigh * foot.shank * np.cos(bent)
-            matrix = rotation("z", self.yaw[side]) @ rotation("y", self.pitch[side])
+            matrix = axis_rotations("z", self.yaw[side]) @ axis_rotations("y", self.pitch[side])
             ankle, hip = self.foot_positions[side] + matrix @ foot.ankle, pelvis @ foot.hip
             flat = ((ankle[:, :2] - pelvis_xy - hip[:, :2]) ** 2).sum(axis=1)
             top = np.minimum(top, ankle[:, 2] - hip[:, 2] + np.sqrt(np.maximum(leg - flat, 0.3)))
@@ -260,7 +266,6 @@ class Walk:
 
     frames: Frames  # and how well their hard rows hold
     contact: NDArray[np.int64]  # (n, 2) AIR, HEEL, FLAT or TOE of each foot
-    center: Array  # (n, 2) planned centre of mass
     zmp: Array  # (n, 2) planned zero-moment point
     prints: tuple[Footprint, ...]  # the first two where the feet stood
     strikes: tuple[float, ...]  # times of the heel strikes, s
@@ -273,10 +278,8 @@ _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle
 
 
 def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *,
-    gaze_target: Array | None = None, second: Array | None = None, dt: float = 1.0 / RATE,
-    corrections: int = 4,
-) -> Slices[Walk]:  # fmt: skip
+    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, dt: float = 1.0 / RATE
+) -> Slices[Walk]:
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
     Args:
@@ -284,20 +287,17 @@ def walk_slices(
         q: (nq,) standing still.
         prints: Footsteps, alternating sides after the first two.
         gait: How.
-        gaze_target: (3,) what it looks at; default: straight forward.
-        second: (nq,) the frame before q.
         dt: Time between frames, s.
-        corrections: Rounds of the dynamics filter.
     """
     yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
     plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
     yield
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
-    offset = -0.012 * rotation("z", heading)[:, :2, 0]
+    offset = -0.012 * axis_rotations("z", heading)[:, :2, 0]
     frames: Frames | None = None
     # The first passes learn where the pelvis is beside the centre of mass.
-    knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + corrections)
+    knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + _CORRECTIONS)
     for k, knee in enumerate(knees):
         if frames is not None and k > 2:
             points, force = yield from zero_moment_slices(figure, frames.q, dt)
@@ -307,36 +307,33 @@ def walk_slices(
             share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / dt)
             shift = shift + compensate(error, plan.omega**2 * share, dt)
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
-        frames = yield from _solve(plan, q, second, height, shift, gaze_target, dt)
+        frames = yield from _solve(plan, q, height, shift, dt)
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
-    return Walk(
-        frames, plan.contact.T.copy(), plan.com + shift, plan.zmp, tuple(prints), tuple(plan.strikes), falls
-    )
+    return Walk(frames, plan.contact.T.copy(), plan.zmp, tuple(prints), tuple(plan.strikes), falls)
 
 
 walk = at_once(walk_slices)
 
 
-def solve_walk_once(
-    figure: Figure, prints: Sequence[Footprint], gait: Gait = WALK, dt: float = 1.0 / RATE
-) -> int:
+def solve_walk_once(figure: Figure, prints: Sequence[Footprint]) -> int:
     """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
+    gait, dt = WALK, 1.0 / RATE
     plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
     pelvis, _, heading = plan.trunk()
-    height = plan.pelvis_height(pelvis, plan.com - 0.012 * rotation("z", heading)[:, :2, 0], gait.knee_deg)
-    return len(finished(_solve(plan, figure.home, None, height, np.zeros_like(plan.com), None, dt)).q)
+    height = plan.pelvis_height(
+        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], gait.knee_deg
+    )
+    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com), dt)).q)
 
 
-def _solve(
-    plan: _Plan, q: Array, second: Array | None, height: Array, shift: Array, gaze: Array | None, dt: float
-) -> Slices[Frames]:
+def _solve(plan: _Plan, q: Array, height: Array, shift: Array, dt: float) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
-    matrices = rotation("z", plan.yaw) @ rotation("y", plan.pitch)
+    matrices = axis_rotations("z", plan.yaw) @ axis_rotations("y", plan.pitch)
     rows.feet({side: (plan.foot_positions[k], matrices[k]) for k, side in enumerate(SIDES)})
-    rows.center(np.column_stack([plan.com + shift, np.zeros(len(shift))]), axes="xy")
+    rows.center(plan.com + shift, axes="xy")
     pelvis, chest, heading = plan.trunk()
     # What it does not come from at once: the pose it begins in goes over into the walk.
     start = minimum_jerk(plan.times / 0.5)
@@ -348,13 +345,12 @@ def _solve(
     if figure.gaze is not None:
         eyes, matrix = figure.pose(q, figure.gaze)
         before = np.column_stack([plan.com, np.full(len(z), eyes[2])]) + 3.0 * matrix[:, 0]
-        forward = 3.0 * rotation("z", heading)[:, :, 0]
+        forward = 3.0 * axis_rotations("z", heading)[:, :, 0]
         forward += np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
-        to = forward if gaze is None else np.broadcast_to(gaze, forward.shape)
-        seen = before + (to - before) * minimum_jerk(plan.times / 0.8)[:, None]
+        seen = before + (forward - before) * minimum_jerk(plan.times / 0.8)[:, None]
         rows.aim(figure.gaze, seen, 5.0, figure.neck or None)
     posture = _posture(plan, q, start, go)
-    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, second, dt=dt))
+    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, dt=dt))
 
 
 def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
@@ -363,17 +359,12 @@ def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
     swing = np.radians(plan.gait.swing_deg)
     # An arm is foremost when the other side's heel strikes.
     wave = np.cos(2 * np.pi * plan.phase + 0.15)
-    postures = np.tile(figure.home, (len(plan.times), 1))
-    for side, name in enumerate(SIDES):
-        mine = -wave if side == 0 else wave
-        moves = {
-            f"{name}_shoulder_pitch": go * (swing * mine - 0.7 * swing),
-            f"{name}_elbow_pitch": go * (1.3 * swing + 0.77 * swing * mine),
-        }
-        for joint, angles in moves.items():
-            if joint in figure.robot.joints:
-                postures[:, figure.addresses(joint)[0]] += angles
-    postures = q + (postures - q) * start[:, None]
+    moves: dict[str, Array] = {}
+    for name, mine in zip(SIDES, (-wave, wave), strict=True):
+        moves[f"{name}_shoulder_pitch"] = go * (swing * mine - 0.7 * swing)
+        moves[f"{name}_elbow_pitch"] = go * (1.3 * swing + 0.77 * swing * mine)
+    swung = figure.home + figure.posture(moves, np.zeros((len(wave), figure.robot.nq)))
+    postures = q + (swung - q) * start[:, None]
     for side, name in enumerate(SIDES):
         toes = figure.feet[name].toes
         if toes is not None:

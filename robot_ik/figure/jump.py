@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
 from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, minimum_jerk, rotation
+from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, once_each
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, pinned, touches_itself
+from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.whole_body import HARD
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 
 TAKE_OFF = 2.6
@@ -38,6 +40,8 @@ _LEAST = 1.7
 """A jump is no slower than this, m/s: a shorter flight leaves the arm no time; a lower ball is taken with
 a bent arm."""
 _FINE = 0.002
+_CORRECTIONS = 3
+"""Rounds of the dynamics filter."""
 _EARLY, _LEFT = 0.12, 0.9
 """The arms swing forwards so long before the push, s, and have so far to go at take-off, rad."""
 _HEELS = 0.6
@@ -113,6 +117,7 @@ def highest_take_off(figure: Figure) -> float:
     return wait + float(figure.feet["left"].sole.stand(np.radians(_PITCH_DEG))[1]) - _STRETCH
 
 
+@once_each
 def forward_at_take_off(figure: Figure) -> float:
     """How far before the middle of the feet the centre of mass takes off, m, in a jump of middling height."""
     plan = plan_jump(figure, np.array([0.1, 0.0, 0.0]), next(iter(figure.hands)), 2.0)
@@ -252,12 +257,8 @@ def _arms(plan: JumpPlan, t: Array, top: Array) -> dict[str, Array]:
             if part == "shoulder_pitch":
                 w = [-0.3, x1 - _LEFT, x1 - 1.2 * _LEFT, 0.5]
             out[joint] = curve([x0, w[0], w[1], x1, x1, w[2], w[3], x0])
-    for joint, values in {
-        f"{other}_shoulder_pitch": [0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02],
-        f"{other}_elbow_pitch": [0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3],
-    }.items():
-        if joint in figure.robot.joints:
-            out[joint] = curve(values)
+    out[f"{other}_shoulder_pitch"] = curve([0.02, -0.6, 1.1, 0.6, 0.6, 0.6, 0.5, 0.02])
+    out[f"{other}_elbow_pitch"] = curve([0.3, 0.35, 0.7, 0.7, 0.7, 0.7, 0.6, 0.3])
     roll = f"{other}_shoulder_roll"
     if plan.abduction and roll in figure.robot.joints:
         out[roll] = figure.home[figure.addresses(roll)[0]] + curve([0.0, 0.0, *[plan.abduction] * 5, 0.0])
@@ -306,7 +307,7 @@ def _frames(
     for side, foot in figure.feet.items():
         at = figure.pose(plan.ready, foot.frame)[0]
         position = np.column_stack([at[0] + rolled, np.full(n, at[1]), height + lift])
-        poses[side] = position, rotation("y", pitch)
+        poses[side] = position, axis_rotations("y", pitch)
     rows.feet(poses, standing)
     z, x = plan.height(t), np.interp(t, forward.t, forward.x)
     center = np.column_stack([x, np.zeros(n), z])
@@ -321,7 +322,7 @@ def _frames(
     deep = np.clip((plan.wait - (z - lift)) / 0.3, 0, 1.2)
     on_floor = 40.0 * minimum_jerk((t - T[3] + 1e9 * (t <= T[2])) / 0.4) + 4.0
     upright = np.where(air, 4.0 * 10.0 ** (-_LEAN * near_apex), on_floor)
-    rows.orientation(figure.trunk, rotation("y", np.radians(60.0) * deep), upright)
+    rows.orientation(figure.trunk, axis_rotations("y", np.radians(60.0) * deep), upright)
     if figure.gaze is not None:
         eyes, gaze = figure.pose(start, figure.gaze)
         seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)
@@ -357,16 +358,13 @@ def _posture(
     plan: JumpPlan, t: Array, deep: Array, top: Array, pitch: Array, contact: NDArray[np.int64]
 ) -> Array:
     figure = plan.figure
-    out = np.tile(figure.home, (len(t), 1))
     bent = {"hip_pitch": 0.06 + 1.2 * deep, "knee_pitch": 0.12 + 1.5 * deep, "ankle_pitch": 0.06 + 0.4 * deep}
     level = pitch * np.where(t > plan.ends[3], 1.0, 1 - minimum_jerk((t - plan.ends[2]) / 0.3))
     back = minimum_jerk((t - plan.apex) / (plan.ends[3] - plan.apex))  # level again before they touch
     level = np.where(contact == AIR, np.maximum(level, pitch * back), level)
     moves = {f"{side}_{joint}": angle for side in SIDES for joint, angle in bent.items()}
     moves |= _arms(plan, t, top)
-    for joint, angle in moves.items():
-        if joint in figure.robot.joints:
-            out[:, figure.addresses(joint)[0]] = angle
+    out = figure.posture(moves, np.tile(figure.home, (len(t), 1)))
     for foot in figure.feet.values():
         if foot.toes is not None:
             out[:, foot.toes[0]] = level
@@ -374,9 +372,8 @@ def _posture(
 
 
 def jump_slices(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE,
-    corrections: int = 3,
-) -> Slices[Motion]:  # fmt: skip
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE
+) -> Slices[Motion]:
     """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
 
     Args:
@@ -386,7 +383,6 @@ def jump_slices(
         arm: Which hand.
         speed: At take-off, m/s (``Abilities.take_off`` knows it); more where bodies would touch.
         dt: Time between frames, s.
-        corrections: Rounds of the dynamics filter.
 
     Raises:
         InvalidGoalError: Faster than a man jumps.
@@ -396,7 +392,7 @@ def jump_slices(
     found: Motion | None = None
     for abduction, more in _WAYS:
         plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
-        motion = yield from _motion(replace(plan, abduction=abduction), start, dt, corrections)
+        motion = yield from _motion(replace(plan, abduction=abduction), start, dt)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion
@@ -409,7 +405,7 @@ def jump_slices(
 jump = at_once(jump_slices)
 
 
-def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices[Motion]:
+def _motion(plan: JumpPlan, start: Array, dt: float) -> Slices[Motion]:
     """The jump from a stance at the origin."""
     figure = plan.figure
     # A frame at the apex: the moment of the touch.
@@ -417,13 +413,13 @@ def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
     error: tuple[Array, Array] | None = None
     before: Array | None = None
-    for k in range(corrections + 1):
+    for k in range(_CORRECTIONS + 1):
         forward = _forward(plan, error)
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
             top = yield from _arm_at_apex(plan, _palm(plan, forward))
         frames, contact = yield from _frames(plan, forward, top, t, start, dt, before)
-        if k == corrections:
+        if k == _CORRECTIONS:
             break
         before = frames.q
         points, force = yield from zero_moment_slices(figure, frames.q, dt)
@@ -435,4 +431,4 @@ def _motion(plan: JumpPlan, start: Array, dt: float, corrections: int) -> Slices
     zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
     both = np.column_stack([contact, contact])
     free = (t > plan.ends[5] + 0.1) | (t < 0.2)
-    return Motion("jump", frames.q, both, frames.miss, zmp, free, plan.arm, plan.ball, "jump")
+    return Motion("jump", frames.q, both, frames.miss, zmp, free, "jump")

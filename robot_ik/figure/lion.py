@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError, TrajectoryError
+from robot_ik.figure.balance import hull, hull_edges, inset
+from robot_ik.figure.figure import chain
 from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.keyframes import Keyframes
+from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
@@ -127,13 +130,6 @@ class Lion:
         )
         return self._standing(plan, paw, rate)
 
-    def gaze_at(self, ball: ArrayLike) -> Array:
-        """(nq,) relaxed, with his eyes on the ball as far as his neck goes, and all paws where they are."""
-        position = _ball(ball)
-        if position is None:
-            return np.array(self.relaxed)
-        return self._posed(self.paws, position, self._mass(None), [])
-
     def support(self, paw: str | None) -> Array:
         """(3, 2) or (4, 2): where the paws stand that do, the others than ``paw``."""
         return np.array([self._prints[p].position[:2] for p in self.paws if p != paw])
@@ -155,11 +151,8 @@ class Lion:
     def _way_from_root(self, frame: str) -> float:
         """Length of the bones between the free base and a frame."""
         model, at = self.robot.model, self.robot.frame(frame)
-        body, total = at.body, float(np.linalg.norm(at.local.position))
-        while model.body_parentid[body] != 0:
-            total += float(np.linalg.norm(model.body_pos[body]))
-            body = int(model.body_parentid[body])
-        return total
+        bones = [at.local.position, *model.body_pos[chain(model, at.body, 0)[:-1]]]
+        return float(np.linalg.norm(bones, axis=1).sum())
 
     def _posed(self, standing: Sequence[str], ball: Array, mass: Array, more: Sequence[Goal]) -> Array:
         goals = [
@@ -190,7 +183,8 @@ class Lion:
         """Where the centre of mass shall be: as relaxed, but ``MARGIN`` inside the triangle without a paw."""
         centre = self.robot.center_of_mass(self.relaxed)
         if paw is not None:
-            centre[:2] = inside_triangle(self.support(paw), centre[:2], MARGIN)
+            normal, offset = hull_edges(hull(self.support(paw)))
+            centre[:2] = inset(normal, offset, centre[:2], MARGIN)
         return centre
 
     def _standing(self, plan: Keyframes, paw: str, rate: float) -> Keyframes:
@@ -203,9 +197,8 @@ class Lion:
         for t in times[1:].tolist():
             lifted = up < t < down
             share = min(1.0, t / up, (plan.duration - t) / (plan.duration - down))
-            share = share**3 * (10.0 - 15.0 * share + 6.0 * share * share)
             standing = [p for p in self.paws if p != paw or not lifted]
-            goals = self._needed(standing, relaxed + share * (leaning - relaxed))
+            goals = self._needed(standing, relaxed + minimum_jerk(share) * (leaning - relaxed))
             if lifted:
                 goals.append(HalfSpaceGoal(paw, (0.0, 0.0, 0.0), "z"))
             goals.append(PostureGoal(plan.at(t), soft=True))
@@ -216,29 +209,6 @@ class Lion:
             rows.append(q)
         rows.append(self.relaxed)
         return Keyframes(self.robot, np.append(times, plan.duration), rows)
-
-
-def inside_triangle(corners: Array, point: Array, margin: float) -> Array:
-    """``point`` (2,), or the first point on the way to the incentre that is ``margin`` inside all sides.
-
-    Args:
-        corners: (3, 2).
-        point: (2,).
-        margin: m; no more than the incircle allows.
-    """
-    sides = np.array([np.linalg.norm(corners[(k + 1) % 3] - corners[(k + 2) % 3]) for k in range(3)])
-    incentre = sides @ corners / sides.sum()
-    share = 0.0
-    for k in range(3):
-        edge = corners[(k + 1) % 3] - corners[k]
-        normal = np.array([-edge[1], edge[0]]) / np.linalg.norm(edge)
-        middle, here = float(normal @ (incentre - corners[k])), float(normal @ (point - corners[k]))
-        if middle < 0.0:
-            middle, here = -middle, -here
-        least = min(margin, middle)
-        if here < least:
-            share = max(share, (least - here) / (middle - here) if middle > here else 1.0)
-    return np.asarray(point + share * (incentre - point))
 
 
 def _ball(ball: ArrayLike) -> Array | None:

@@ -12,9 +12,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.figure.balance import hull, inset
-from robot_ik.figure.figure import Figure, lowest_points, remembered, rotation, shape_points
+from robot_ik.figure.balance import hull, hull_edges, inset
+from robot_ik.figure.figure import Figure, lowest_points, once_each, shape_points
 from robot_ik.figure.frames import FrameRows, Frames
+from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 
 AT_BALL, BALANCED, TOUCHING = 0.005, 0.010, 0.002
@@ -52,12 +53,6 @@ def pinned(figure: Figure, q: Array, rows: FrameRows) -> None:
     rows.feet({side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()})
 
 
-def support_middle(figure: Figure) -> Array:
-    """(2,) middle of the soles, seen from the middle between the feet: over it balance is safest."""
-    sole = figure.feet["left"].sole
-    return np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])
-
-
 # Degrees of joints that a figure without bending keeps to: what separates ``reach`` from ``bend``.
 _UPRIGHT = {
     "knee_pitch": (0.0, 25.0),
@@ -67,15 +62,12 @@ _UPRIGHT = {
 }
 
 
+@once_each
 def limits_of(figure: Figure, kind: str) -> tuple[Array, Array]:
     """(nv,) lower and upper joint limits of a ``reach`` or a ``bend``."""
-    if kind == REACH:
-        return remembered(figure.robot.memory, "figure.upright", lambda: _upright(figure))
-    return figure.robot.lower, figure.robot.upper
-
-
-def _upright(figure: Figure) -> tuple[Array, Array]:
     lower, upper = figure.robot.lower.copy(), figure.robot.upper.copy()
+    if kind != REACH:
+        return lower, upper
     for joint in figure.robot.joints:
         for part, (low, high) in _UPRIGHT.items():
             if joint.endswith(part):
@@ -221,8 +213,8 @@ class _Polish:
         self.ready = rows.prepare(figure.home, self.even, limits=limits_of(figure, kind), speeds=None)
         self.found = Frames(np.empty((1, figure.robot.nq)), np.empty(1), np.empty(1, dtype=np.int64))
         # Where the solver stood last: position and rotation of each row's frame, and the centre of mass.
-        self.pose, self.center = self.ready.table("pose"), self.ready.table("center")
-        self.node, self.local = self.ready.table("node"), self.ready.table("local")
+        self.pose, self.center = self.ready.arrays["pose"], self.ready.arrays["center"]
+        self.node, self.local = self.ready.arrays["node"], self.ready.arrays["local"]
         at_home = list(figure.feet_at_home.values())
         self.feet = np.array([np.concatenate([position, matrix.ravel()]) for position, matrix in at_home])
 
@@ -245,7 +237,7 @@ class _Polish:
             ready.weight[0, -1] = 0.0 if low is None else _PULL
             if low is not None:
                 self.node[-1], self.local[-1] = low
-            ready.stiffness[:] = damping * self.even + self.toes
+            ready.arrays["stiffness"][:] = damping * self.even + self.toes
             ready.posture[0] = q
             ready.solve(self.found, 0, 1, q, q, 1, 0.0, 0.0)
             new = self.found.q[0].copy()
@@ -274,7 +266,7 @@ class _Polish:
         That is where balance is, and the node and position of what is under the floor, by the solver's own
         forward pass.
         """
-        _, normal, offset = support(self.figure)
+        normal, offset = support(self.figure)
         center, n = self.center[:2], 2 * len(self.feet)
         off = float(np.abs(self.pose[0:n:2] - self.feet).max())  # m, or about as much as the angle, rad
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
@@ -293,8 +285,7 @@ class _Polish:
         return node, row
 
 
-def _polish(figure: Figure, arm: str, kind: str) -> _Polish:
-    return remembered(figure.workspace, f"polish {arm} {kind}", lambda: _Polish(figure, arm, kind))
+_polish = once_each(_Polish)
 
 
 def _attempt(
@@ -305,18 +296,18 @@ def _attempt(
     deep = 0.0 if kind == REACH else share * depth(figure, ball)
     rows = FrameRows(figure, _STEPS)
     rows.feet(figure.feet_at_home)
-    here = figure.center_at_home[:2]
-    path = np.column_stack([here + (support_middle(figure) - here) * s[:, None], np.zeros(_STEPS)])
-    rows.center(path, upright, axes="xy")
+    here, sole = figure.center_at_home[:2], figure.feet["left"].sole
+    middle = np.array([(sole.front + sole.rear) / 2 - 0.01, 0.0])  # over it balance is safest
+    rows.center(here + (middle - here) * s[:, None], upright, axes="xy")
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
-    rows.orientation(figure.trunk, rotation("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
+    rows.orientation(figure.trunk, axis_rotations("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
     if figure.gaze is not None:
         rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
     if flat:
-        rows.orientation(figure.hands[arm], rotation("y", -np.pi / 2), 0.3 * s)
+        rows.orientation(figure.hands[arm], axis_rotations("y", -np.pi / 2), 0.3 * s)
     if abduction:
         goal = figure.posture({f"{arm}_shoulder_roll": abduction, f"{arm}_shoulder_yaw": -abduction}, goal)
     posture = start + (goal - start) * s[:, None]
@@ -325,15 +316,9 @@ def _attempt(
     return _judged(figure, frames.q[-1], ball, arm, float(frames.miss[-1]))
 
 
-def support(figure: Figure) -> tuple[Array, Array, Array]:
-    """Hull of the soles at home: (h, 2) corners, and its edges as (h, 2) normals and (h,) offsets.
-
-    A point p is inside by the least of ``normals @ p - offsets``.
-    """
-    return remembered(figure.robot.memory, "figure.support", lambda: _support(figure))
-
-
-def _support(figure: Figure) -> tuple[Array, Array, Array]:
+@once_each
+def support(figure: Figure) -> tuple[Array, Array]:
+    """Edges of the hull of the soles at home, as of ``hull_edges``."""
     found, data = [], figure.data
     data.qpos[:] = figure.home
     mujoco.mj_kinematics(figure.model, data)
@@ -342,15 +327,12 @@ def _support(figure: Figure) -> tuple[Array, Array, Array]:
         points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
         world = data.xpos[body] + points @ matrix.T
         found.append(world[world[:, 2] < 0.003, :2])
-    corners = hull(np.concatenate(found))
-    edge = np.concatenate([corners[1:], corners[:1]]) - corners
-    normal = np.column_stack([-edge[:, 1], edge[:, 0]]) / np.linalg.norm(edge, axis=1)[:, None]
-    return corners, normal, (normal * corners).sum(axis=1)
+    return hull_edges(hull(np.concatenate(found)))
 
 
 def _judged(figure: Figure, q: Array, ball: Array, arm: str, hard: float = 0.0) -> FigurePose:
     """A pose with its miss and why it is not admissible, by MuJoCo; contacts are looked at last."""
-    _, normal, offset = support(figure)
+    normal, offset = support(figure)
     miss = float(np.linalg.norm(figure.pose(q, figure.hands[arm])[0] - ball))
     center, flaw = figure.center(q), ""
     if miss > AT_BALL:
@@ -389,6 +371,7 @@ def touches_itself(figure: Figure, q: Array) -> bool:
     return False
 
 
+@once_each
 def _no_soles(figure: Figure) -> NDArray[np.int64]:
     """Colliding geoms that are no soles."""
     soles = [body for foot in figure.feet.values() for body, _ in foot.parts]
@@ -401,7 +384,7 @@ def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
     if q is not None:
         data.qpos[:] = q
         mujoco.mj_kinematics(model, data)
-    may_not = remembered(figure.robot.memory, "figure.floor", lambda: _no_soles(figure))
+    may_not = _no_soles(figure)
     least: tuple[int, Array, float] = 0, np.zeros(3), np.inf
     near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():

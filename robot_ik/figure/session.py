@@ -7,7 +7,7 @@ acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađe
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
-from robot_ik.figure.decide import WORKSPACE, Decider, Decision, Obstacle
+from robot_ik.figure.decide import Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, Figure, in_stance_frame
 from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints, wrapped
 from robot_ik.figure.frames import SLICE, Slices
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
-from robot_ik.ports import Array, JointSink
+from robot_ik.ports import Array
 
 
 @dataclass(frozen=True)
@@ -119,18 +119,16 @@ class FigureSession:
 
     Args:
         abilities: Of the figure.
-        obstacles: What it may not walk through.
         mode: ``active`` or ``passive``.
         stance: (x, y, heading) where it stands at first.
         rate: Frames a second.
     """
 
     def __init__(
-        self, abilities: Abilities, *, obstacles: Sequence[Obstacle] = (), mode: str = "active",
+        self, abilities: Abilities, *, mode: str = "active",
         stance: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: float = RATE,
-        workspace: float = WORKSPACE,
     ) -> None:  # fmt: skip
-        self.decider = Decider(abilities, obstacles, workspace)
+        self.decider = Decider(abilities)
         self.mode, self.dt, self._began = mode, 1.0 / rate, stance
         self._commands: deque[Command] = deque()
         self._count = self._index = self._since = 0
@@ -188,15 +186,6 @@ class FigureSession:
         self._count += 1
         self._since += 1
         return frame
-
-    def run(self, seconds: float, sink: JointSink | None = None) -> list[FigureFrame]:
-        """Frames of some time, each also put into a sink."""
-        out = []
-        for _ in range(round(seconds / self.dt)):
-            out.append(self.step())
-            if sink is not None:
-                sink.send(out[-1].q, out[-1].t)
-        return out
 
     def _reset(self, stance: tuple[float, float, float]) -> None:
         self._q = self._before = self.figure.placed(self.figure.home, *stance)
@@ -291,7 +280,7 @@ class FigureSession:
         if isinstance(found, Motion):
             self._begin(found)
             return
-        motion = walk_motion(self.figure, found, self.dt)
+        motion = walk_motion(found, self.dt)
         if planning.replaces:
             motion = rest_of(motion, self._index)
             if self._motion is not None and len(motion) < len(self._motion) - self._index:

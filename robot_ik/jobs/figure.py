@@ -26,10 +26,11 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.decide import Decider, Decision
-from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points, rotation
+from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
+from robot_ik.geometry import axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.ar.output import open_sink
@@ -135,7 +136,7 @@ def moving_ball(
     else:
         rng = np.random.default_rng([seed, int(t / 3.0)])
         local = np.array([rng.uniform(0.2, 0.8), rng.uniform(-0.6, 0.6), rng.uniform(0.3, 1.9)])
-    x, y, z = rotation("z", stance[2]) @ local + [stance[0], stance[1], 0.0]
+    x, y, z = axis_rotations("z", stance[2]) @ local + [stance[0], stance[1], 0.0]
     return float(x), float(y), float(z)
 
 

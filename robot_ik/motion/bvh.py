@@ -19,6 +19,7 @@ import numpy as np
 
 from robot_ik.errors import ConfigError, TrajectoryError
 from robot_ik.files import write_atomically
+from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 from robot_ik.reading import read_text, shown
 
@@ -107,7 +108,7 @@ class Bvh:
         for k, name in enumerate(self.joints[joint].channels):
             if name.endswith("rotation"):
                 angle = np.radians(self.values[:, self._first[joint] + k])
-                total = total @ _rotations("XYZ".index(name[0]), angle)
+                total = total @ axis_rotations(name[0].lower(), angle)
         return np.asarray(total)
 
     def poses(self) -> tuple[Array, Array]:
@@ -296,14 +297,3 @@ class _Reader:
 
 def _numbers(values: Sequence[float]) -> str:
     return " ".join(map(repr, values))
-
-
-def _rotations(axis: int, angle: Array) -> Array:
-    """(n, 3, 3) rotations about X, Y or Z."""
-    c, s = np.cos(angle), np.sin(angle)
-    rotations = np.zeros((len(angle), 3, 3))
-    a, b = (axis + 1) % 3, (axis + 2) % 3
-    rotations[:, axis, axis] = 1.0
-    rotations[:, a, a] = rotations[:, b, b] = c
-    rotations[:, a, b], rotations[:, b, a] = -s, s
-    return rotations

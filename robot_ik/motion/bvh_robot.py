@@ -14,8 +14,10 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import TrajectoryError, UnsupportedJointError
+from robot_ik.geometry import matrix_to_quat, quat_to_matrix, rotation_log
+from robot_ik.model import qpos_addresses
 from robot_ik.motion.bvh import POSITION, Bvh, BvhJoint
-from robot_ik.motion.keyframes import Keyframes, qpos_addresses, sign_continuous
+from robot_ik.motion.keyframes import Keyframes, sign_continuous
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
@@ -104,13 +106,12 @@ def _nodes(robot: Robot) -> list[_Node]:
     return nodes
 
 
-def export_bvh(motion: Keyframes, rate: float = 60.0, *, scale: float = CENTIMETRES) -> Bvh:
-    """A motion as BVH: y up, z forward, ``scale`` units a metre; our joints' names are the bodies'.
+def export_bvh(motion: Keyframes, rate: float = 60.0) -> Bvh:
+    """A motion as BVH: y up, z forward, centimetres; our joints' names are the bodies'.
 
     Args:
         motion: Of any robot without slides.
         rate: Frames a second.
-        scale: Units a metre; centimetres by custom.
 
     Raises:
         UnsupportedJointError: The robot has slides, which BVH does not know.
@@ -122,23 +123,23 @@ def export_bvh(motion: Keyframes, rate: float = 60.0, *, scale: float = CENTIMET
     joints, columns = [], []
     for n, node in enumerate(nodes):
         above = nodes[node.parent if node.parent >= 0 else n].position  # the root has no offset
-        x, y, z = (scale * (node.position - above)).tolist()
-        ends = None if any(other.parent == n for other in nodes) else _end_of(robot, node, scale)
+        x, y, z = (CENTIMETRES * (node.position - above)).tolist()
+        ends = None if any(other.parent == n for other in nodes) else _end_of(robot, node)
         joints.append(BvhJoint(node.name, node.parent, (x, y, z), node.channels, ends))
-        columns.append(_channels_of(robot, node, qpos, scale))
+        columns.append(_channels_of(robot, node, qpos))
     return Bvh(tuple(joints), 1.0 / rate, np.hstack(columns))
 
 
-def _end_of(robot: Robot, node: _Node, scale: float) -> tuple[float, float, float]:
+def _end_of(robot: Robot, node: _Node) -> tuple[float, float, float]:
     """End Site of a last body: the farthest of its sites."""
     model = robot.model
     offsets = [model.site_pos[s] for s in range(model.nsite) if model.site_bodyid[s] == node.body]
     far = max(offsets, key=lambda p: float(np.linalg.norm(p)), default=np.array([0.0, 0.0, -_END]))
-    x, y, z = (scale * (BVH_AXES @ far)).tolist()
+    x, y, z = (CENTIMETRES * (BVH_AXES @ far)).tolist()
     return x, y, z
 
 
-def _channels_of(robot: Robot, node: _Node, qpos: Array, scale: float) -> Array:
+def _channels_of(robot: Robot, node: _Node, qpos: Array) -> Array:
     """(n, channels) of one node."""
     model, count = robot.model, len(qpos)
     free = node.kind == mujoco.mjtJoint.mjJNT_FREE
@@ -147,7 +148,7 @@ def _channels_of(robot: Robot, node: _Node, qpos: Array, scale: float) -> Array:
         return np.zeros((count, len(node.channels)))
     address = [int(model.jnt_qposadr[j]) for j in node.joints]
     if free:
-        positions = scale * qpos[:, address[0] : address[0] + 3] @ BVH_AXES.T
+        positions = CENTIMETRES * qpos[:, address[0] : address[0] + 3] @ BVH_AXES.T
     if node.along:
         signs = np.sign(node.axes[np.arange(len(address)), np.abs(node.axes).argmax(axis=1)])
         start = np.array([model.qpos0[a] for a in address])
@@ -182,10 +183,7 @@ def _rest_rotation(model: mujoco.MjModel, body: int) -> Array:
 
 def _matrices(wxyz: Array) -> Array:
     """(n, 3, 3) of quaternions (n, 4)."""
-    out = np.zeros((len(wxyz), 9))
-    for row, quaternion in zip(out, wxyz, strict=True):
-        mujoco.mju_quat2Mat(row, np.ascontiguousarray(quaternion))
-    return out.reshape(-1, 3, 3)
+    return np.array([quat_to_matrix(one) for one in wxyz]).reshape(-1, 3, 3)
 
 
 def _rotations_about(axis: Array, angle: Array) -> Array:
@@ -212,13 +210,12 @@ def _euler(rotations: Array) -> Array:
     return np.degrees(out)
 
 
-def own_motion(bvh: Bvh, robot: Robot, *, scale: float = CENTIMETRES) -> Keyframes:
+def own_motion(bvh: Bvh, robot: Robot) -> Keyframes:
     """The motion in a file of ``export_bvh``: the same skeleton, joint for joint.
 
     Args:
         bvh: Read from such a file.
         robot: The robot that was written.
-        scale: Units a metre.
 
     Raises:
         TrajectoryError: Another skeleton, a rotation that the hinges cannot make, a joint outside its limits.
@@ -241,10 +238,10 @@ def own_motion(bvh: Bvh, robot: Robot, *, scale: float = CENTIMETRES) -> Keyfram
                 assert angle is not None
                 qpos[:, a] = model.qpos0[a] + np.radians(angle) * np.sign(axis[np.abs(axis).argmax()])
         elif node.kind == mujoco.mjtJoint.mjJNT_HINGE:
-            qpos[:, address] = model.qpos0[address] + _hinge_angles(robot, node, bvh.rotation(n))
+            qpos[:, address] = model.qpos0[address] + _hinge_angles(node, bvh.rotation(n))
         elif node.joints:
-            _put_quaternions(bvh, n, model, node, qpos, scale)
-    rows = qpos[:, qpos_addresses(robot)]
+            _put_quaternions(bvh, n, model, node, qpos)
+    rows = qpos[:, qpos_addresses(robot.model, robot.tree)]
     return Keyframes(robot, np.arange(len(rows)) / bvh.rate, sign_continuous(robot, rows))
 
 
@@ -255,25 +252,22 @@ def _only_rotations(bvh: Bvh, joint: int, along: tuple[str, ...]) -> bool:
     return tuple(rotations[: len(along)]) == along and not any(np.any(values) for values in spare)
 
 
-def _put_quaternions(bvh: Bvh, n: int, model: mujoco.MjModel, node: _Node, qpos: Array, scale: float) -> None:
+def _put_quaternions(bvh: Bvh, n: int, model: mujoco.MjModel, node: _Node, qpos: Array) -> None:
     """The numbers of a ball or free joint, from the file's rotations."""
     a, rotations = int(model.jnt_qposadr[node.joints[0]]), bvh.rotation(n)
     if node.kind == mujoco.mjtJoint.mjJNT_FREE:
         for axis, name in enumerate(POSITION):
             moved = bvh.channel(n, name)
             if moved is not None:
-                qpos[:, a + int(np.argmax(BVH_AXES[axis]))] = moved / scale
+                qpos[:, a + int(np.argmax(BVH_AXES[axis]))] = moved / CENTIMETRES
         a, axes = a + 3, BVH_AXES
     else:
         axes = BVH_AXES @ _rest_rotation(model, node.body)
     matrices = axes.T @ rotations @ axes @ _matrices(model.qpos0[None, a : a + 4])[0]
-    for k, matrix in enumerate(matrices):
-        quaternion = np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix.reshape(9)))
-        qpos[k, a : a + 4] = quaternion
+    qpos[:, a : a + 4] = np.array([matrix_to_quat(matrix) for matrix in matrices]).reshape(-1, 4)
 
 
-def _hinge_angles(robot: Robot, node: _Node, rotations: Array) -> Array:
+def _hinge_angles(node: _Node, rotations: Array) -> Array:
     """(n, k) angles of hinges with any axes whose product is ``rotations`` (n, 3, 3), by Gauss-Newton.
 
     Raises:
@@ -288,7 +282,7 @@ def _hinge_angles(robot: Robot, node: _Node, rotations: Array) -> Array:
             columns.append(made @ axis)
             made = made @ _rotations_about(axis, angles[:, k])
         left = rotations @ made.transpose(0, 2, 1)
-        error = _logs(left)
+        error = np.array([rotation_log(matrix_to_quat(matrix)) for matrix in left]).reshape(-1, 3)
         if np.abs(error).max(initial=0.0) < 1e-15:
             break
         jacobian = np.stack(columns, axis=2)
@@ -301,13 +295,3 @@ def _hinge_angles(robot: Robot, node: _Node, rotations: Array) -> Array:
             hint="motions of other skeletons: robot_ik.motion.retarget",
         )
     return angles
-
-
-def _logs(rotations: Array) -> Array:
-    """(n, 3) rotation vectors of matrices."""
-    out = np.zeros((len(rotations), 3))
-    quaternion = np.zeros(4)
-    for row, matrix in zip(out, rotations, strict=True):
-        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(matrix.reshape(9)))
-        mujoco.mju_quat2Vel(row, quaternion, 1.0)
-    return out

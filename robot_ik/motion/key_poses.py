@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,13 +18,12 @@ from robot_ik.files import write_atomically
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import HINGE, Q_WIDTH, SLIDE
-from robot_ik.motion.keyframes import Keyframes, qpos_addresses
+from robot_ik.model import qpos_addresses
+from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
 from robot_ik.reading import shown
-from robot_ik.tables import Several, Table, read_table
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
+from robot_ik.robot import Robot
+from robot_ik.tables import Several, Table, keys_of, read_table
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,8 @@ class KeySequence:
         loop: Whether it runs round.
     """
 
-    poses: tuple[str, ...]
-    durations: tuple[float, ...] = ()
+    poses: Annotated[Several[str], Field(description="names of poses")]
+    durations: Annotated[Several[float], Field(description="seconds")] = ()
     loop: bool = False
 
 
@@ -165,17 +164,11 @@ class KeyPoses:
         return book
 
 
-class _KeySequenceTable(Table):
-    poses: Annotated[Several[str], Field(description="names of poses")]
-    durations: Annotated[Several[float], Field(description="seconds")] = ()
-    loop: bool = False
-
-
 class _KeyPosesFile(Table):
     version: Annotated[Literal[1], Field(alias="schema")]
     robot: str = ""
     poses: dict[str, dict[str, float | Several[float]]] = Field(default={})
-    motions: dict[str, _KeySequenceTable] = Field(default={})
+    motions: dict[str, Annotated[KeySequence, keys_of(KeySequence)]] = Field(default={})
 
 
 def _stated_limits(robot: Robot) -> Array:
@@ -237,7 +230,7 @@ _FEET = ("_foot", "_paw")  # frames whose names end so stand on the floor
 
 def named_poses(robot: Robot, book: KeyPoses) -> dict[str, Array]:
     """(nq,) by name: those of the file, and the keyframes of the model that it does not have."""
-    places = qpos_addresses(robot)
+    places = qpos_addresses(robot.model, robot.tree)
     keys = [robot.model.key(k) for k in range(robot.model.nkey)]
     return {**{key.name: np.array(key.qpos[places]) for key in keys}, **book.poses}
 

@@ -14,7 +14,6 @@ from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,14 +21,18 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE, Q_WIDTH
+from robot_ik.kernels.tree import BALL, FREE
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.motion.trajectory import Trajectory, csv_numbers, csv_table, require_positive
+from robot_ik.motion.trajectory import (
+    Trajectory,
+    checked_samples,
+    csv_numbers,
+    csv_table,
+    require_positive,
+)
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
+from robot_ik.robot import Robot
 
 # rad or m: so far a key may lie beyond a limit, or the last key of a loop beside the first.
 _SLACK = 1e-6
@@ -53,12 +56,6 @@ def column_names(robot: Robot) -> tuple[str, ...]:
     for joint, kind in zip(robot.joints, robot.tree.kind, strict=True):
         names += [joint + end for end in ends.get(int(kind), ("",))]
     return tuple(names)
-
-
-def qpos_addresses(robot: Robot) -> list[int]:
-    """Where the numbers of q stand in MuJoCo's qpos."""
-    joints = zip(robot.tree.joint_ids, robot.tree.kind, strict=True)
-    return [int(robot.model.jnt_qposadr[j]) + i for j, kind in joints for i in range(Q_WIDTH[int(kind)])]
 
 
 def sign_continuous(robot: Robot, q: ArrayLike) -> Array:
@@ -330,7 +327,7 @@ class Keyframes:
         rows = []
         for t in times.tolist():
             x = (t - begin) / seconds if seconds > 0.0 else float(t >= begin) * 2.0 - 1.0
-            share = float(minimum_jerk(np.clip(x, 0.0, 1.0)))
+            share = float(minimum_jerk(x))
             one = self._held(t)
             if share > 0.0:
                 two = other._held(t - begin)
@@ -484,20 +481,7 @@ def free_base(robot: Robot) -> int | None:
 
 
 def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> tuple[Array, Array]:
-    t, rows = np.array(times, dtype=float), np.array(q, dtype=float)
-    if t.ndim != 1 or len(t) < 1 or rows.shape != (len(t), robot.nq):
-        raise TrajectoryError(
-            f"keys of {robot.name!r} got times {t.shape} and q {rows.shape}",
-            hint=f"times must be (n,) with n >= 1 and q (n, {robot.nq})",
-        )
-    if not (np.isfinite(t).all() and np.isfinite(rows).all()):
-        raise TrajectoryError("a key has a number that is not finite", hint="look for NaN in q")
-    if (np.diff(t) < _LEAST_STEP).any():
-        k = int(np.argmax(np.diff(t) < _LEAST_STEP))
-        raise TrajectoryError(
-            f"times must increase, but key {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
-            hint="sort the keys, and give each a time of its own",
-        )
+    t, rows = checked_samples(f"keys of {robot.name!r}", times, q, robot.nq, _LEAST_STEP)
     rows = sign_continuous(robot, rows)
     for k, row in enumerate(rows):
         if outside := robot.outside(row, _SLACK):

@@ -8,23 +8,21 @@ then measure what was made; where a bound is broken by the sampling, slow down a
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import TrajectoryError, apart
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
-from robot_ik.goals import PoseGoal
+from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.motion.timing import Timing, fastest_timing
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
 from robot_ik.ports import Array
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-    from robot_ik.solvers.base import Solver
+from robot_ik.problem import Problem
+from robot_ik.robot import Robot
+from robot_ik.solvers import make_solver
+from robot_ik.solvers.base import Solver
 
 # Longest step of the trace: short against any arm, so that the nearest solution is the same branch.
 _STEP_LENGTH = 0.005  # m
@@ -131,30 +129,13 @@ def line_move(
     line = _Line.between(robot.forward(first, name), goal_pose)
     if line.length <= _TOLERANCE and line.angle <= _TOLERANCE:
         return Trajectory([0.0], [first], robot.joints)
-    tracer = _Tracer(robot, name, line, _nearest(robot, name, solver), max_jump)
+    problem = Problem(robot, PoseGoal.at(name, Pose()), tolerance=Tolerance(_TOLERANCE, _TOLERANCE))
+    tracer = _Tracer(robot, name, line, make_solver(solver), problem, max_jump)
     knots, path = tracer.trace(first)
     with np.errstate(divide="ignore"):
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
     timing = fastest_timing(knots, path, top, push, fastest)
     return _sampled(tracer, timing, path, top, push, rate, deviation)
-
-
-def _nearest(robot: Robot, frame: str, solver: str | Solver) -> Callable[[Pose, Array], Array | None]:
-    """The function that solves one pose of ``frame`` from a start, None where it did not converge."""
-    # Here, because these load the compiler, which other parts of this package do without.
-    from robot_ik.goals import Tolerance
-    from robot_ik.problem import Problem
-    from robot_ik.solvers import make_solver
-
-    method = make_solver(solver)
-    problem = Problem(robot, PoseGoal.at(frame, Pose()), tolerance=Tolerance(_TOLERANCE, _TOLERANCE))
-
-    def near(pose: Pose, start: Array) -> Array | None:
-        problem.retarget(pose)
-        solution = method.solve(problem, start)
-        return solution.q if solution.converged else None
-
-    return near
 
 
 @dataclass(frozen=True)
@@ -164,12 +145,15 @@ class _Tracer:
     robot: Robot  # its joint names and limits appear in errors
     frame: str
     line: _Line
-    near: Callable[[Pose, Array], Array | None]  # the joint vector (nq,) of a pose nearest to a start
+    solver: Solver
+    problem: Problem  # one pose of the frame
     max_jump: float  # largest change of one joint from point to point
 
     def solve(self, s: float, start: Array) -> Array | None:
         """Joint vector (nq,) of the point ``s`` nearest to ``start``, None where there is none."""
-        return self.near(self.line.pose(s), start)
+        self.problem.retarget(self.line.pose(s))
+        solution = self.solver.solve(self.problem, start)
+        return solution.q if solution.converged else None
 
     def trace(self, first: Array) -> tuple[Array, Array]:
         """Knots (n,) from 0 to 1 and joint vectors (n, nq), the first one ``first``."""

@@ -9,7 +9,7 @@ rest pose, in which the figure is taken to stand upright, toes forward.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -22,9 +22,10 @@ from pydantic import Field, field_validator
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.model import qpos_addresses
 from robot_ik.motion.bvh import Bvh
 from robot_ik.motion.bvh_robot import data_at_rest
-from robot_ik.motion.keyframes import Keyframes, free_base, qpos_addresses
+from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot
@@ -73,13 +74,11 @@ class SkeletonMap:
     """Which joint of a file is which part of a figure.
 
     Attributes:
-        bodies: Our body, by role (``ROLES``).
-        names: Names that a file may have for it, the likeliest first.
+        roles: By role (``ROLES``), our body and the names that a file may have for it, the likeliest first.
         file: Where it comes from.
     """
 
-    bodies: Mapping[str, str]
-    names: Mapping[str, Sequence[str]]
+    roles: Mapping[str, _Role]
     file: Path
 
     @classmethod
@@ -90,12 +89,7 @@ class SkeletonMap:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        parsed = read_table(_MapFile, file, "the map of joints")
-        return cls(
-            {role: row.body for role, row in parsed.roles.items()},
-            {role: row.names for role, row in parsed.roles.items()},
-            file,
-        )
+        return cls(read_table(_MapFile, file, "the map of joints").roles, file)
 
     @classmethod
     def of(cls, robot: Robot) -> SkeletonMap:
@@ -120,7 +114,7 @@ class SkeletonMap:
         """
         found = {}
         for role in ROLES:
-            indices = [index for index in map(bvh.named, self.names[role]) if index >= 0]
+            indices = [index for index in map(bvh.named, self.roles[role].names) if index >= 0]
             if not indices:
                 known = ", ".join(joint.name for joint in bvh.joints[:30])
                 raise ConfigError(
@@ -171,13 +165,14 @@ class _Measures:
                 raise ModelError(f"{robot.name!r} has no body {body!r} for {role}", path=robot.path)
         self.frames = bodies
         self.positions = {role: np.array(data.xpos[names[body]]) for role, body in bodies.items()}
-        rest = robot.model.qpos0[qpos_addresses(robot)]
+        rest = robot.model.qpos0[qpos_addresses(robot.model, robot.tree)]
         # A goal's frame of that name may be a site of the body: the palm, the sole.
         self.offsets = {
             role: robot.measure(rest, body).position - self.positions[role] for role, body in bodies.items()
         }
         self.soles = {side: self._sole(robot, data, f"{side}_ankle") for side in SIDES}
-        self.ankle = float(_middle(self.positions, "ankle")[2] - min(self.foot_height(robot, rest)))
+        lowest = min(float(robot.measure(rest, bodies[f"{side}_ankle"]).position[2]) for side in SIDES)
+        self.ankle = float(_middle(self.positions, "ankle")[2] - lowest)
 
     def _sole(self, robot: Robot, data: mujoco.MjData, role: str) -> Array:
         """(n, 3) what may touch the floor, from the foot frame: it, and all sites of the foot and below."""
@@ -188,10 +183,6 @@ class _Measures:
                 below.append(body)
         origin = self.positions[role] + self.offsets[role]
         return np.vstack([np.zeros(3), data.site_xpos[np.isin(model.site_bodyid, below)] - origin])
-
-    def foot_height(self, robot: Robot, q: Array) -> list[float]:
-        """Height of both foot frames."""
-        return [float(robot.measure(q, self.frames[f"{side}_ankle"]).position[2]) for side in SIDES]
 
 
 def _length(positions: Mapping[str, Array], *roles: str) -> float:
@@ -329,13 +320,8 @@ def _foot_path(
             share = share * share * (3.0 - 2.0 * share)
             for k in (first - step, end - 1 + step):
                 if 0 <= k < len(path) and not rests[k]:
-                    path[k] = _between(path[k], pin, share)
+                    path[k] = path[k] @ Pose.exp(share * (path[k].inverse() @ pin).log())
     return path
-
-
-def _between(one: Pose, two: Pose, share: float) -> Pose:
-    """The pose that far along the screw from one to the other."""
-    return one.compose(Pose.exp(share * one.inverse().compose(two).log()))
 
 
 def retarget(
@@ -363,32 +349,22 @@ def retarget(
         TrajectoryError: No frame at all, or a rest frame that is not there.
     """
     joints = SkeletonMap.of(robot) if joints is None else joints
-    indices = joints.find(bvh)
-    bvh, rest = _thinned(bvh, rate), _rest_of(bvh, rest_frame)
-    ours = _Measures(robot, joints.bodies)
+    indices, bodies = joints.find(bvh), {role: row.body for role, row in joints.roles.items()}
+    if not len(bvh.values):
+        raise TrajectoryError("the BVH file has no frames")
+    if rest_frame is not None and not 0 <= rest_frame < len(bvh.values):
+        raise TrajectoryError(f"there is no frame {rest_frame}", hint=f"0 … {len(bvh.values) - 1}")
+    rest = bvh.rest() if rest_frame is None else replace(bvh, values=bvh.values[[rest_frame]])
+    every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
+    bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
+    ours = _Measures(robot, bodies)
     wanted, scale = _targets(bvh, indices, ours, rest, up)
-    rows, miss = _solve_frames(robot, joints.bodies, wanted)
+    rows, miss = _solve_frames(robot, bodies, wanted)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
     return Retargeted(motion, miss, wanted.rests, scale)
 
 
-def _rest_of(bvh: Bvh, frame: int | None) -> Bvh:
-    if frame is None:
-        return bvh.rest()
-    if not 0 <= frame < len(bvh.values):
-        raise TrajectoryError(f"there is no frame {frame}", hint=f"0 … {len(bvh.values) - 1}")
-    return Bvh(bvh.joints, bvh.frame_time, bvh.values[frame : frame + 1])
-
-
-def _thinned(bvh: Bvh, rate: float | None) -> Bvh:
-    """The file with as many frames a second as asked for, or a little more."""
-    if not len(bvh.values):
-        raise TrajectoryError("the BVH file has no frames")
-    every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
-    return Bvh(bvh.joints, every / bvh.rate, bvh.values[::every])
-
-
-def _goals(robot: Robot, bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
+def _goals(bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
     """Of one frame, always in the same order: what is compiled for the first serves all."""
     goals: list[Goal] = [
         PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
@@ -415,7 +391,7 @@ def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> 
         q[base : base + 3] += wanted.pelvis[0].position - robot.forward(q, bodies["pelvis"]).position
     problem: Problem | None = None
     for k in range(len(wanted.pelvis)):
-        goals = _goals(robot, bodies, wanted, k, robot.home)
+        goals = _goals(bodies, wanted, k, robot.home)
         if problem is None:
             problem = Problem(robot, goals, budget=_FIRST_BUDGET)
         else:

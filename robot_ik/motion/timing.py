@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robot_ik.ports import Array
 
@@ -22,9 +23,10 @@ _QUINTIC_PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
 _STILL = 1e-9
 
 
-def minimum_jerk(x: Array) -> Array:
-    """Progress (n,) from 0 to 1 with the phase x (n,), without speed and acceleration at both ends."""
-    return x**3 * (10.0 - 15.0 * x + 6.0 * x * x)
+def minimum_jerk(phase: ArrayLike) -> Array:
+    """Progress from 0 to 1 with no speed and no acceleration at both ends (Flash & Hogan 1985)."""
+    x = np.clip(phase, 0.0, 1.0)
+    return np.asarray(x * x * x * (10.0 + x * (6.0 * x - 15.0)))
 
 
 @dataclass(frozen=True)

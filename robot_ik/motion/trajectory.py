@@ -9,20 +9,17 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
-from robot_ik.motion.timing import PROFILES, minimum_jerk
+from robot_ik.motion.timing import PROFILES, quintic
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
-
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-
+from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
 # What a move may ask of a robot: the checks that every planner shares.
@@ -104,6 +101,31 @@ def require_positive(what: str, value: float, unit: str) -> None:
         raise TrajectoryError(f"asked for a {what} of {value} {unit}", hint=f"{what} must be above zero")
 
 
+def checked_samples(
+    what: str, times: ArrayLike, q: ArrayLike, width: int, least: float = math.ulp(0.0)
+) -> tuple[Array, Array]:
+    """``times`` (n,), each ``least`` after the one before, and ``q`` (n, ``width``) as new arrays.
+
+    Raises:
+        TrajectoryError: They are not; ``what`` is for its message.
+    """
+    t, rows = np.array(times, dtype=float), np.array(q, dtype=float)
+    if t.ndim != 1 or len(t) < 1 or rows.shape != (len(t), width):
+        raise TrajectoryError(
+            f"{what} got times {t.shape} and q {rows.shape}",
+            hint=f"times must be (n,) with n >= 1 and q (n, {width})",
+        )
+    if not (np.isfinite(t).all() and np.isfinite(rows).all()):
+        raise TrajectoryError(f"{what} got a number that is not finite", hint="look for NaN in q")
+    if (np.diff(t) < least).any():
+        k = int(np.argmax(np.diff(t) < least))
+        raise TrajectoryError(
+            f"times must increase, but row {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
+            hint="sort the rows and drop those of equal time",
+        )
+    return t, rows
+
+
 _TIME_COLUMN = "time_s"
 
 
@@ -129,22 +151,8 @@ class Trajectory:
     joints: tuple[str, ...]
 
     def __init__(self, times: ArrayLike, q: ArrayLike, joints: Iterable[str]) -> None:
-        t = np.array(times, dtype=float)
-        samples = np.array(q, dtype=float)
         names = tuple(joints)
-        if t.ndim != 1 or len(t) < 1 or samples.shape != (len(t), len(names)):
-            raise TrajectoryError(
-                f"a trajectory of {len(names)} joints got times {t.shape} and q {samples.shape}",
-                hint=f"times must be (n,) with n >= 1 and q (n, {len(names)})",
-            )
-        if not (np.isfinite(t).all() and np.isfinite(samples).all()):
-            raise TrajectoryError("a trajectory got a number that is not finite", hint="look for NaN in q")
-        if (np.diff(t) <= 0.0).any():
-            k = int(np.argmax(np.diff(t) <= 0.0))
-            raise TrajectoryError(
-                f"times must increase, but sample {k + 1} at {t[k + 1]:.6g} s follows {t[k]:.6g} s",
-                hint="sort the samples and drop those of equal time",
-            )
+        t, samples = checked_samples(f"a trajectory of {len(names)} joints", times, q, len(names))
         t.flags.writeable = samples.flags.writeable = False
         for name, value in (("times", t), ("q", samples), ("joints", names)):
             object.__setattr__(self, name, value)
@@ -428,10 +436,11 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
 
 
 def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
-    """From rest to rest by a quintic, at ``APPROACH`` of the caps; its peaks: 1.875 d/T and 5.774 d/T^2."""
+    """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
     distance = np.abs(there - here)
-    fast = 1.875 * distance / (APPROACH * caps.velocity)
-    soft = np.sqrt(5.774 * distance / (APPROACH * caps.acceleration))
-    seconds = max(float(np.max([fast, soft])), 2.0 / caps.rate_hz)
+    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
+        fast, soft = np.min(APPROACH * np.array([caps.velocity, caps.acceleration]) / distance, axis=1)
+    shape = quintic(float(fast), float(soft))
+    seconds = max(shape.duration, 2.0 / caps.rate_hz)
     t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
-    return Trajectory(t, here + np.outer(minimum_jerk(t / seconds), there - here), caps.names)
+    return Trajectory(t, here + np.outer(shape.progress(t / seconds), there - here), caps.names)

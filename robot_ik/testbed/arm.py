@@ -147,7 +147,9 @@ class ArmLink:
                     looked = time.monotonic()
                     self._servos = read_states(self._arm.bus, self._arm.config.servos)
             except RobotIkError as error:
-                self._fail(error)
+                self._message = str(error).splitlines()[0]
+                if isinstance(error, ArmStateError | HardwareError):
+                    self._mode = "hold"
             due += period
             if (rest := due - time.monotonic()) > 0.0:
                 self._over.wait(rest)
@@ -232,8 +234,3 @@ class ArmLink:
         finally:
             self._arm.on_exit = before
         self._arm.connect()
-
-    def _fail(self, error: RobotIkError) -> None:
-        self._message = str(error).splitlines()[0]
-        if isinstance(error, ArmStateError | HardwareError):
-            self._mode = "hold"

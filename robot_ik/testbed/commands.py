@@ -7,13 +7,13 @@ which it took effect, and the digest of the view at the end.  It replays to the 
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 from pydantic import Field, TypeAdapter, ValidationError
+from pydantic.alias_generators import to_snake
 
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.files import write_atomically
@@ -39,25 +39,19 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Command:
-    """Something that a person asked for; the fields are what a log holds.
-
-    Class attributes:
-        rebuilds: It changes what is solved, so that kernels may have to be compiled: the session prepares
-            it beside the loop and takes it when it is ready.
-    """
-
-    rebuilds: ClassVar[bool] = False
+    """Something that a person asked for; the fields are what a log holds."""
 
     @classmethod
     def key(cls) -> str:
         """Its name in a log: ``SetMethod`` is ``set_method``."""
-        return re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        return to_snake(cls.__name__)
 
 
 class SetupCommand(Command):
-    """A command that rebuilds."""
+    """A command that changes what is solved, so that kernels may have to be compiled.
 
-    rebuilds: ClassVar[bool] = True
+    The session prepares it beside the loop and takes it when it is ready.
+    """
 
 
 @dataclass(frozen=True)
@@ -308,13 +302,10 @@ class CommandLog:
                 "the first line is not that of a command log",
                 file=file, key="testbed_log", allowed=f"{FORMAT}; logs come from robot-ik view --log FILE",
             )  # fmt: skip
-        return cls._of_rows(_checked(Start, first, file), rows[1:], file)
-
-    @classmethod
-    def _of_rows(cls, start: Start, rows: Iterable[tuple[int, Any]], file: Path | str) -> CommandLog:
+        start: Start = _checked(Start, first, file)
         commands: list[tuple[int, Command]] = []
         ticks, digest = 0, ""
-        for k, row in rows:
+        for k, row in rows[1:]:
             here, values = f"{file}:{k}", dict(row)
             tick = values.pop("end" if "end" in values else "tick", None)
             last = commands[-1][0] if commands else 0

@@ -5,16 +5,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import time
-from collections import deque
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError
-from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.session import FigureSession, ResetFigure, SetBall, StartPassive
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, Tolerance
 from robot_ik.motion.drag import Drag
@@ -42,35 +40,18 @@ class Statistics:
     """Of the last ``count`` solves, at most ``WINDOW``."""
 
     count: int = 0  # how many solves these numbers cover
-    mean: float = (
-        0.0  # s of processor time of a solve, without waiting for others; a page's times are no benchmark
-    )
+    mean: float = 0.0  # s of processor time of a solve, without waiting for others: no benchmark
     p99: float = 0.0
     iterations: float = 0.0  # mean steps of a solve
     solved: float = 0.0  # share of solves that met the ball's goal, 0 to 1; goals beside it do not count
 
-
-class Window:
-    """The last solves of one instance."""
-
-    def __init__(self) -> None:
-        self._rows: deque[tuple[float, int, bool]] = deque(maxlen=WINDOW)
-
-    def add(self, seconds: float, iterations: int, solved: bool) -> None:
-        """One solve more."""
-        self._rows.append((seconds, iterations, solved))
-
-    def clear(self) -> None:
-        """Forgets all."""
-        self._rows.clear()
-
-    def statistics(self) -> Statistics:
-        """Of what is in the window."""
-        if not self._rows:
-            return Statistics()
-        rows = np.array(self._rows, dtype=float)
-        mean, iterations, solved = rows.mean(axis=0).tolist()
-        return Statistics(len(rows), mean, float(np.percentile(rows[:, 0], 99)), iterations, solved)
+    @classmethod
+    def of(cls, solves: Array) -> Statistics:
+        """Of solves (n, 3): seconds, steps, and 1 where the ball's goal was met."""
+        if not len(solves):
+            return cls()
+        mean, iterations, solved = solves.mean(axis=0).tolist()
+        return cls(len(solves), mean, float(np.percentile(solves[:, 0], 99)), iterations, solved)
 
 
 class History:
@@ -85,7 +66,7 @@ class History:
         # Twice as long, so that a full one is moved once in ``length`` rows and not in each.
         self._rows, self._length, self._end = np.zeros((2 * length, width)), length, 0
 
-    def add(self, row: Array | float) -> None:
+    def add(self, row: ArrayLike) -> None:
         """One row (width,) more."""
         if self._end == len(self._rows):
             self._rows[: self._length] = self._rows[self._length :]
@@ -117,7 +98,6 @@ class InstanceView:
     miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
     angle: float  # rad, likewise
     iterations: int  # steps of the last solve
-    manipulability: float  # product of the singular values of the tool's Jacobian
     statistics: Statistics  # of the last second
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
@@ -125,20 +105,20 @@ class InstanceView:
 
 
 class Instance:
-    """One robot with its method.
+    """One robot with its method; it stands still until it has one.
 
     Args:
         robot: Within the limits that hold.
-        solver: Its method; None: it stands still until there is one.
         rate: Ticks a second, Hz.
     """
 
-    def __init__(self, robot: Robot, solver: Solver | None, rate: float) -> None:
-        self.robot, self.solver = robot, solver
+    def __init__(self, robot: Robot, rate: float) -> None:
+        self.robot = robot
+        self.solver: Solver | None = None
         self._rate, self.data = rate, mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
         self._body, self._local = frame.body, frame.local
-        self._window, self._statistics = Window(), Statistics()
+        self._solves, self._statistics = History(WINDOW, 3), Statistics()
         self._trail, self._errors = History(TRAIL, 3), History(round(HISTORY_SECONDS * rate), 2)
         self.q = robot.home.copy()
         self.refused = self.note = ""
@@ -148,12 +128,11 @@ class Instance:
         """Home, with empty statistics."""
         self.move_to(self.robot.home)
         self._problem: Problem | None = None
-        self._kind: tuple[Any, ...] = ()
         self._drag: Drag | None = None
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
         self.miss = self.angle = self.manipulability = 0.0
-        self._window.clear()
+        self._solves.clear()
         self._trail.clear()
         self._errors.clear()
         self._statistics = Statistics()
@@ -162,7 +141,7 @@ class Instance:
     def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
         """Goes on with another method, options or limits; a method that changed begins new statistics."""
         if self.solver != solver or self.robot is not robot:
-            self._window.clear()
+            self._solves.clear()
             self._statistics = Statistics()
         self.robot, self.solver, self.refused, self.note = robot, solver, refused, note
         self._problem = self._drag = None
@@ -199,7 +178,7 @@ class Instance:
         self._measure(goals, ball)
         if solution is not None:
             met = self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
-            self._window.add(self._seconds, solution.iterations, met)
+            self._solves.add((self._seconds, solution.iterations, met))
 
     def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
         """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
@@ -243,7 +222,7 @@ class Instance:
         rotation, position = self._tool()
         self.miss, self.angle = off(goals, rotation, position, ball)
         self._trail.add(position)
-        self._errors.add(np.array((self.miss, self.manipulability)))
+        self._errors.add((self.miss, self.manipulability))
 
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""
@@ -252,7 +231,7 @@ class Instance:
 
     def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
-        self._statistics = self._window.statistics()
+        self._statistics = Statistics.of(self._solves.rows())
         self._goals = tuple(
             (name, *goal.miss(self.robot, self.q, goal.target)) for name, goal in goals.named(ball)
         )
@@ -264,7 +243,7 @@ class Instance:
         return InstanceView(
             "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
             self.data.xquat.copy(), self._status, not self.refused, self.note, self.miss, self.angle,
-            self._iterations, self.manipulability, self._statistics, self._goals, self._trail.rows(),
+            self._iterations, self._statistics, self._goals, self._trail.rows(),
             self._errors.rows(),
         )  # fmt: skip
 
@@ -298,61 +277,3 @@ def _angle(a: Array, b: Array) -> float:
     m = a.T @ b
     x, y, z = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
     return math.atan2(0.5 * math.sqrt(x * x + y * y + z * z), 0.5 * (m[0, 0] + m[1, 1] + m[2, 2] - 1.0))
-
-
-# ------------------------------------------------------------------------- a figure that decides by itself
-
-FigureMode = Literal["active", "passive"]
-
-
-@dataclass(frozen=True)
-class FigureView:
-    """What is seen of a figure that decides."""
-
-    mode: FigureMode  # it follows the ball, or acts on the ball as it was at the command
-    action: str  # what it does now
-    phase: float  # how far that has come, 0 to 1
-    decision: str  # what it decided to do
-    arm: str  # with which arm; empty: none
-    reason: str  # why, in one sentence
-    then: str  # what it does where it walks to; empty: it does not walk
-    waiting: bool  # passive, and not asked to act yet
-
-
-class ActingFigure:
-    """Runs the session of a figure, a frame for each tick.
-
-    Args:
-        abilities: Of the figure.
-        mode: As ``FigureView.mode``.
-        rate: Ticks a second, Hz.
-    """
-
-    def __init__(self, abilities: Abilities, mode: FigureMode, rate: float) -> None:
-        self.mode: FigureMode = mode
-        self._session = FigureSession(abilities, mode=mode, rate=rate)
-        self._frame = self._session.step()
-
-    def act(self) -> None:
-        """Passive: now, on the ball where it is."""
-        self._session.send(StartPassive())
-
-    def reset(self) -> None:
-        """Back to where it began, at rest."""
-        self._session.send(ResetFigure())
-
-    def step(self, ball: Array) -> Array:
-        """(nq,) of the next frame, with the ball at (3,), metres."""
-        x, y, z = (float(value) for value in ball)
-        self._session.send(SetBall((x, y, z)))
-        self._frame = self._session.step()
-        return np.asarray(self._frame.q)
-
-    def view(self) -> FigureView:
-        """What is seen of it."""
-        frame = self._frame
-        decision = frame.decision
-        return FigureView(
-            self.mode, frame.action, frame.phase, decision.action, decision.arm or "", decision.reason,
-            decision.then or "", self.mode == "passive" and self._session.ball is None,
-        )  # fmt: skip

@@ -40,7 +40,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.base import IterativeSolver, Solver
-from robot_ik.testbed.commands import Command, SetRobot
+from robot_ik.testbed.commands import Command, SetRobot, SetupCommand
 from robot_ik.testbed.setup import BUDGET, Ready, RobotGoals, Setup, first_ball, prepare, warm_drag
 
 _log = logging.getLogger(__name__)
@@ -143,18 +143,16 @@ class Preparer:
     ) -> None:
         self._setup, self._robot, self._done, self._beside = setup, robot, done, beside
         self._ready: Ready | None = None
-        self._jobs: queue.SimpleQueue[Command | type[Preparer] | None] = queue.SimpleQueue()
+        self._jobs: queue.Queue[SetupCommand | type[Preparer] | None] = queue.Queue()
         self._thread: threading.Thread | None = None
-        self._waiting = 0
         self._compilers = Compilers()
         self.can_drag = False
-        self._lock = threading.Lock()
         self._text = "preparing …"
 
     @property
     def doing(self) -> str:
         """As text; empty: nothing."""
-        return self._text if self._waiting else ""
+        return self._text if self._jobs.unfinished_tasks else ""
 
     def begin(self) -> None:
         """What the session begins with, beside the loop; once."""
@@ -163,24 +161,24 @@ class Preparer:
             self._thread.start()
             self.ask(None)
 
-    def ask(self, command: Command | None) -> None:
+    def ask(self, command: SetupCommand | None) -> None:
         """Prepares what the command asks for; None: what the session begins with."""
-        self._count(1)
-        if self._beside:
-            self._jobs.put(command)
-        else:
-            self._do(command)
+        self._jobs.put(command)
+        if not self._beside:
+            self._do(self._jobs.get())
 
     def close(self) -> None:
         """No more; what is being compiled is not waited for."""
         self._compilers.close()
-        self._jobs.put(Preparer)
+        if self._thread is not None:
+            self._jobs.put(Preparer)
 
     def _work(self) -> None:
         while (job := self._jobs.get()) is not Preparer:
-            self._do(job)  # type: ignore[arg-type]
+            self._do(job)
+        self._jobs.task_done()
 
-    def _do(self, command: Command | None) -> None:
+    def _do(self, command: Any) -> None:
         self._text = "preparing …"
         try:
             wanted = self._setup if command is None else self._setup.after(command)
@@ -199,7 +197,7 @@ class Preparer:
             self._done(SetupDone(command, ready=ready))
             self._warm_drag(robot)
         finally:
-            self._count(-1)
+            self._jobs.task_done()
 
     def _compile(self, setup: Setup, robot: Robot, goals: RobotGoals, solvers: Sequence[Solver]) -> None:
         """In other processes, what takes long: a compiler here would hold up the page."""
@@ -223,10 +221,6 @@ class Preparer:
             with contextlib.suppress(RobotIkError):  # a model of which nothing can be dragged
                 warm_drag(robot)
             self.can_drag = True
-
-    def _count(self, change: int) -> None:
-        with self._lock:
-            self._waiting += change
 
     def _say(self, text: str) -> None:
         self._text = text

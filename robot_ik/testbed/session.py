@@ -24,12 +24,13 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import RobotIkError
+from robot_ik.figure.session import FigureFrame, FigureSession, ResetFigure, SetBall, StartPassive
 from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, short_switch_interval
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed import commands
-from robot_ik.testbed.instance import ActingFigure, FigureView, Instance, InstanceView
+from robot_ik.testbed.instance import Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.setup import ExtraGoal, Ready, Setup, branches_of, completed, first_ball
 
@@ -54,6 +55,20 @@ class BranchView:
     q: Array
     xpos: Array
     xquat: Array
+
+
+@dataclass(frozen=True)
+class FigureView:
+    """What is seen of a figure that decides by itself."""
+
+    mode: str  # ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command
+    action: str  # what it does now
+    phase: float  # how far that has come, 0 to 1
+    decision: str  # what it decided to do
+    arm: str  # with which arm; empty: none
+    reason: str  # why, in one sentence
+    then: str  # what it does where it walks to; empty: it does not walk
+    waiting: bool  # passive, and not asked to act yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +148,8 @@ class Session(AbstractContextManager["Session"]):
         self._drag: commands.DragLink | None = None
         self._branches: tuple[BranchView, ...] = ()
         self._ready: Ready | None = None
-        self._figure: ActingFigure | None = None
+        self._figure: FigureSession | None = None
+        self._frame: FigureFrame  # its latest
         self.arm = arm
         self.name = self.start.robot
         self.robot: Robot
@@ -202,8 +218,10 @@ class Session(AbstractContextManager["Session"]):
             for one in self.instances[int(self._figure is not None) :]:
                 one.solve(ready.goals, self._ball)
         if self._figure is not None:
-            first, q = self.instances[0], self._figure.step(self._ball.position)
-            first.stand(q, self._figure.view().action, ready.goals, self._ball)
+            x, y, z = self._ball.position.tolist()
+            self._figure.send(SetBall((x, y, z)))
+            self._frame = self._figure.step()
+            self.instances[0].stand(self._frame.q, self._frame.action, ready.goals, self._ball)
         for one in self.instances:
             if self._tick % _SLOW_TICKS == 0:
                 one.measure_manipulability()
@@ -245,9 +263,18 @@ class Session(AbstractContextManager["Session"]):
             busy=self.busy,
             message=text if self._tick <= until else "",
             arm=self.arm.view() if self.arm is not None else None,
-            figure=self._figure.view() if self._figure is not None else None,
+            figure=self._figure_view(),
             can_act=self.robot.file.figure is not None,
         )
+
+    def _figure_view(self) -> FigureView | None:
+        if self._figure is None:
+            return None
+        mode, frame, decision = self._figure.mode, self._frame, self._frame.decision
+        return FigureView(
+            mode, frame.action, frame.phase, decision.action, decision.arm or "", decision.reason,
+            decision.then or "", mode == "passive" and self._figure.ball is None,
+        )  # fmt: skip
 
     def log(self) -> commands.CommandLog:
         """All that took effect up to now, and the digest of the present view."""
@@ -272,7 +299,7 @@ class Session(AbstractContextManager["Session"]):
         except RobotIkError as error:
             self._say(str(error).splitlines()[0])
             return
-        if command.rebuilds:
+        if isinstance(command, commands.SetupCommand):
             self._preparer.ask(command)
         elif isinstance(command, commands.DragLink) and not self._preparer.can_drag:
             self._say("parts can be dragged in a moment: what that needs is being compiled")
@@ -302,13 +329,13 @@ class Session(AbstractContextManager["Session"]):
                 for one in self.instances:
                     one.reset()
                 if self._figure is not None:
-                    self._figure.reset()
+                    self._figure.send(ResetFigure())
                     self._motion = "hand"
             case commands.Act():
                 if self._figure is None:
                     self._say("no figure decides: switch it on in the tab Figure")
                 else:
-                    self._figure.act()
+                    self._figure.send(StartPassive())
             case commands.PickBranch(index):
                 if index < len(self._branches):
                     self.instances[0].move_to(self._branches[index].q)
@@ -364,7 +391,7 @@ class Session(AbstractContextManager["Session"]):
             self._stand(ready.robot, ready.setup.count)
         elif len(self.instances) != ready.setup.count:
             missing = ready.setup.count - len(self.instances)
-            fresh = [Instance(ready.robot, None, self.start.rate) for _ in range(missing)]
+            fresh = [Instance(ready.robot, self.start.rate) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
         self.robot, self._branches = ready.robot, ()
         self._set_figure(before, ready)
@@ -387,13 +414,14 @@ class Session(AbstractContextManager["Session"]):
             self._figure = None
             self.instances[0].reset()
         if wanted != "off" and ready.abilities is not None:
-            self._figure = ActingFigure(ready.abilities, wanted, self.start.rate)
+            self._figure = FigureSession(ready.abilities, mode=wanted, rate=self.start.rate)
+            self._frame = self._figure.step()
             self._motion = "hand"
 
     def _stand(self, robot: Robot, count: int) -> None:
         """New robots, at home."""
         self.robot = robot
-        self.instances = [Instance(robot, None, self.start.rate) for _ in range(count)]
+        self.instances = [Instance(robot, self.start.rate) for _ in range(count)]
         self._ball = first_ball(robot)
         self._branches, self._scratch = (), mujoco.MjData(robot.model)
 

@@ -105,8 +105,8 @@ class Setup:
         """What a session begins with."""
         return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
 
-    def after(self, command: commands.Command) -> Setup:
-        """What is solved after a command that rebuilds.
+    def after(self, command: commands.SetupCommand) -> Setup:
+        """What is solved after a command of this kind.
 
         Raises:
             ConfigError: It names a goal that there is not.
@@ -132,7 +132,7 @@ class Setup:
                 return self._with_extra(command)
             case commands.SetFigure(mode):
                 return replace(self, figure=mode)
-        raise TypeError(f"{command!r} rebuilds nothing")
+        raise TypeError(f"{command!r} changes no setup")
 
     def _with_choice(self, k: int, choice: MethodChoice) -> Setup:
         return replace(self, choices=(*self.choices[:k], choice, *self.choices[k + 1 :]))
@@ -236,11 +236,6 @@ def is_figure(robot: Robot) -> bool:
     return robot.nq > robot.nv and bool(robot.file.gallery and robot.file.gallery.keep)
 
 
-def usual_kind(robot: Robot) -> commands.GoalKind:
-    """A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet."""
-    return "position" if is_figure(robot) or robot.nv < 6 else "pose"
-
-
 def usual_extras(robot: Robot) -> tuple[ExtraGoal, ...]:
     """The goals that the page offers beside the ball's."""
     figure = is_figure(robot)
@@ -281,7 +276,9 @@ def completed(setup: Setup, robot: Robot) -> Setup:
     usual = WHOLE_BODY_METHODS if is_figure(robot) else METHODS
     choices = setup.choices + tuple(MethodChoice(method) for method in usual[len(setup.choices) :])
     extras = usual_extras(robot) if setup.extras is None else setup.extras
-    return replace(setup, choices=choices, kind=setup.kind or usual_kind(robot), extras=extras)
+    # A pose where six freedoms carry the tool; else a position, which an arm of five joints can meet.
+    usual_kind: commands.GoalKind = "position" if is_figure(robot) or robot.nv < 6 else "pose"
+    return replace(setup, choices=choices, kind=setup.kind or usual_kind, extras=extras)
 
 
 def prepare(

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError, ModelError
 from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
-from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, decide
-from robot_ik.figure.figure import Figure, load_figure, rotation
+from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace
+from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.frames import Frames, PreparedRows
 from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
+from robot_ik.geometry import axis_rotations
 from robot_ik.robot import load_robot
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ BALLS = {
 def test_every_action_is_decided_anywhere(
     decider: Decider, action: str, stance: tuple[float, float, float]
 ) -> None:
-    x, y, z = rotation("z", stance[2]) @ np.array(BALLS[action]) + [stance[0], stance[1], 0.0]
+    x, y, z = axis_rotations("z", stance[2]) @ np.array(BALLS[action]) + [stance[0], stance[1], 0.0]
     found = decider.decide((x, y, z), stance)
     assert found.action == action, found.reason
     assert (found.stand_point is not None) == (action == "walk")
@@ -121,8 +122,9 @@ def test_it_never_walks_into_obstacles(abilities: Abilities) -> None:
 def test_decisions_do_not_depend_on_place_and_heading(
     abilities: Abilities, ball: tuple[float, ...], stance: tuple[float, float, float]
 ) -> None:
-    x, y, z = rotation("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
-    here, there = decide(abilities, ball), decide(abilities, (x, y, z), stance)
+    x, y, z = axis_rotations("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
+    decider = Decider(abilities)
+    here, there = decider.decide(ball), decider.decide((x, y, z), stance)
     assert (here.action, here.arm) == (there.action, there.arm)
 
 
@@ -197,7 +199,7 @@ def disagreement(decider: Decider, judge: Any, ball: Array, label: str, k: int) 
     """
     heading = 2 * np.pi * (k % 20) / 20  # twenty positions and headings
     stance = (3.0 * np.cos(heading), 0.1 * (k % 20), heading)
-    found = decider.decide(rotation("z", heading) @ ball + [stance[0], stance[1], 0.0], stance)
+    found = decider.decide(axis_rotations("z", heading) @ ball + [stance[0], stance[1], 0.0], stance)
     if found.action == label or label == "border":
         return ""
     if found.action in (REACH, BEND) and ACTIONS.index(found.action) < ACTIONS.index(label):
@@ -270,5 +272,5 @@ def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities)
     assert parts is not None
     file = robot.file.model_copy(update={"figure": parts.model_copy(update={"hands": {}})})
     armless = load_figure(replace(robot, file=file))
-    found = decide(replace(abilities, figure=armless, maps={}), (0.4, -0.2, 1.2))
+    found = Decider(replace(abilities, figure=armless, maps={})).decide((0.4, -0.2, 1.2))
     assert found.action == "nothing" and "no hands" in found.reason

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.balance import derivatives
-from robot_ik.figure.figure import RATE, rotation
+from robot_ik.figure.figure import RATE
 from robot_ik.figure.gait import FLAT
 from robot_ik.figure.session import FigureFrame, FigureSession, SetBall
+from robot_ik.geometry import axis_rotations
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def a_ball(kind: str, stance: Array, rng: np.random.Generator) -> tuple[float, f
     if kind == "nothing" and side < 0:
         return None
     x, y, z = rng.uniform(low, high) * [1.0, side, 1.0]
-    x, y, z = rotation("z", float(stance[2])) @ np.array([x, y, z]) + [stance[0], stance[1], 0.0]
+    x, y, z = axis_rotations("z", float(stance[2])) @ np.array([x, y, z]) + [stance[0], stance[1], 0.0]
     return float(x), float(y), float(z)
 
 

@@ -9,10 +9,11 @@ from robot_ik.errors import InvalidGoalError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
-from robot_ik.figure.figure import Figure, rotation
+from robot_ik.figure.figure import Figure
 from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
 from robot_ik.figure.gait import Walk, walk
 from robot_ik.figure.jump import jump
+from robot_ik.geometry import axis_rotations
 
 Array = NDArray[np.float64]
 
@@ -103,7 +104,7 @@ def test_small_steps_lead_anywhere_without_crossing_legs(
 def test_the_hand_ends_at_the_ball_in_balance(figure: Figure, kind: str, ball: tuple[float, ...]) -> None:
     """Anywhere in the world: the same motion, placed."""
     stance = (1.0, 2.0, 0.7)
-    there = rotation("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
+    there = axis_rotations("z", stance[2]) @ np.array(ball) + [stance[0], stance[1], 0.0]
     motion = take(figure, figure.placed(figure.home, *stance), there, "right", kind)
     assert figure.robot.measure(motion.q[-1], "right_hand").position == pytest.approx(there, abs=1e-3)
     measure = measure_motion(figure, motion.q, motion.contact)
@@ -126,7 +127,7 @@ def test_a_jump_flies_by_its_own_momentum(
     """Also to the rim, as fast as a man's: soles that neither slip nor flail, the palm on the ball."""
     speed = abilities.take_off(np.array(ball), "right")
     assert speed is not None
-    motion = jump(figure, figure.home, np.array(ball), "right", speed, corrections=2)
+    motion = jump(figure, figure.home, np.array(ball), "right", speed)
     near = min(float(np.linalg.norm(figure.pose(row, "right_hand")[0] - ball)) for row in motion.q)
     assert near <= 0.005
     measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")

@@ -29,7 +29,7 @@ from robot_ik.jobs.figure import Painter, frames_table, read_balls, record
 
 
 def play(session: FigureSession, seconds: float) -> list[FigureFrame]:
-    return session.run(seconds)
+    return [session.step() for _ in range(round(60.0 * seconds))]
 
 
 def hand_miss(session: FigureSession, frame: FigureFrame) -> float:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from robot_ik.figure.figure import RATE, Figure, minimum_jerk
+from robot_ik.figure.figure import RATE, Figure
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.poses import STIFF, pinned
+from robot_ik.motion.timing import minimum_jerk
 
 Array = NDArray[np.float64]
 

@@ -127,7 +127,7 @@ def test_random_goals_do_not_depend_on_how_often_one_asks(puma):
     np.testing.assert_array_equal(seldom.poll(4.75).position, last.position)
 
 
-def test_random_positions_leave_the_orientation_free(puma):
-    assert type(RandomSource(puma, "flange", free_orientation=True).poll(0.0)).__name__ == "PositionGoal"
+def test_random_goals_need_a_frame_and_a_period(puma):
+    assert RandomSource(puma, "flange").poll(0.0).frame == "flange"
     with pytest.raises(InvalidGoalError):
         RandomSource(puma, period=0.0)

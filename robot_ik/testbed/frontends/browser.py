@@ -6,6 +6,7 @@ others watch; STOP works from every one of them.
 
 from __future__ import annotations
 
+import functools
 import html
 import logging
 import math
@@ -14,13 +15,14 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import viser
 from numpy.typing import NDArray
 from viser import _messages as vm
 
+from robot_ik.motion.trajectory import Trajectory
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
@@ -36,9 +38,6 @@ from robot_ik.testbed.frontends.panels import (
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.frontends.widgets import Control, page, pressed
 from robot_ik.testbed.session import Session, View
-
-if TYPE_CHECKING:
-    from robot_ik.motion.trajectory import Trajectory
 
 Image = NDArray[np.uint8]
 LOG = logging.getLogger(__name__)
@@ -111,9 +110,9 @@ class Page(AbstractContextManager["Page"]):
         self.gate.always.add(self._run.stop_uuid)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Method"):
-            self._methods = MethodPanel(gui, send, self._view)
+            self._methods = MethodPanel(gui, send)
         with tabs.add_tab("Goals"):
-            self._goals = GoalsPanel(gui, send, self._view)
+            self._goals = GoalsPanel(gui, send)
         with tabs.add_tab("Arm"):
             self._arm = ArmPanel(gui, send, self._view, self._recording)
         with tabs.add_tab("Figure"):
@@ -169,7 +168,7 @@ class Page(AbstractContextManager["Page"]):
         """The panel on the right: readings; nothing to press, so nothing moves under the mouse."""
         panel = gui.add_panel()
         with panel.add_tab("Measured", viser.Icon.CHART_LINE):
-            self._measured = MeasuredPanel(gui, self.session.send, self._view)
+            self._measured = MeasuredPanel(gui)
         if self._camera is not None:
             with panel.add_tab("Camera", viser.Icon.CAMERA):
                 self._camera.add_to(gui)
@@ -180,16 +179,13 @@ class Page(AbstractContextManager["Page"]):
         for key in KEYMAP:
             if key.browser:
                 command = gui.add_command(key.about, hotkey=key.browser)  # type: ignore[arg-type]
-                self._bind(command, key)
+                command.on_trigger(functools.partial(self._pressed_key, key))
 
-    def _bind(self, handle: Any, key: Key) -> None:
-        async def pressed_key(event: Any) -> None:
-            if key.command is not None:
-                self.session.send(key.command(self._view))
-            else:
-                self._show_overlay(not self._overlay)
-
-        handle.on_trigger(pressed_key)
+    async def _pressed_key(self, key: Key, event: Any) -> None:
+        if key.command is not None:
+            self.session.send(key.command(self._view))
+        else:
+            self._show_overlay(not self._overlay)
 
     # ---------------------------------------------------------------------------------------- scene
 
@@ -333,15 +329,11 @@ class Page(AbstractContextManager["Page"]):
             self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
             if view.motion != "hand":
                 self._gizmo.wxyz = view.ball.wxyz
-            self._show_panels(view, scene)
-
-    def _show_panels(self, view: View, scene: BrowserScene) -> None:
-        """The panels that are due: one at most, so that no frame pays for all of them."""
-        now = time.monotonic()
-        refresh = min(self._refreshes, key=lambda one: one.due)
-        if now >= refresh.due:
-            refresh.due = now + refresh.period
-            refresh.show(view, scene)
+            # One panel at most, so that no frame pays for all of them.
+            now, refresh = time.monotonic(), min(self._refreshes, key=lambda one: one.due)
+            if now >= refresh.due:
+                refresh.due = now + refresh.period
+                refresh.show(view, scene)
 
     def _all_refreshes(self) -> tuple[_Refresh, ...]:
         def run(view: View, scene: BrowserScene) -> None:

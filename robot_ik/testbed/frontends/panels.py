@@ -11,7 +11,7 @@ import functools
 import html
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -19,6 +19,7 @@ import viser
 from viser import uplot
 
 from robot_ik import SOLVERS, catalogue
+from robot_ik.motion.trajectory import Trajectory
 from robot_ik.robot import Robot
 from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
@@ -30,21 +31,18 @@ from robot_ik.testbed.frontends.widgets import (
     option_widget,
     page,
     pressed,
-    update,
 )
+from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
-
-if TYPE_CHECKING:
-    from robot_ik.motion.trajectory import Trajectory
-    from robot_ik.testbed.instance import InstanceView
 
 HINT = "Drag the orange ball, or any part of the robot."
 _COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
 _MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
 _KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
 _KIND_LABELS = dict(zip(_KINDS, commands.GOAL_KINDS, strict=True))
-_MODE_LABELS = {"follow": "Follow", "hold": "Hold", "release": "Torque off"}
-_TEACH_LABELS = {"teach": "Teach", "replay": "Replay"}
+_ARM_LABELS = {
+    "Follow": "follow", "Hold": "hold", "Torque off": "release", "Teach": "teach", "Replay": "replay",
+}  # fmt: skip
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
@@ -105,7 +103,7 @@ class RunPanel:
             dot, label = "#f58220", "getting ready"
         line = html.escape(view.busy or view.message or HINT)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
-        update(self._state, content=self._large + page(text))
+        self._state.content = self._large + page(text)
         self._motion.follow(label_of(_MOTION_LABELS, view.motion))
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
@@ -118,7 +116,7 @@ class RunPanel:
 class MethodPanel:
     """A folder for each instance: its method, and that method's options made from the solver's fields."""
 
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send) -> None:
         self._limits = Control(
             gui.add_checkbox("Joint limits", True, hint="Whether they hold (O)"),
             lambda value: send(commands.SetLimits(value)),
@@ -149,12 +147,12 @@ class _MethodFolder:
 
     def show(self, one: InstanceView | None, count: int, busy: str) -> None:
         """Follows the instance, once it has a method; None: there is none."""
-        update(self._folder, visible=one is not None and one.method != "")
+        self._folder.visible = one is not None and one.method != ""
         if one is None or not one.method:
             return
         colour = hexadecimal(INSTANCE_COLOURS[self._k])
         bar = f'<div style="height:4px;border-radius:2px;background:{colour}"></div>'
-        update(self._colour, content=bar, visible=count > 1)
+        self._colour.content, self._colour.visible = bar, count > 1
         if self._shown != one.method:
             self._shown = one.method
             self._rebuild(one)
@@ -196,9 +194,7 @@ class _MethodFolder:
 class GoalsPanel:
     """What the ball asks of the tool, goals beside it with their priorities, branches to pick from."""
 
-    _ROWS = 14
-
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi, send: Send) -> None:
         self._gui, self._send = gui, send
         self._kind = Control(
             gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
@@ -212,7 +208,6 @@ class GoalsPanel:
             gui.add_dropdown("Go on from", ("–",), visible=False, hint="A branch for robot 1"), self._picked
         )
         gui.add_html(page("<small>goals and their priorities: 0 is served first</small>"))
-        self._names: tuple[str, ...] = ()
         self._folder = gui.add_folder(None)
         self._misses = gui.add_html("")
         self._rows: dict[str, tuple[Control | None, Control]] = {}
@@ -226,31 +221,29 @@ class GoalsPanel:
         self._kind.follow(label_of(_KIND_LABELS, view.kind))
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
-        update(self._pick.handle, visible=view.show_branches)
+        self._pick.handle.visible = view.show_branches
         if self._pick.handle.options != names:
             self._pick.handle.options = names
             self._pick.handle.value = "–"
-        if self._names != (shown := tuple(extra.name for extra in view.extras)):
-            self._names = shown
+        if list(self._rows) != [extra.name for extra in view.extras]:
             self._rebuild(view)
         for extra in view.extras:
-            if extra.name in self._rows:
-                box, rank = self._rows[extra.name]
-                if box is not None:
-                    box.follow(extra.on)
-                rank.follow(extra.priority)
+            box, rank = self._rows[extra.name]
+            if box is not None:
+                box.follow(extra.on)
+            rank.follow(extra.priority)
         rows = [
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
         ]
-        update(self._misses, content=page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else ""))
+        self._misses.content = page(_table(("robot 1 is off by", "mm", "°"), rows) if rows else "")
 
     def _rebuild(self, view: View) -> None:
         for child in list(self._folder._children.values()):
             child.remove()
         self._rows = {}
         with self._folder:
-            for extra in view.extras[: self._ROWS]:
+            for extra in view.extras:
                 name = extra.name
                 changed = functools.partial(self._changed, name)
                 box = None
@@ -285,11 +278,11 @@ class FigurePanel:
     def show(self, view: View) -> None:
         """Decision, reason, and what it does now."""
         acting = view.figure
-        update(self._mode.handle, visible=view.can_act)
+        self._mode.handle.visible = view.can_act
         if not view.busy:
             self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
-        update(self._act, visible=acting is not None and acting.mode == "passive")
-        update(self._text, content=page(self._figure_text(view)))
+        self._act.visible = acting is not None and acting.mode == "passive"
+        self._text.content = page(self._figure_text(view))
 
     @staticmethod
     def _figure_text(view: View) -> str:
@@ -319,23 +312,19 @@ class ArmPanel:
         self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
     ) -> None:
         self._text, there = gui.add_html(""), view.arm is not None
-        for label, labels, hint in (
-            ("Arm", _MODE_LABELS, "Follow robot 1; hold; torque off: an arm that is not supported falls"),
-            ("By hand", _TEACH_LABELS, "Teach: torque off, and a hand is recorded; Replay repeats it"),
+        labels = tuple(_ARM_LABELS)
+        for label, buttons, hint in (
+            ("Arm", labels[:3], "Follow robot 1; hold; torque off: an arm that is not supported falls"),
+            ("By hand", labels[3:], "Teach: torque off, and a hand is recorded; Replay repeats it"),
         ):
-            group = gui.add_button_group(label, tuple(labels.values()), visible=there, hint=hint)
-            pressed(group, functools.partial(self._pressed, send, labels))
+            group = gui.add_button_group(label, buttons, visible=there, hint=hint)
+            pressed(group, lambda event: send(commands.SetArm(_ARM_LABELS[event.target.value])))  # type: ignore[arg-type]
         save = gui.add_button(
             "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
             hint="As CSV: robot-ik servo play repeats it, too",
         )  # fmt: skip
         pressed(save, lambda event: self._save(event, recording()))
         self._table = gui.add_html("", visible=there)
-
-    @staticmethod
-    def _pressed(send: Send, labels: Mapping[str, str], event: Any) -> None:
-        mode = next(mode for mode, label in labels.items() if label == event.target.value)
-        send(commands.SetArm(mode))  # type: ignore[arg-type]
 
     @staticmethod
     def _save(event: Any, shown: Trajectory | None) -> None:
@@ -354,7 +343,7 @@ class ArmPanel:
         arm = view.arm
         if arm is None:
             line = "<small>no arm: start with <kbd>robot-ik view --bus sim</kbd></small>"
-            update(self._text, content=page(line))
+            self._text.content = page(line)
             return
         said = f'<br><span class="no">{html.escape(arm.message)}</span>' if arm.message else ""
         self._text.content = page(
@@ -387,7 +376,7 @@ class MeasuredPanel:
 
     _PLOTS: Mapping[str, tuple[int, str]] = {"distance to the goal, mm": (0, "mm"), "manipulability": (1, "")}
 
-    def __init__(self, gui: viser.GuiApi, send: Send, view: View) -> None:
+    def __init__(self, gui: viser.GuiApi) -> None:
         self._table = gui.add_html("")
         self._menu = gui.add_dropdown("Plot", tuple(self._PLOTS), hint="Over the last 5 seconds")
         # Made once for every number of robots and hidden, as the folders of the methods.
@@ -444,7 +433,7 @@ class MeasuredPanel:
         """Plot and joints, five times a second."""
         for (n, name), plot in self._plots.items():
             visible = (n, name) == (view.count, self._menu.value) and view.tick > 1
-            update(plot, visible=visible)
+            plot.visible = visible
             if visible:
                 self._fill(plot, view, name)
         self._joints.content = page(joint_bars(view, robot))

@@ -141,9 +141,7 @@ class Recorder:
     def _seen(self, points: Array) -> tuple[Array, Array]:
         """Pixels (n, 2) and depths (n,) of points (n, 3)."""
         inside = (points - self._camera.position) @ self._camera.rotation
-        depth = np.maximum(inside[:, 2], 1e-9)
-        pixels = inside[:, :2] / depth[:, None] * self._lens.fx + (self._lens.cx, self._lens.cy)
-        return pixels, inside[:, 2]
+        return self._lens.project(inside), inside[:, 2]
 
     def _lines(self, image: Image, lines: list[Array], colour: Colour, thickness: int) -> None:
         for line in lines:

@@ -166,7 +166,7 @@ class Ghosts:
     def __init__(
         self, server: viser.ViserServer, model: mujoco.MjModel, name: str, colour: Colour, count: int
     ) -> None:
-        self._count, self._visible = count, False
+        self._count = count
         self._root = server.scene.add_frame(f"/robot/{name}", show_axes=False, visible=False)
         one, hidden = _poses(count)
         self._bodies: list[tuple[int, Any]] = []
@@ -180,8 +180,7 @@ class Ghosts:
 
     def draw(self, poses: list[tuple[Array, Array]], offset: Array) -> None:
         """Bodies' positions (nbody, 3) and quaternions (nbody, 4) of each copy, beside ``offset`` (3,)."""
-        if self._visible != bool(poses):
-            self._visible = self._root.visible = bool(poses)
+        self._root.visible = bool(poses)
         if not poses:
             return
         quaternions, positions = _poses(self._count)

@@ -61,15 +61,8 @@ class Control:
 
     def follow(self, value: Any) -> None:
         """Shows what the session has; not under the hand that moves it."""
-        if self.handle.value != value and time.monotonic() - self._touched > _HAND_SECONDS:
+        if time.monotonic() - self._touched > _HAND_SECONDS:
             self.handle.value = value
-
-
-def update(handle: Any, **values: Any) -> None:
-    """Sets those attributes of a widget that differ: the others are not sent again."""
-    for name, value in values.items():
-        if getattr(handle, name) != value:
-            setattr(handle, name, value)
 
 
 def pressed(button: Any, act: Callable[[Any], None]) -> None:

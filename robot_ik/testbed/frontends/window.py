@@ -14,14 +14,16 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
+import mujoco
 import numpy as np
 
-from robot_ik.environment import import_mujoco, probe_display
+from robot_ik.environment import probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
+from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
     GOAL_COLOUR,
@@ -35,15 +37,12 @@ from robot_ik.testbed.commands import KEYMAP, MoveGoal
 from robot_ik.testbed.session import Session, View
 from robot_ik.urdf import Urdf
 
-if TYPE_CHECKING:
-    from robot_ik.robot import Robot
-
 #: Seconds the window may take to appear; it takes about one, several in software on a busy machine.
 OPEN_LIMIT = 20.0
 #: Seconds to wait for the drawing thread to end; a thread left behind can crash Python's own exit.
 CLOSE_LIMIT = 5.0
-#: Axis thickness as a fraction of its length.
-_AXIS_WIDTH = 0.04
+#: Of a goal's axes, metres.
+_AXIS_LENGTH, _AXIS_WIDTH = 0.12, 0.0048
 #: Seconds between two checks whether the window is closed.
 _POLL = 0.05
 # Where a ball is that shall not be seen, metres.
@@ -66,9 +65,9 @@ _WITHOUT_WINDOW = "run it without --view: the pictures are written to the output
 _WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
 
 
-def _require_display(limit: float, instead: str) -> None:
+def _require_display(instead: str) -> None:
     """Raises before MuJoCo waits for ever for a window that cannot come."""
-    probe = probe_display(timeout=limit)
+    probe = probe_display(timeout=OPEN_LIMIT)
     if probe.ok:
         return
     raise ViewerError(
@@ -77,8 +76,8 @@ def _require_display(limit: float, instead: str) -> None:
     )
 
 
-def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any:
-    """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``limit`` seconds."""
+def _call_with_limit(call: Callable[[], Any], instead: str) -> Any:
+    """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``OPEN_LIMIT`` seconds."""
     box: list[Any] = []
     failure: list[BaseException] = []
 
@@ -90,12 +89,12 @@ def _call_with_limit(call: Callable[[], Any], limit: float, instead: str) -> Any
 
     thread = threading.Thread(target=body, daemon=True, name="viewer-opening")
     thread.start()
-    thread.join(limit)
+    thread.join(OPEN_LIMIT)
     if failure:
         raise ViewerError(f"the viewer window failed to open: {failure[0]}") from failure[0]
     if not box:
         raise ViewerError(
-            f"the viewer window did not open within {limit:.0f} s",
+            f"the viewer window did not open within {OPEN_LIMIT:.0f} s",
             hint=f"{instead}\nlook closer with: robot-ik doctor",
         )
     return box[0]
@@ -108,9 +107,7 @@ def _light(model: Any) -> None:
         model.vis.headlight.diffuse[:] = _DIFFUSE
 
 
-def _launch(
-    model: Any, data: Any, limit: float, instead: str, **options: Any
-) -> tuple[Any, list[threading.Thread]]:
+def _launch(model: Any, data: Any, instead: str, **options: Any) -> tuple[Any, list[threading.Thread]]:
     """MuJoCo's passive viewer without its side panels, and its threads.
 
     ``instead`` says what to run where there can be no window.
@@ -132,10 +129,10 @@ def _launch(
                 hint=f"run: mjpython -m robot_ik …\nor {instead}",
             )
     else:
-        _require_display(limit, instead)
+        _require_display(instead)
     options |= {"show_left_ui": False, "show_right_ui": False}
     before = set(threading.enumerate())
-    window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), limit, instead)
+    window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), instead)
     return window, [thread for thread in threading.enumerate() if thread not in before]
 
 
@@ -160,7 +157,7 @@ def _add_geom(
     geom, pose = scene.geoms[scene.ngeom], pose or Pose()
     size, colour = np.zeros(3) if size is None else size, np.array(rgba, dtype=np.float32)
     rotation = pose.rotation.ravel()
-    import_mujoco().mjv_initGeom(geom, kind, size, np.array(pose.position), rotation, colour)
+    mujoco.mjv_initGeom(geom, kind, size, np.array(pose.position), rotation, colour)
     scene.ngeom += 1
     return geom
 
@@ -168,7 +165,7 @@ def _add_geom(
 def _add_connector(scene: Any, kind: int, rgba: Sequence[float], width: float, a: Array, b: Array) -> None:
     """A line or an arrow from one point (3,) to another."""
     if (geom := _add_geom(scene, kind, rgba)) is not None:
-        import_mujoco().mjv_connector(geom, kind, width, a, b)
+        mujoco.mjv_connector(geom, kind, width, a, b)
 
 
 class _ViewerWindow:
@@ -199,7 +196,6 @@ class WindowSink(_ViewerWindow):
     Args:
         robot: What to show.
         start: (nq,) first joint angles, rad or m; the robot's home if ``None``.
-        limit: Seconds the window may take to appear.
         solids: What stands round the robot.
         see: (n, 3) points that shall be in view beside the whole robot, metres.
         viewpoint: From where the camera looks; None: from the side that MuJoCo takes.
@@ -219,32 +215,30 @@ class WindowSink(_ViewerWindow):
         robot: Robot,
         *,
         start: Array | None = None,
-        limit: float = OPEN_LIMIT,
         solids: Sequence[Solid] = (),
         see: Array | None = None,
         viewpoint: Array | None = None,
         ball: float = 0.0,
         instead: str = _WITHOUT_WINDOW,
     ) -> None:
-        self._mujoco = import_mujoco()
         self._robot = robot
         self._model = copy.deepcopy(robot.model)
         _light(self._model)
-        self.data = self._mujoco.MjData(self._model)
+        self.data = mujoco.MjData(self._model)
         self._write(robot.home if start is None else start)
-        self._viewer, self._threads = _launch(self._model, self.data, limit, instead)
+        self._viewer, self._threads = _launch(self._model, self.data, instead)
         with self._lock():
             self._aim_camera(see, viewpoint)
             for solid in solids:
-                self._add_box(solid)
+                box, half = mujoco.mjtGeom.mjGEOM_BOX, np.array(solid.half)
+                _add_geom(self._viewer.user_scn, box, solid.rgba, half, solid.pose)
             self._ball = self._add_ball(ball) if ball > 0.0 else None
-        self._fixed = int(self._viewer.user_scn.ngeom)
         self._viewer.sync()
 
     def _aim_camera(self, see: Array | None, viewpoint: Array | None) -> None:
         """Rotates the camera so that the robot as it stands and ``see`` (n, 3) fill the view."""
         model, data = self._model, self.data
-        solid = [g for g in range(model.ngeom) if model.geom_type[g] != self._mujoco.mjtGeom.mjGEOM_PLANE]
+        solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
         points = np.zeros((0, 3)) if see is None else np.reshape(see, (-1, 3))
         positions, sizes = data.geom_xpos[solid], model.geom_rbound[solid][:, None]
         corners = np.vstack([positions - sizes, positions + sizes, points])
@@ -258,17 +252,13 @@ class WindowSink(_ViewerWindow):
         camera.lookat[:] = middle
         camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
 
-    def _add_box(self, solid: Solid) -> None:
-        box = self._mujoco.mjtGeom.mjGEOM_BOX
-        _add_geom(self._viewer.user_scn, box, solid.rgba, np.array(solid.half), solid.pose)
-
     def _add_ball(self, radius: float) -> Any | None:
-        sphere, colour = self._mujoco.mjtGeom.mjGEOM_SPHERE, _rgba(GOAL_COLOUR)
+        sphere, colour = mujoco.mjtGeom.mjGEOM_SPHERE, _rgba(GOAL_COLOUR)
         return _add_geom(self._viewer.user_scn, sphere, colour, np.full(3, radius), Pose(_NOWHERE))
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
-        self._mujoco.mj_forward(self._model, self.data)
+        mujoco.mj_forward(self._model, self.data)
 
     def send(self, q: Array, now: float) -> None:
         """Shows ``q`` (nq,), rad or m, in joint order; does nothing once the window is closed."""
@@ -278,13 +268,13 @@ class WindowSink(_ViewerWindow):
             self._write(q)
         self._viewer.sync()
 
-    def show_goal(self, pose: Pose, *, length: float = 0.12) -> None:
-        """Draws the axes of a goal at ``pose`` in the world: red x, green y, blue z, ``length`` metres."""
-        arrow, scene = self._mujoco.mjtGeom.mjGEOM_ARROW, self._viewer.user_scn
+    def show_goal(self, pose: Pose) -> None:
+        """Draws the axes of a goal at ``pose`` in the world: red x, green y, blue z."""
+        arrow, scene = mujoco.mjtGeom.mjGEOM_ARROW, self._viewer.user_scn
         with self._lock():
             for axis, colour in enumerate(_AXIS_COLOURS):
-                tip = pose.position + length * pose.rotation[:, axis]
-                _add_connector(scene, arrow, colour, _AXIS_WIDTH * length, pose.position, tip)
+                tip = pose.position + _AXIS_LENGTH * pose.rotation[:, axis]
+                _add_connector(scene, arrow, colour, _AXIS_WIDTH, pose.position, tip)
         self._viewer.sync()
 
     def show_ball(self, position: Array) -> None:
@@ -296,14 +286,8 @@ class WindowSink(_ViewerWindow):
     def show_text(self, left: str, right: str) -> None:
         """Writes two columns into the corner of the window, in place of what stood there."""
         if self.is_running():
-            font, corner = self._mujoco.mjtFontScale.mjFONTSCALE_100, self._mujoco.mjtGridPos.mjGRID_TOPLEFT
+            font, corner = mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_TOPLEFT
             self._viewer.set_texts([(font, corner, left, right)])
-
-    def clear_goals(self) -> None:
-        """Takes all drawn goals away."""
-        with self._lock():
-            self._viewer.user_scn.ngeom = self._fixed
-        self._viewer.sync()
 
     def is_running(self) -> bool:
         """Whether the window is still open."""
@@ -346,7 +330,6 @@ class SessionWindow(_ViewerWindow):
         self._view = session.view()
         self._overlay = True
         self._robot: Robot | None = None
-        self._mujoco = import_mujoco()
         self._open()
 
     @property
@@ -356,16 +339,16 @@ class SessionWindow(_ViewerWindow):
 
     def _open(self) -> None:
         """A window for the session's robot; another robot needs another one."""
-        mujoco, robot = self._mujoco, self.session.robot
+        robot = self.session.robot
         self._robot = robot
         self._grabbed = False
         self._placed = np.full(3, np.nan)  # the new window's ball was nowhere yet
-        self._model, self._ball = _with_ball(mujoco, robot, float(robot.model.stat.extent))
+        self._model, self._ball = _with_ball(robot, float(robot.model.stat.extent))
         _light(self._model)
         self._data = mujoco.MjData(self._model)
         self._option = mujoco.MjvOption()
         self._viewer, self._threads = _launch(
-            self._model, self._data, OPEN_LIMIT, _WITHOUT_VIEWER, key_callback=self._on_key
+            self._model, self._data, _WITHOUT_VIEWER, key_callback=self._on_key
         )
         body = int(self._model.body(_BALL).id)
         with self._viewer.lock():
@@ -385,7 +368,7 @@ class SessionWindow(_ViewerWindow):
         robot, self._count = self.session.robot, self._view.count
         arrangement = arranged(robot, self._count)
         self._offsets = arrangement.offsets - arrangement.offsets[0]
-        self._others = [self._mujoco.MjData(robot.model) for _ in range(self._count - 1)]
+        self._others = [mujoco.MjData(robot.model) for _ in range(self._count - 1)]
         points = corners(robot, arrangement, self.session.ball_path()) - arrangement.offsets[0]
         position, target = fitted_camera(points, arrangement, aspect=1.5)
         with self._viewer.lock():
@@ -416,7 +399,7 @@ class SessionWindow(_ViewerWindow):
             self._take_drag()
             self._data.mocap_pos[self._ball] = self._placed = np.array(view.ball.position)
             self._data.qpos[: robot.model.nq] = robot.qpos(view.instances[0].q)
-            self._mujoco.mj_forward(self._model, self._data)
+            mujoco.mj_forward(self._model, self._data)
             self._draw_others(view)
         self._viewer.set_texts(self._texts(view) if self._overlay else [])
         self._viewer.sync()
@@ -441,7 +424,7 @@ class SessionWindow(_ViewerWindow):
 
     def _draw_others(self, view: View) -> None:
         """Trails, and the other instances: their geoms shifted."""
-        mujoco, scene, robot = self._mujoco, self._viewer.user_scn, self.session.robot
+        scene, robot = self._viewer.user_scn, self.session.robot
         scene.ngeom = 0
         for k, data in enumerate(self._others, 1):
             data.qpos[:] = robot.qpos(view.instances[k].q)
@@ -461,7 +444,6 @@ class SessionWindow(_ViewerWindow):
 
     def _texts(self, view: View) -> list[Any]:
         """Mode, ball and statistics in the corners."""
-        mujoco = self._mujoco
         rows = [
             ("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)),
             ("moves", view.motion),
@@ -482,7 +464,7 @@ class SessionWindow(_ViewerWindow):
         return [(font, corner.mjGRID_TOPLEFT, left, right), (font, corner.mjGRID_BOTTOMLEFT, keys, about)]
 
 
-def _with_ball(mujoco: Any, robot: Robot, extent: float) -> tuple[Any, int]:
+def _with_ball(robot: Robot, extent: float) -> tuple[Any, int]:
     """The robot's model with a ball that the mouse can move, and its mocap index.
 
     Raises:
