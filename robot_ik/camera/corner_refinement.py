@@ -12,11 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.detection import Image, to_gray
 from robot_ik.camera.edge_fit import (
     ALONG,
     BAND,
@@ -51,7 +49,7 @@ from robot_ik.camera.edge_fit import (
     fit_edge,
     take_pixels,
 )
-from robot_ik.camera.image import from_reduced, reduced, to_reduced
+from robot_ik.camera.image import Image, from_reduced, reduced, to_gray, to_reduced
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
@@ -429,20 +427,14 @@ def _refine_in_another_size(
         found = to_reduced(corners - low, times)[None]
         normalized, covariance = np.empty_like(found), np.empty((1, 8, 8))
         good, blurs = np.zeros(1, np.int64), np.empty(1)
-        refine_corners_of(_resized(part, times), small, cells, found, normalized, covariance, good, blurs)
+        resized = np.ascontiguousarray(reduced(part, times))
+        refine_corners_of(resized, small, cells, found, normalized, covariance, good, blurs)
         if good[0]:
             # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
             known = max(times, 1.0)
             there = from_reduced(found[0], times) + low
             return there, normalized[0], covariance[0] * known**2, times * float(blurs[0])
     return None
-
-
-def _resized(part: Image, times: float) -> Image:
-    if times >= 1.0:
-        return np.ascontiguousarray(reduced(part, round(times)))
-    larger = cv2.resize(part, (0, 0), fx=1.0 / times, fy=1.0 / times, interpolation=cv2.INTER_CUBIC)
-    return np.asarray(larger, dtype=np.uint8)
 
 
 def _area(corners: Array) -> float:

@@ -381,8 +381,7 @@ class MarkerGoalSource:
             FrameTimeoutError: The source has ended or stopped.
             CalibrationError: The frames have not the size of the calibration.
         """
-        newest = None if wait else getattr(self.source, "newest", None)
-        frame: Frame | None = newest() if newest is not None else self.source.read()
+        frame = self.source.read() if wait else self.source.newest()
         if frame is None:
             return
         if self.last_frame is not None and frame.sequence == self.last_frame.sequence:

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
-from robot_ik.camera.detection import Image, correctable, to_gray
-from robot_ik.camera.image import marker_bits
+from robot_ik.camera.detection import correctable
+from robot_ik.camera.image import Image, marker_bits, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, lens_vector
 from robot_ik.camera.photometric_equations import (
@@ -149,7 +149,7 @@ def refine_prints(
         if last is not None and not one.by_print:
             one = _fitted(gray, lens, black, start, origin, expected, effort, None)
         fits.append(one)
-    allowed = correctable(dictionary, strict=True)
+    allowed = correctable(dictionary)
     fits = [replace(one, misread=max(0, one.misread - allowed)) if one.misread else one for one in fits]
     if all(one.by_print or not one.refined for one in fits):
         return fits

@@ -14,7 +14,7 @@ from robot_ik.bench.camera import Effort, arm
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.kinematic import PoseError
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticScene
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
@@ -34,7 +34,7 @@ from robot_ik.jobs.arm_camera.verify import (
 HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5": 2.0, "joint6": 1.0}
 
 
-class Drawn(ClosingSource):
+class Drawn(FrameSource):
     """A light camera: the markers of the scene where the servos' shafts put them, before a wall."""
 
     live = True
