@@ -95,7 +95,7 @@ def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrins
     points = marker_points(size)
     if not np.isfinite(seen.normalized).all():
         return None
-    return square_branches(points, CornerData.of(points, seen, intrinsics))
+    return square_branches(points, CornerData.of(points, [seen], intrinsics))
 
 
 def marker_observation(
@@ -112,7 +112,7 @@ def marker_observation(
         corners=seen.corners,
         pose=branches.poses[chosen],
         alternative=branches.other(chosen),
-        reprojection_error=branches.pixel_error(chosen),
+        reprojection_error=branches.fits[chosen].pixel_error,
         ambiguity=branches.ambiguity if ambiguity is None else ambiguity,
         covariance=branches.covariances[chosen],
         sigma=seen.sigma,
@@ -202,7 +202,7 @@ class BodyBranches:
         return BodyObservation(
             pose_camera_body=b.poses[chosen],
             covariance=b.covariances[chosen],
-            reprojection_error=b.pixel_error(chosen),
+            reprojection_error=b.fits[chosen].pixel_error,
             ids=self.ids,
             rejected=self.rejected,
             ambiguity=b.ambiguity if ambiguity is None else ambiguity,
@@ -247,19 +247,16 @@ def body_branches(
         size, pose_body_marker = layout[i]
         value = observed[i]
         corners = value if isinstance(value, RefinedCorners) else unrefined(value, intrinsics)
-        own = marker_points(size)
-        if not np.isfinite(corners.normalized).all():
-            continue
-        found = square_branches(own, CornerData.of(own, corners, intrinsics))
+        found = marker_branches(corners, size, intrinsics)
         if found is None:
             continue
         ids.append(i)
         seen.append(replace(corners, covariance=corners.covariance + _MODEL_SIGMA**2 * np.eye(8)))
-        points.append(pose_body_marker.apply(own))
+        points.append(pose_body_marker.apply(marker_points(size)))
         starts += [pose.compose(pose_body_marker.inverse()) for pose in found.poses]
     if not ids:
         return None
-    data = CornerData.of_markers(np.concatenate(points), seen, intrinsics)
+    data = CornerData.of(np.concatenate(points), seen, intrinsics)
     chosen, pose = _consensus(data, starts)
     branches = with_mirror_image(_weighted(data, chosen, pose), pose)
     if branches is None:

@@ -265,15 +265,8 @@ class CornerData:
     to_pixels: Array
 
     @classmethod
-    def of(cls, points: Array, seen: RefinedCorners, intrinsics: CameraIntrinsics) -> CornerData:
-        """The four corners of one marker; ``points`` (4, 3) in the body's frame."""
-        return cls.of_markers(points, [seen], intrinsics)
-
-    @classmethod
-    def of_markers(
-        cls, points: Array, seen: Sequence[RefinedCorners], intrinsics: CameraIntrinsics
-    ) -> CornerData:
-        """Several markers of one body; ``points`` (4 m, 3) in its frame."""
+    def of(cls, points: Array, seen: Sequence[RefinedCorners], intrinsics: CameraIntrinsics) -> CornerData:
+        """The markers of one body; ``points`` (4 m, 3) in its frame."""
         announce(fit_poses, "the pose of markers")
         normalized = np.concatenate([s.normalized for s in seen])
         blocks, to_pixels = np.zeros((len(seen), 8, 8)), np.empty((len(normalized), 2, 2))
@@ -379,10 +372,6 @@ class Branches:
     def fits(self) -> tuple[FittedPose, ...]:
         """How well each pose fits."""
         return tuple(self.data.fit(pose) for pose in self.poses)
-
-    def pixel_error(self, chosen: int = 0) -> float:
-        """RMS distance of the corners, px."""
-        return self.fits[chosen].pixel_error
 
     @cached_property
     def covariances(self) -> tuple[Array, ...]:
