@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import (
     CharucoPattern,
-    ChessboardPattern,
     FoundPattern,
     Pattern,
     describe,
@@ -150,7 +150,7 @@ class ViewGatherer:
     def _identify_pattern(self, *, last: bool) -> None:
         images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]
         other = fitting_pattern(self.pattern, images)
-        if isinstance(other, CharucoPattern) and other.legacy and _same_counts(other, self.pattern):
+        if isinstance(self.pattern, CharucoPattern) and other == replace(self.pattern, legacy=True):
             self.pattern = other
             self.notices.append(
                 "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
@@ -159,9 +159,10 @@ class ViewGatherer:
             for number, image in enumerate(images):
                 self.offer(Frame(image, 0.0, number), f"picture {number + 1}", selective=False)
         elif other is not None:
+            counted = "squares" if isinstance(other, CharucoPattern) else "inner corners, not squares"
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
-                hint=f"--columns {other.columns} --rows {other.rows}" + _counted(other),
+                hint=f"--columns {other.columns} --rows {other.rows} ({counted})",
             )
         elif last:
             raise CalibrationError(
@@ -218,14 +219,6 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
 
 def _option_text(pattern: Pattern) -> str:
     return f": --columns {pattern.columns} --rows {pattern.rows}"
-
-
-def _counted(pattern: Pattern) -> str:
-    return " (inner corners, not squares)" if isinstance(pattern, ChessboardPattern) else " (squares)"
-
-
-def _same_counts(a: CharucoPattern, b: Pattern) -> bool:
-    return isinstance(b, CharucoPattern) and (a.columns, a.rows) == (b.columns, b.rows)
 
 
 def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, float]:
