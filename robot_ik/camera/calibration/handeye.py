@@ -61,11 +61,18 @@ class Mount:
         pose_parent_camera: X.
         pose_other_board: Y.
         mounting: Who is carried.
+
+    Raises:
+        CalibrationError: Unknown mounting.
     """
 
     pose_parent_camera: Pose
     pose_other_board: Pose
     mounting: Mounting
+
+    def __post_init__(self) -> None:
+        if self.mounting not in MOUNTINGS:
+            raise CalibrationError(f"unknown mounting {self.mounting!r}; known: {', '.join(MOUNTINGS)}")
 
     def moved(self, step: Array) -> Mount:
         """Both poses moved by twists (12,): the camera's, then the board's."""
@@ -349,9 +356,8 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
 # The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
 _ALL = np.arange(12)
 _HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
-# and by more than this many pixels: below, print and lens are as good a reason.
-_OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
+# What contradicts the others by fewer pixels is no outlier: print and lens are as good a reason.
+_OUTLIER_PIXELS = 0.3
 # Beyond this part of the picture's longer side a view's miss is no arm's error: 16 px of 640, 10 mm and more
 # at half a metre.
 _ABSURD = 0.025
@@ -439,8 +445,6 @@ def solve_handeye(
         CalibrationError: Unknown mounting, too few views, too little turning, or views that no mounting
             explains.
     """
-    if mounting not in MOUNTINGS:
-        raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
     spread = require_diversity(samples)
     # The hand is off, position and angle; nothing is known beforehand.
     hand = np.broadcast_to(_HAND[:, None], (2, len(samples), 6, 6))
@@ -523,17 +527,17 @@ def _residual(
     hand = sample.pose_world_hand.compose(Pose.exp(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))
     deviation = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
-    left_out = _rms_distance(others.miss(sample, intrinsics))
+    left_out = rms_distance(others.miss(sample, intrinsics))
     return ViewResidual(
-        pixels=_rms_distance(mount.miss(sample, intrinsics)),
+        pixels=rms_distance(mount.miss(sample, intrinsics)),
         left_out_pixels=left_out,
         left_out_position=float(np.sqrt(np.mean(deviation**2))),
         left_out_angle=expected.distance(found)[1],
         sigmas=without.sigmas,
-        outlier=without.sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,
+        outlier=without.contradicts and left_out > _OUTLIER_PIXELS,
     )
 
 
-def _rms_distance(miss: Array) -> float:
-    """NaN (a board behind the camera) counts as endlessly far."""
+def rms_distance(miss: Array) -> float:
+    """Of misses (n, 2); NaN (a board behind the camera) counts as endlessly far."""
     return float(np.sqrt(np.mean(np.sum(np.nan_to_num(miss, nan=np.inf) ** 2, axis=1))))
