@@ -189,7 +189,7 @@ def test_what_is_missing_is_reported_before_anything_moves(
 
 def test_sums_are_over_halves_of_the_space() -> None:
     errors = [
-        PoseError(np.array([x, 0.0, 0.0]), np.array([0.0, off, 0.0]), 0.01, 1e-4, 1e-3, 0.0, False)
+        PoseError(np.array([x, 0.0, 0.0]), np.array([0.0, off, 0.0]), 0.01, 1e-4, 1e-3, False)
         for x, off in ((0.1, 1e-3), (0.2, 2e-3), (0.5, 4e-3))
     ]
     whole, near, far = regions(errors)
