@@ -24,7 +24,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_switch_interval
+from robot_ik.ports import Clock, RealClock, VirtualClock, short_switch_interval
 
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -104,14 +104,13 @@ SYNTHETIC_RATE_HZ = 15.0
 
 
 class LatestGoals:
-    """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
+    """Looks on a thread of its own (real time), or whenever a picture is due (virtual time).
 
-    Taking a picture and finding a marker in it takes several periods of a control loop.  A source with
-    ``observe`` and ``goal_at`` (``MarkerGoalSource``) observes there and is asked for the goal at each tick's
-    own time; any other is polled there, and its newest goal given.
+    Taking a picture and finding a marker in it takes several periods of a control loop.  So the source
+    observes there, and is asked for the goal at each tick's own time.
 
     Args:
-        goals: The source that is asked.
+        goals: The source that is asked: its ``observe`` and ``goal_at``.
         clock: The run's clock.
         rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
             have a rate of their own.
@@ -120,16 +119,11 @@ class LatestGoals:
         ended: The film is over, or the camera has stopped; from then on there is no goal.
     """
 
-    def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
+    def __init__(self, goals: MarkerGoalSource, clock: Clock, rate_hz: float | None = None) -> None:
         self._goals, self._clock = goals, clock
-        self._observe_source = getattr(goals, "observe", None)
-        self._goal_at = getattr(goals, "goal_at", None)
         self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
         self._virtual = isinstance(clock, VirtualClock)
         self._due = -float("inf")
-        self._lock = threading.Lock()
-        self._latest: Any = None
-        self._seen_at = -float("inf")
         self._failure: BaseException | None = None
         self.ended = False
         self._stop = threading.Event()
@@ -152,8 +146,8 @@ class LatestGoals:
             self._thread.join(timeout=5.0)
         self._prompt.close()
 
-    def poll(self, now: float) -> Any:
-        """The newest goal; None, which means hold, when there is none or it is older than half a second.
+    def poll(self, now: float) -> Goal | None:
+        """The goal for the time ``now``; None, which means hold, when there is none.
 
         Raises:
             CameraError: What looking raised, except that pictures came to an end.
@@ -162,26 +156,16 @@ class LatestGoals:
         if self._virtual and now >= self._due and not self.ended:
             self._due = now + self._period
             self._observe(now)
-        with self._lock:
-            if self._failure is not None:
-                raise self._failure
-            fresh = now - self._seen_at <= max(_MAX_AGE_S, 2.0 * self._period)
-            latest = self._latest if fresh else None
-        return latest if self._goal_at is None else self._goal_at(now)
+        if self._failure is not None:
+            raise self._failure
+        return self._goals.goal_at(now)
 
     def _observe(self, now: float) -> None:
-        goal = None
         try:
-            if self._observe_source is not None:
-                self._observe_source(now, wait=not self._virtual)
-            else:
-                goal = self._goals.poll(now)
+            self._goals.observe(now, wait=not self._virtual)
         except FrameTimeoutError as error:
             _log.info("no more pictures: %s", error)
             self.ended = True
-            return
-        with self._lock:
-            self._latest, self._seen_at = goal, self._clock.now()
 
     def _run(self) -> None:
         while not self._stop.is_set() and not self.ended:
@@ -189,8 +173,7 @@ class LatestGoals:
             try:
                 self._observe(begin)
             except Exception as error:  # handed to whoever asks next
-                with self._lock:
-                    self._failure = error
+                self._failure = error
                 return
             self._stop.wait(max(0.0, begin + self._period - self._clock.now()))
 
