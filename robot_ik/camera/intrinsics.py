@@ -297,11 +297,7 @@ class _Loader(yaml.SafeLoader):
     """Plain YAML plus OpenCV's tag for matrices."""
 
 
-def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _Loader.construct_mapping)
 
 
 def _load(path: Path) -> CameraIntrinsics:
@@ -330,7 +326,7 @@ def _load(path: Path) -> CameraIntrinsics:
             model=model,
             rms=_optional(content, "avg_reprojection_error", path),
             std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations", path)),
-            views=_views(content, path),
+            views=next((_whole(content, key, path) for key in ("views", "nframes") if key in content), None),
             name=str(content.get("camera_name", "camera")),
             date=str(content.get("calibration_time", content.get("calibration_date", ""))),
             edge_shift=_optional(content, "edge_shift", path),
@@ -414,10 +410,6 @@ def _optional(content: Mapping[str, Any], key: str, path: Path) -> float | None:
     if found.size != 1:
         raise CalibrationError(f"{path}: {key} must be one number, not {shown(content[key])}", hint=_HINT)
     return float(found[0])
-
-
-def _views(content: Mapping[str, Any], path: Path) -> int | None:
-    return next((_whole(content, key, path) for key in ("views", "nframes") if key in content), None)
 
 
 def _model(content: Mapping[str, Any], numbers: Array, path: Path) -> tuple[str, tuple[float, ...]]:

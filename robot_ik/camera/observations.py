@@ -72,18 +72,14 @@ def marker_points(size: float) -> Array:
         CameraError: The size is not positive, or suspiciously large.
     """
     if not 0.0 < size <= _LARGEST_SIZE:
+        millimetres = _LARGEST_SIZE < size <= 1000 * _LARGEST_SIZE
+        example = f"{size} mm are {size / 1000:g}" if millimetres else "50 mm are 0.05"
         raise CameraError(
             f"a marker size of {size} m cannot be right",
-            hint=f"give the side of the black square in metres: {_in_metres(size)}",
+            hint=f"give the side of the black square in metres: {example}",
         )
     h = 0.5 * size
     return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-
-
-def _in_metres(size: float) -> str:
-    return (
-        f"{size} mm are {size / 1000:g}" if _LARGEST_SIZE < size <= 1000 * _LARGEST_SIZE else "50 mm are 0.05"
-    )
 
 
 def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrinsics) -> Branches | None:

@@ -22,6 +22,7 @@ from robot_ik.camera.calibration.handeye import (
     HandEyeSample,
     Mount,
     compress,
+    corner_misses,
     robust_mean_pose,
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
@@ -173,9 +174,8 @@ def locate_camera(
     sample = HandEyeSample(Pose(), view)
 
     def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
-        data = compress(mount, [sample], intrinsics, weights)
-        # There is no arm that could be off.
-        return data.views(1.0, data.by_shared, np.zeros((0, 1, 6, 6))), data.misses(_scale(data.left[0]))
+        views, left = compress(mount, [sample], intrinsics, weights)
+        return views, corner_misses(left, _scale(left[0]))
 
     mount = Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand")
     mount, normal = fit_views(linear, mount, _CAMERA)

@@ -24,6 +24,7 @@ from robot_ik.camera.calibration.handeye import (
     Mount,
     Mounting,
     compress,
+    corner_misses,
     pixel_scale,
     require_explained,
     rms_distance,
@@ -141,7 +142,7 @@ class ArmModel:
 
         The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
         """
-        data = compress(state.mount, self.samples(state), self.intrinsics, weights)
+        views, left = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, one) for one in self.views])
         n = self.robot.nv
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
@@ -149,9 +150,10 @@ class ArmModel:
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
         off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
         off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
-        rows = np.concatenate([-by_joint, data.by_shared], axis=2)
-        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(data)
-        return data.views(scale, rows, joints[None], prior, off), data.misses(scale)
+        rows = np.concatenate([-by_joint, views.rows], axis=2)
+        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(left)
+        views = LinearViews(views.pseudo_measurement, scale**2 * views.pixels, rows, joints[None], prior, off)
+        return views, corner_misses(left, scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -243,11 +245,11 @@ def measure_errors(
         HandEyeSample(camera.pose.compose(one.view.pose_camera_board).compose(from_board), one.view)
         for one in views
     ]
-    data = compress(state.mount, samples, intrinsics)
+    linear, left = compress(state.mount, samples, intrinsics)
     known = np.zeros((12, 12))
     known[:6, :6], known[6:, 6:] = camera.covariance, board.covariance
-    rows = data.by_shared
-    covariances = data.covariance * pixel_scale(data) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
+    rows = linear.rows
+    covariances = linear.pixels * pixel_scale(left) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
     return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(views)))
 
 
