@@ -226,6 +226,8 @@ AMBIGUITY_LIMIT = 0.6
 _SAME_POSITION = 0.002
 # Standard deviation of an orientation that says nothing, rad.
 _ANY_ROTATION = 10.0
+# Standard deviations (m, rad) up to which a goal weighs 1.
+_TRUSTED = 1e-3, np.deg2rad(0.5)
 # However uncertain, a goal weighs at least this: it was seen.
 LEAST_WEIGHT = 0.05
 
@@ -275,8 +277,8 @@ class MarkerGoalSource:
 
     Only ``marker`` can become a goal, whatever else is in view.  Each picture counts for the time it was
     grabbed at (``Frame.time``, on the run's clock); from them a ``MotionFilter`` estimates where the marker
-    is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
-    metres and for the radians, at least 0.05.
+    is at the time asked for.  Where that is uncertain goals weigh less, from 1 mm and from 0.5 degrees on
+    (``goal_weight``).
 
     ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``observe`` may
     be called by a thread of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
@@ -296,7 +298,6 @@ class MarkerGoalSource:
         motion: What the filter assumes; None: no filter, each picture is for itself.
         predict: Goals for the time asked for, not for that of the picture.  None: where pictures are live.
         lead: Seconds to predict beyond the time asked for: the servos' own lag.
-        trusted: Standard deviations (m, rad) up to which a goal weighs 1.
         calm: Smooths what is given while the marker rests.
         when_lost: What to do after a while without a goal.
         clock: The run's, which also stamps the pictures; None: the machine's.
@@ -321,7 +322,6 @@ class MarkerGoalSource:
         motion: FilterOptions | None = FilterOptions(),  # noqa: B008 - frozen
         predict: bool | None = None,
         lead: float = 0.0,
-        trusted: tuple[float, float] = (1e-3, np.deg2rad(0.5)),
         calm: OneEuro | None = None,
         when_lost: WhenLost = WhenLost(),
         clock: Clock | None = None,
@@ -329,7 +329,7 @@ class MarkerGoalSource:
         self.source, self.tracker, self.tool = source, tracker, frame
         self.pose_world_camera, self.pose_marker_tool = pose_world_camera, pose_marker_tool
         self.marker = marker if isinstance(marker, int) else dict(getattr(marker, "markers", marker))
-        self.lead, self.trusted, self.when_lost = lead, trusted, when_lost
+        self.lead, self.when_lost = lead, when_lost
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
@@ -479,14 +479,14 @@ class MarkerGoalSource:
         if observation.tool_offset is not None:
             sigma = sigmas_at(covariance, np.zeros(3))[0]
             return PositionGoal(
-                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, self.trusted[0])
+                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, _TRUSTED[0])
             )
         target = pose.compose(self.pose_marker_tool)
         metres, radians = sigmas_at(covariance, target.position - pose.position)
         return PoseGoal(
             self.tool, target.position, target.wxyz,
-            position_weight=goal_weight(metres, self.trusted[0]),
-            angle_weight=goal_weight(radians, self.trusted[1]),
+            position_weight=goal_weight(metres, _TRUSTED[0]),
+            angle_weight=goal_weight(radians, _TRUSTED[1]),
         )  # fmt: skip
 
     def _absent(self, now: float) -> Goal | None:

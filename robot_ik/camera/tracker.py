@@ -147,11 +147,10 @@ class MarkerTracker:
         dictionary: Name as in OpenCV.
         sizes: Side of the black squares in metres: one number, or by id.
         ids: Only these are reported; None for all, or for those named in ``sizes``.
-        window: Search only round the markers of the last frame, farther round when one is lost, and the
-            whole frame when it is not there either, and every tenth time.  Several times faster; off, each
-            frame is searched for itself.
-        memory: Decide between the two poses of a flat marker with the last pictures in mind, see
-            ``robot_ik.camera.tracker``; None: as ``window``.  For pictures of one scene in their order.
+        window: The frames are of one scene in their order.  Search only round the markers of the last one,
+            farther round when one is lost, and the whole frame when it is not there either, and every tenth
+            time: several times faster.  Decide between the two poses of a flat marker with the last frames
+            in mind.  Off, each frame is for itself.
 
     Raises:
         CameraError: Unknown dictionary, an id beyond it, an id without a size, or a size that cannot be.
@@ -165,7 +164,6 @@ class MarkerTracker:
         ids: Iterable[int] | None = None,
         *,
         window: bool = False,
-        memory: bool | None = None,
     ) -> None:
         self.intrinsics = intrinsics
         self._sizes = dict(sizes) if isinstance(sizes, Mapping) else float(sizes)
@@ -182,7 +180,6 @@ class MarkerTracker:
         self.detector = MarkerDetector(dictionary, chosen)
         self._use_window = window
         self._window = SearchWindow()
-        self._use_memory = window if memory is None else memory
         self._seen: tuple[Frame | None, list[tuple[int, RefinedCorners]]] = (None, [])
         self._memories: dict[int | frozenset[int], BranchMemory] = {}
 
@@ -250,7 +247,7 @@ class MarkerTracker:
         self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
     ) -> BranchChoice:
         """The branch to believe in: what this picture says, or with a memory what the last ones say."""
-        if not (self._use_memory and certain):
+        if not (self._use_window and certain):
             self._memories.pop(who, None)
             return BranchChoice(0, branches.ambiguity)
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)

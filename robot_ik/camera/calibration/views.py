@@ -97,7 +97,8 @@ class ViewGatherer:
         self._found_any = True
         still, self._previous = self._is_still(found, frame.size), found
         features = self._view_features(found, frame.size)
-        if selective and not (still and self._is_new(features)):
+        new = all(np.linalg.norm(features - other) > 1.0 for other in self._features)
+        if selective and not (still and new):
             return False
         self._features.append(features)
         tone = measure_tone(
@@ -198,9 +199,6 @@ class ViewGatherer:
         centre = found.pixels.mean(axis=0) / size / _NEW_POSITION
         tilt = cover([found], [rotation], size).tilts[0] / _NEW_TILT
         return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *tilt])
-
-    def _is_new(self, features: Array) -> bool:
-        return all(np.linalg.norm(features - other) > 1.0 for other in self._features)
 
 
 def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
