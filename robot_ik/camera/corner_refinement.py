@@ -386,11 +386,7 @@ def _refine_in_another_size(
 ) -> tuple[Array, Array, Array, float] | None:
     """Corners, normalized ones, covariance and blur from a larger picture, or one reduced until it is sharp.
 
-    Args:
-        gray: (h, w).
-        lens: As for the kernels, of this picture.
-        cells: Along a side.
-        corners: (4, 2) rough ones.
+    Arguments are as for the kernel; ``corners`` (4, 2) are rough ones.
     """
     x, y = corners.T
     side = math.sqrt(abs(0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))))

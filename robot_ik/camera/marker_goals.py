@@ -469,7 +469,8 @@ class MarkerGoalSource:
         if not moving and self._calm is not None:
             pose = self._calm_pose
         goal = self._make(observation, pose, covariance)
-        self._resting = self._resting if moving else goal
+        if not moving:
+            self._resting = goal
         return goal
 
     def _make(self, observation: PlacedObservation, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:

@@ -244,14 +244,8 @@ def _box(
 ) -> tuple[NDArray[np.int64], int] | None:
     """Whole pixels (x0, y0, x1, y1) round a print and one in how many is looked at; how many that may be.
 
-    Args:
-        seen: (9,) from the print to pixels.
-        shape: Of the picture.
-        reach: Of the print, u and v to each side.
-        most: About so many pixels are enough.
-
-    Returns:
-        None where the print is not in the picture.
+    ``seen`` (9,) is from the print to pixels, ``reach`` of the print u and v to each side, ``most`` about
+    enough pixels.  None where the print is not in the picture of this ``shape``.
     """
     a, b, c, d, e, f, g, h, i = seen
     xs, ys, least = [], [], math.inf

@@ -92,7 +92,11 @@ class ViewGatherer:
             self._previous = None
             if not selective:
                 self._without.append(name)
-            self._add_unmatched(frame.image)
+            self._unmatched.append(frame.image)
+            self._unmatched_count += 1
+            if not self._found_any and self._unmatched_count == self._identify_at:
+                self._identify_at *= _PATIENCE
+                self._identify_pattern(last=False)
             return False
         self._found_any = True
         still, self._previous = self._is_still(found, frame.size), found
@@ -140,13 +144,6 @@ class ViewGatherer:
                 f"{self.size[0]}x{self.size[1]} px",
                 hint="a calibration is for one picture size: calibrate each size by itself",
             )
-
-    def _add_unmatched(self, image: Image) -> None:
-        self._unmatched.append(image)
-        self._unmatched_count += 1
-        if not self._found_any and self._unmatched_count == self._identify_at:
-            self._identify_at *= _PATIENCE
-            self._identify_pattern(last=False)
 
     def _identify_pattern(self, *, last: bool) -> None:
         images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]
