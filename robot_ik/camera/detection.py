@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -195,7 +196,7 @@ class MarkerDetector:
         )
 
 
-def _detected(detector: cv2.aruco.ArucoDetector, gray: Image) -> list[Detection]:
+def _detected(detector: Any, gray: Image) -> list[Detection]:
     corners, ids, _ = detector.detectMarkers(gray)
     numbers = [] if ids is None else np.asarray(ids).reshape(-1)
     return [
