@@ -198,7 +198,9 @@ class MarkerDetector:
 
 def _detected(detector: Any, gray: Image) -> list[Detection]:
     corners, ids, _ = detector.detectMarkers(gray)
-    numbers = [] if ids is None else np.asarray(ids).reshape(-1)
+    if ids is None:
+        return []
+    numbers = np.asarray(ids).reshape(-1)
     return [
         Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2))
         for i, c in zip(numbers, corners, strict=True)
