@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.corner_refinement import RefinedCorners, unrefined
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.pose_fit import (
+    BranchChoice,
     Branches,
     CornerData,
     FittedPose,
@@ -95,21 +96,17 @@ def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrins
 
 
 def marker_observation(
-    id: int,
-    seen: RefinedCorners,
-    branches: Branches,
-    time: float,
-    chosen: int = 0,
-    ambiguity: float | None = None,
+    id: int, seen: RefinedCorners, branches: Branches, choice: BranchChoice, time: float
 ) -> MarkerObservation:
-    """The observation with the branch ``chosen``; ``ambiguity`` None: what this picture alone says."""
+    """The observation with the branch of choice."""
+    chosen = choice.index
     return MarkerObservation(
         id=id,
         corners=seen.corners,
         pose=branches.poses[chosen],
         alternative=branches.other(chosen),
         reprojection_error=branches.fits[chosen].pixel_error,
-        ambiguity=branches.ambiguity if ambiguity is None else ambiguity,
+        ambiguity=choice.ambiguity,
         covariance=branches.covariances[chosen],
         sigma=seen.sigma,
         refined=seen.refined,
@@ -142,7 +139,7 @@ def estimate_marker(
     """
     seen = corners if isinstance(corners, RefinedCorners) else unrefined(corners, intrinsics)
     branches = marker_branches(seen, size, intrinsics)
-    return None if branches is None else marker_observation(id, seen, branches, time)
+    return None if branches is None else marker_observation(id, seen, branches, branches.alone, time)
 
 
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
@@ -190,18 +187,16 @@ class BodyBranches:
     ids: tuple[int, ...]
     rejected: tuple[int, ...]
 
-    def observation(
-        self, chosen: int = 0, ambiguity: float | None = None, time: float = float("nan")
-    ) -> BodyObservation:
-        """The observation with the branch ``chosen``; ``ambiguity`` None: what this picture alone says."""
-        b = self.branches
+    def observation(self, choice: BranchChoice, time: float = float("nan")) -> BodyObservation:
+        """The observation with the branch of choice."""
+        b, chosen = self.branches, choice.index
         return BodyObservation(
             pose_camera_body=b.poses[chosen],
             covariance=b.covariances[chosen],
             reprojection_error=b.fits[chosen].pixel_error,
             ids=self.ids,
             rejected=self.rejected,
-            ambiguity=b.ambiguity if ambiguity is None else ambiguity,
+            ambiguity=choice.ambiguity,
             alternative=b.other(chosen),
             time=time,
         )
@@ -229,7 +224,7 @@ def estimate_body(
         CameraError: A size of the layout cannot be right.
     """
     found = body_branches(observed, layout, intrinsics)
-    return None if found is None else found.observation()
+    return None if found is None else found.observation(found.branches.alone)
 
 
 def body_branches(

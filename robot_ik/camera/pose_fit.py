@@ -342,6 +342,14 @@ SAME_ANGLE = np.deg2rad(0.5)
 _FLAT = 1e-3
 
 
+@dataclass(frozen=True)
+class BranchChoice:
+    """Which branch to believe in, and its ambiguity as in ``MarkerObservation``."""
+
+    index: int
+    ambiguity: float
+
+
 @dataclass(frozen=True, eq=False)
 class Branches:
     """Fitted poses, best first, one or two.
@@ -368,6 +376,11 @@ class Branches:
             return 0.0
         return float(np.sqrt((self.costs[0] + self.expected) / (self.costs[1] + self.expected)))
 
+    @property
+    def alone(self) -> BranchChoice:
+        """What this picture alone says."""
+        return BranchChoice(0, self.ambiguity)
+
     @cached_property
     def fits(self) -> tuple[FittedPose, ...]:
         """How well each pose fits."""
@@ -378,7 +391,7 @@ class Branches:
         """(6, 6) of each pose."""
         return tuple(covariance_of(f.jacobian, cost) for f, cost in zip(self.fits, self.costs, strict=True))
 
-    def other(self, chosen: int = 0) -> Pose | None:
+    def other(self, chosen: int) -> Pose | None:
         """The pose that was not chosen."""
         return self.poses[1 - chosen] if len(self.poses) > 1 else None
 

@@ -30,7 +30,7 @@ from robot_ik.camera.observations import (
     marker_points,
 )
 from robot_ik.camera.photometric_corners import is_print, refine_prints
-from robot_ik.camera.pose_fit import Branches
+from robot_ik.camera.pose_fit import BranchChoice, Branches
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -59,14 +59,6 @@ _MOST_BY_ROTATION, _MOST_BY_PICTURE = 4.0, 8.0
 _HYSTERESIS = 0.5
 # A marker not seen for so long is a new one; pictures without a time are taken to come at 30 Hz.
 _FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
-
-
-@dataclass(frozen=True, eq=False)
-class BranchChoice:
-    """Which branch, and its ambiguity as in ``MarkerObservation``, with the evidence of the last pictures."""
-
-    index: int
-    ambiguity: float
 
 
 @dataclass(eq=False)
@@ -206,9 +198,7 @@ class MarkerTracker:
                 continue
             # It is unknown which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
-            observations.append(
-                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
-            )
+            observations.append(marker_observation(marker_id, corners, branches, choice, frame.time))
         return observations
 
     def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
@@ -231,7 +221,7 @@ class MarkerTracker:
         if fitting is None:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
-        return fitting.observation(choice.index, choice.ambiguity, frame.time)
+        return fitting.observation(choice, frame.time)
 
     def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
         """Corners of the wanted markers in the frame, by id; those that come twice are left out.
@@ -249,7 +239,7 @@ class MarkerTracker:
         """The branch to believe in: what this picture says, or with a memory what the last ones say."""
         if not (self._use_window and certain):
             self._memories.pop(who, None)
-            return BranchChoice(0, branches.ambiguity)
+            return branches.alone
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
