@@ -12,11 +12,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.detection import Image, to_gray
 from robot_ik.camera.edge_fit import (
     ALONG,
     BAND,
@@ -51,7 +49,7 @@ from robot_ik.camera.edge_fit import (
     fit_edge,
     take_pixels,
 )
-from robot_ik.camera.image import from_reduced, reduced, to_reduced
+from robot_ik.camera.image import Image, from_reduced, reduced, to_gray, to_reduced
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
@@ -339,25 +337,6 @@ def unrefined(
     return RefinedCorners(pixels, intrinsics.undistort(pixels), np.eye(8) * sigma**2, sigma, False)
 
 
-def refine_corners(
-    gray: Image, corners: ArrayLike, intrinsics: CameraIntrinsics, *, cells: int = 8
-) -> tuple[Array, float]:
-    """Refines the corners of one marker.
-
-    Args:
-        gray: (h, w) or (h, w, 3) uint8, raw picture.
-        corners: (4, 2) rough corners in distorted pixels, right to about 2 px.
-        intrinsics: Of this picture's size.
-        cells: Cells along a side with the black border, so that the next cell is not taken for the edge.
-
-    Returns:
-        Corners (4, 2) in distorted pixels and their standard deviation in px.  When the edges cannot be
-        fitted, the rough corners and ``DETECTOR_SIGMA``.
-    """
-    result = refine_markers(gray, [corners], intrinsics, cells=cells)[0]
-    return result.corners, result.sigma
-
-
 def refine_markers(
     image: Image,
     markers: Sequence[ArrayLike],
@@ -366,13 +345,13 @@ def refine_markers(
     cells: int = 8,
     origin: tuple[int, int] = (0, 0),
 ) -> list[RefinedCorners]:
-    """Refines the corners of several markers at once.
+    """Refines the corners of several markers at once; where edges cannot be fitted they are ``unrefined``.
 
     Args:
-        image: As in ``refine_corners``; or a part of the picture that holds the markers.
-        markers: Rough corners (4, 2) of each, in distorted pixels of the whole picture.
+        image: (h, w) or (h, w, 3) uint8, raw; or a part of the picture that holds the markers.
+        markers: Rough corners (4, 2) of each, in distorted pixels of the whole picture, right to about 2 px.
         intrinsics: Of the whole picture.
-        cells: As in ``refine_corners``.
+        cells: Cells along a side with the black border, so that the next cell is not taken for the edge.
         origin: Pixel (x, y) of the whole picture at which the part begins.
     """
     if not len(markers):
@@ -407,13 +386,10 @@ def _refine_in_another_size(
 ) -> tuple[Array, Array, Array, float] | None:
     """Corners, normalized ones, covariance and blur from a larger picture, or one reduced until it is sharp.
 
-    Args:
-        gray: (h, w).
-        lens: As for the kernels, of this picture.
-        cells: Along a side.
-        corners: (4, 2) rough ones.
+    Arguments are as for the kernel; ``corners`` (4, 2) are rough ones.
     """
-    side = math.sqrt(abs(_area(corners)))
+    x, y = corners.T
+    side = math.sqrt(abs(0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))))
     sizes = [2.0**k for k in range(1, 8) if side / 2.0**k > _LEAST_CELL * cells]
     for times in sizes or [0.5]:
         # A part with the white round the marker is enough; it begins at a pixel of the smaller picture.
@@ -429,22 +405,11 @@ def _refine_in_another_size(
         found = to_reduced(corners - low, times)[None]
         normalized, covariance = np.empty_like(found), np.empty((1, 8, 8))
         good, blurs = np.zeros(1, np.int64), np.empty(1)
-        refine_corners_of(_resized(part, times), small, cells, found, normalized, covariance, good, blurs)
+        resized = np.ascontiguousarray(reduced(part, times))
+        refine_corners_of(resized, small, cells, found, normalized, covariance, good, blurs)
         if good[0]:
             # Pixels between pixels know nothing new: the covariance stays that of as many as there are.
             known = max(times, 1.0)
             there = from_reduced(found[0], times) + low
             return there, normalized[0], covariance[0] * known**2, times * float(blurs[0])
     return None
-
-
-def _resized(part: Image, times: float) -> Image:
-    if times >= 1.0:
-        return np.ascontiguousarray(reduced(part, round(times)))
-    larger = cv2.resize(part, (0, 0), fx=1.0 / times, fy=1.0 / times, interpolation=cv2.INTER_CUBIC)
-    return np.asarray(larger, dtype=np.uint8)
-
-
-def _area(corners: Array) -> float:
-    x, y = corners.T
-    return 0.5 * float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))

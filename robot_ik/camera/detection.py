@@ -11,19 +11,20 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.image import (
-    detect_markers,
     dictionary_names,
     dictionary_size,
     from_reduced,
     marker_dictionary,
     reduced,
     times_smaller,
+    to_gray,
 )
 from robot_ik.errors import CameraError
 
@@ -53,20 +54,19 @@ _CORRECTED, _CORRECTED_STRICTLY = 1.0, 0.6
 # OpenCV reads a cell from so many samples squared, taken without interpolation.  With its usual 4, cells of
 # 2 px are often misread.
 _CELL_SAMPLES = 8
-# A part with cells smaller than this (px) is enlarged before it is searched: OpenCV's corners are whole
-# pixels, which is too coarse for such cells.
-_SMALL_CELL, _ENLARGE = 4.0, 2.0
+# A part with cells smaller than this (px) is searched in twice its size: OpenCV's corners are whole pixels,
+# which is too coarse for such cells.
+_SMALL_CELL = 4.0
 # A part with cells larger than this (px) is searched in half its size: a fifth of the work, most of which is
 # outlines of noise.  OpenCV's refinement, in a window of this half width, gives the lost half pixel back.
-_LARGE_CELL, _REDUCE = 8.0, 0.5
+_LARGE_CELL = 8.0
 _CORNER_WINDOW, _CORNER_STEPS = 3, 5
 
 
 @lru_cache(maxsize=64)
-def correctable(dictionary: str, *, strict: bool = False) -> int:
-    """How many bits of a marker may be misread."""
-    rate = _CORRECTED_STRICTLY if strict else _CORRECTED
-    return int(marker_dictionary(dictionary).maxCorrectionBits * rate)
+def correctable(dictionary: str) -> int:
+    """How many bits of a marker may be misread where its print is known."""
+    return int(marker_dictionary(dictionary).maxCorrectionBits * _CORRECTED_STRICTLY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +81,6 @@ class Detection:
 
     id: int
     corners: Array
-
-
-def to_gray(image: Image) -> Image:
-    """Grey (h, w) of a BGR (h, w, 3) or grey (h, w) picture."""
-    if image.ndim == 2:
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 class MarkerDetector:
@@ -156,19 +149,15 @@ class MarkerDetector:
             origin: Pixel (x, y) of the whole picture at which the part begins.
             thorough: With all thresholds, as in ``detect``.
         """
-        gray = to_gray(image)
-        zoom, cell = 1.0, side / self.cells
-        if cell < _SMALL_CELL or (cell > _LARGE_CELL and not thorough):
-            zoom = _ENLARGE if cell < _SMALL_CELL else _REDUCE
-            gray = _zoomed(gray, zoom)
-        if thorough:
-            found = self._search(gray)
-        else:
-            self._expect(4.0 * zoom * side, gray.shape, reduced=zoom < 1.0)
-            # Noise is gone from what is reduced, and small cells want all there is.
-            found = detect_markers(self._quick, _smooth(gray) if zoom == 1.0 else gray)
+        times, cell = 1.0, side / self.cells
+        if cell < _SMALL_CELL:
+            times = 0.5
+        elif cell > _LARGE_CELL and not thorough:
+            times = 2.0
+        gray = reduced(to_gray(image), times)
+        found = self._search(gray) if thorough else self._search_quickly(gray, times, 4.0 * side)
         shift = np.array(origin, dtype=float)
-        return self._wanted([(i, (corners + 0.5) / zoom - 0.5 + shift) for i, corners in found])
+        return self._wanted([Detection(d.id, from_reduced(d.corners, times) + shift) for d in found])
 
     def detect_quickly(self, image: Image) -> list[Detection]:
         """As ``detect``, two times faster, with one threshold: enough for markers that are easily seen.
@@ -176,42 +165,46 @@ class MarkerDetector:
         A large picture is searched in a smaller size only.
         """
         times = times_smaller(image)
-        gray = reduced(to_gray(image), times)
-        self._expect(0.0, gray.shape, reduced=times > 1)
-        found = detect_markers(self._quick, _smooth(gray) if times == 1 else gray)
-        return self._wanted([(i, from_reduced(corners, times)) for i, corners in found], times)
+        found = self._search_quickly(reduced(to_gray(image), times), times)
+        return self._wanted([Detection(d.id, from_reduced(d.corners, times)) for d in found], times)
 
-    def _search(self, gray: Image) -> list[tuple[int, Array]]:
+    def _search(self, gray: Image) -> list[Detection]:
         """By all thresholds; what several of them find is there once."""
-        found: list[tuple[int, Array]] = []
+        found: list[Detection] = []
         for detector, picture in zip(self._thorough, (gray, _smooth(gray)), strict=True):
-            known = [Detection(i, corners) for i, corners in found]
-            found += [
-                (i, corners)
-                for i, corners in detect_markers(detector, picture)
-                if not _among(Detection(i, corners), known)
-            ]
+            found += [one for one in _detected(detector, picture) if not _among(one, found)]
         return found
 
-    def _expect(self, perimeter: float, shape: tuple[int, ...], *, reduced: bool = False) -> None:
-        """Sets how small a marker the quick detector finds in a picture of this shape."""
-        how = cv2.aruco.CORNER_REFINE_SUBPIX if reduced else cv2.aruco.CORNER_REFINE_NONE
-        least = max(4 * _LEAST_CELL * self.cells, _SHRINK * perimeter)
+    def _search_quickly(self, gray: Image, times: float, perimeter: float = 0.0) -> list[Detection]:
+        """By one threshold in a picture that is ``times`` smaller, for markers of ``perimeter`` px there."""
+        how = cv2.aruco.CORNER_REFINE_SUBPIX if times > 1 else cv2.aruco.CORNER_REFINE_NONE
+        least = max(4 * _LEAST_CELL * self.cells, _SHRINK * perimeter / times)
         # In steps of a fifth, so that the detector is not told something new with every picture.
-        rate = 1.2 ** math.floor(math.log(least / max(shape)) / math.log(1.2))
+        rate = 1.2 ** math.floor(math.log(least / max(gray.shape)) / math.log(1.2))
         p = self._quick_parameters
         if (rate, how) != (p.minMarkerPerimeterRate, p.cornerRefinementMethod):
             p.minMarkerPerimeterRate, p.cornerRefinementMethod = rate, how
             self._quick.setDetectorParameters(p)
+        # Noise is gone from what is reduced, and small cells want all there is.
+        return _detected(self._quick, _smooth(gray) if times == 1 else gray)
 
-    def _wanted(self, found: list[tuple[int, Array]], times: int = 1) -> list[Detection]:
+    def _wanted(self, found: list[Detection], times: int = 1) -> list[Detection]:
         least = _LEAST_CELL * self.cells * times
-        wanted = [
-            Detection(i, corners)
-            for i, corners in found
-            if (self.ids is None or i in self.ids) and shortest_side(corners) >= least
-        ]
-        return _sorted(wanted)
+        ids = self.ids
+        return _sorted(
+            [d for d in found if (ids is None or d.id in ids) and shortest_side(d.corners) >= least]
+        )
+
+
+def _detected(detector: Any, gray: Image) -> list[Detection]:
+    corners, ids, _ = detector.detectMarkers(gray)
+    if ids is None:
+        return []
+    numbers = np.asarray(ids).reshape(-1)
+    return [
+        Detection(int(i), np.asarray(c, dtype=float).reshape(4, 2))
+        for i, c in zip(numbers, corners, strict=True)
+    ]
 
 
 def _smooth(gray: Image) -> Image:
@@ -228,14 +221,6 @@ def _among(one: Detection, others: list[Detection]) -> bool:
     return any(
         d.id == one.id and float(np.linalg.norm(d.corners.mean(axis=0) - centre)) < near for d in others
     )
-
-
-def _zoomed(gray: Image, zoom: float) -> Image:
-    """The picture so many times larger, without the last column or row where that leaves half a pixel."""
-    height, width = (int(zoom * n) for n in gray.shape)
-    whole = gray[: round(height / zoom), : round(width / zoom)]
-    how = cv2.INTER_CUBIC if zoom > 1.0 else cv2.INTER_AREA
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=how), dtype=np.uint8)
 
 
 def shortest_side(corners: Array) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 
 from robot_ik.camera.image import Image, quiet
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 #: Whether this system lets its cameras be listed, without opening any.  macOS and Windows tell them only to
@@ -45,13 +45,8 @@ class CameraDevice:
     pictures: bool
 
 
-def list_cameras() -> tuple[str, ...]:
-    """Camera devices that this machine shows, by path (Linux only; empty elsewhere)."""
-    return tuple(camera.path for camera in find_cameras())
-
-
 def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevice, ...]:
-    """Video devices in the order of their numbers.
+    """Video devices in the order of their numbers (Linux only; none elsewhere).
 
     Args:
         dev: Folder of device files.
@@ -59,25 +54,25 @@ def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevic
     """
     if not CAN_LIST:
         return ()
-    paths = [p for p in glob.glob(f"{dev}/video*") if re.fullmatch(r"video\d+", os.path.basename(p))]
-    return tuple(_describe(p, dev, sys_root) for p in sorted(paths, key=_number))
-
-
-def _number(path: str) -> int:
-    return int(os.path.basename(path).removeprefix("video"))
-
-
-def _describe(path: str, dev: str, sys_root: str) -> CameraDevice:
-    folder = Path(sys_root, "class/video4linux", os.path.basename(path))
-    return CameraDevice(
-        _number(path),
-        path,
-        _said(folder / "name"),
-        _stable_name(path, dev),
-        os.access(path, os.R_OK | os.W_OK),
-        # The kernel counts the nodes of one camera from 0, and the first is the one with pictures.
-        _said(folder / "index") in ("", "0"),
-    )
+    stable = {os.path.realpath(name): name for name in sorted(glob.glob(f"{dev}/v4l/by-id/*"), reverse=True)}
+    cameras = []
+    for path in glob.glob(f"{dev}/video*"):
+        node = os.path.basename(path)
+        if not re.fullmatch(r"video\d+", node):
+            continue
+        folder = Path(sys_root, "class/video4linux", node)
+        cameras.append(
+            CameraDevice(
+                int(node.removeprefix("video")),
+                path,
+                _said(folder / "name"),
+                stable.get(os.path.realpath(path), ""),
+                os.access(path, os.R_OK | os.W_OK),
+                # The kernel counts the nodes of one camera from 0, and the first is the one with pictures.
+                _said(folder / "index") in ("", "0"),
+            )
+        )
+    return tuple(sorted(cameras, key=lambda camera: camera.index))
 
 
 def _said(path: Path) -> str:
@@ -85,12 +80,6 @@ def _said(path: Path) -> str:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
-
-
-def _stable_name(path: str, dev: str) -> str:
-    real = os.path.realpath(path)
-    names = sorted(glob.glob(f"{dev}/v4l/by-id/*"))
-    return next((name for name in names if os.path.realpath(name) == real), "")
 
 
 DEFAULT_TIMEOUT = 2.0
@@ -104,7 +93,7 @@ _FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
 _RATE_TOLERANCE = 0.95
 
 
-class DeviceSource(ClosingSource):
+class DeviceSource(FrameSource):
     """A camera by index or path, or a stream by URL.
 
     ``read`` waits for a picture newer than the last one it gave, so a slow reader skips pictures and never
@@ -117,11 +106,17 @@ class DeviceSource(ClosingSource):
         timeout: Seconds that ``read`` waits; None: ``DEFAULT_TIMEOUT``.
         opener: For tests: gives a ``cv2.VideoCapture`` or something with its methods.
 
+    Attributes:
+        live: False for a URL that names a film.
+        label: What it is called in errors: number or path, and the name that the camera gives itself.
+
     Raises:
         CameraNotFoundError: It cannot be opened, or gives no first picture.
         FrameSizeError: Pictures have another size than asked for.
         CameraError: It runs slower than asked for.
     """
+
+    live = True
 
     def __init__(
         self,
@@ -133,13 +128,12 @@ class DeviceSource(ClosingSource):
         opener: Callable[[], Any] | None = None,
     ) -> None:
         self.device = device
-        #: What it is called in errors: number or path, and the name that the camera gives itself.
         self.label = _label(device)
         self.timeout = DEFAULT_TIMEOUT if timeout is None else timeout
         self._capture: Any = opener() if opener else _open(device)
         # A film that a server holds has a length; what is sent as it happens has none.
         is_film = isinstance(device, str) and "://" in device and self._capture.get(_FRAME_COUNT) > 0
-        self._live = not is_film
+        self.live = not is_film
         if size is not None:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
@@ -156,11 +150,6 @@ class DeviceSource(ClosingSource):
         self._thread.start()
         self._check_first(size)
         self._check_rate(rate_hz)
-
-    @property
-    def live(self) -> bool:
-        """False for a URL that names a film."""
-        return self._live
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
         with self._news:
@@ -237,11 +226,6 @@ class DeviceSource(ClosingSource):
         )
 
     def newest(self) -> Frame | None:
-        """The newest picture at once, or None when there is none newer than the last one given.
-
-        Raises:
-            FrameTimeoutError: The camera stopped delivering pictures.
-        """
         with self._news:
             ended = self._ended and not (self._latest and self._latest.sequence > self._given)
             if not ended and not self._has_news():
@@ -268,7 +252,7 @@ def _label(device: int | str) -> str:
 def _open(device: int | str) -> Any:
     is_url = isinstance(device, str) and "://" in device
     path = None
-    if sys.platform.startswith("linux") and not is_url:
+    if CAN_LIST and not is_url:
         path = Path(f"/dev/video{device}") if isinstance(device, int) else Path(device)
         _check_device(device, path)
     limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, int(1000 * _OPEN_TIMEOUT_S)]
@@ -293,7 +277,7 @@ def _check_device(device: int | str, path: Path) -> None:
 
 
 def _camera_hint() -> str:
-    cameras = list_cameras()
+    cameras = ", ".join(camera.path for camera in find_cameras())
     if cameras:
-        return f"cameras here: {', '.join(cameras)}"
+        return f"cameras here: {cameras}"
     return "no camera was found here; a picture, a film, a folder or a URL does as well"

@@ -100,15 +100,6 @@ def marker_boxes(name: str, marker_id: int, size: float) -> Array:
     return np.stack([column * cell, row * cell, np.full(len(row), cell), np.full(len(row), cell)], axis=1)
 
 
-def detect_markers(detector: Any, gray: Image) -> list[tuple[int, Array]]:
-    """Runs a ``cv2.aruco.ArucoDetector``: pairs of id and corners (4, 2), float64 pixels."""
-    corners, ids, _ = detector.detectMarkers(gray)
-    if ids is None or len(corners) == 0:
-        return []
-    numbers = np.asarray(ids).reshape(-1)
-    return [(int(i), np.asarray(c, dtype=float).reshape(4, 2)) for i, c in zip(numbers, corners, strict=True)]
-
-
 def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], list[float]]]:
     """Both poses of a square seen in undistorted normalised coordinates (IPPE_SQUARE).
 
@@ -136,6 +127,13 @@ def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], li
     return poses
 
 
+def to_gray(image: Image) -> Image:
+    """Grey (h, w) of a BGR (h, w, 3) or grey (h, w) picture."""
+    if image.ndim == 2:
+        return image
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
 # ------------------------------------------------------------------------------------------
 # Pictures in a whole part of their size: a large or soft picture is searched there, and loses nothing.
 #
@@ -153,13 +151,17 @@ def times_smaller(image: Image) -> int:
     return 1 if longer <= LARGE else -(-longer // _WANTED)
 
 
-def reduced(gray: Image, times: int) -> Image:
-    """The picture (h, w) so many times smaller, without the last columns and rows that fill no pixel."""
+def reduced(gray: Image, times: float) -> Image:
+    """The picture (h, w) so many times smaller, without the last columns and rows that fill no pixel.
+
+    ``times`` is whole; or 0.5, and the picture becomes larger.
+    """
     if times == 1:
         return gray
-    height, width = (n // times for n in gray.shape)
-    whole = gray[: height * times, : width * times]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    height, width = (int(n / times) for n in gray.shape)
+    whole = gray[: round(height * times), : round(width * times)]
+    how = cv2.INTER_AREA if times > 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(whole, (width, height), interpolation=how), dtype=np.uint8)
 
 
 def to_reduced(pixels: Array, times: float) -> Array:

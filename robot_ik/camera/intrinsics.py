@@ -304,49 +304,6 @@ def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, A
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
 
 
-def _load(path: Path) -> CameraIntrinsics:
-    content = _read(path)
-    size = (_whole(content, "image_width", path), _whole(content, "image_height", path))
-    matrix = _numbers(_first(content, _MATRIX_KEYS, path), "camera matrix", path)
-    if matrix.size != 9:
-        raise CalibrationError(f"{path}: the camera matrix has {matrix.size} numbers, not 9", hint=_HINT)
-    k = matrix.reshape(3, 3)
-    if abs(k[0, 1]) > 1e-9 * abs(k[0, 0]) or not np.allclose(k[2], (0, 0, 1)):
-        raise CalibrationError(
-            f"{path}: the camera matrix is not of the form [fx 0 cx; 0 fy cy; 0 0 1]: {k.tolist()}",
-            hint="a skewed pixel grid is not supported; calibrate without skew",
-        )
-    coefficients = _numbers(_first(content, _DISTORTION_KEYS, path), "distortion coefficients", path)
-    model, distortion = _model(content, coefficients, path)
-    try:
-        intrinsics = CameraIntrinsics(
-            width=size[0],
-            height=size[1],
-            fx=float(k[0, 0]),
-            fy=float(k[1, 1]),
-            cx=float(k[0, 2]),
-            cy=float(k[1, 2]),
-            distortion=distortion,
-            model=model,
-            rms=_optional(content, "avg_reprojection_error", path),
-            std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations", path)),
-            views=_views(content, path),
-            name=str(content.get("camera_name", "camera")),
-            date=str(content.get("calibration_time", content.get("calibration_date", ""))),
-            edge_shift=_optional(content, "edge_shift", path),
-            edge_shift_sigma=_optional(content, "edge_shift_std_dev", path),
-        )
-        intrinsics.require_plausible()
-    except CalibrationError as error:
-        raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint) from None
-    if intrinsics.rms is not None and intrinsics.rms > _POOR_RMS_PX:
-        logger.warning(
-            "%s: its reprojection error is %.2f px; a good calibration has less than %g px: calibrate again",
-            path, intrinsics.rms, _POOR_RMS_PX,
-        )  # fmt: skip
-    return intrinsics
-
-
 _HINT = (
     "a camera file has image_width, image_height, camera_matrix and distortion_coefficients, "
     "as OpenCV or ROS camera calibration writes it"
@@ -359,7 +316,7 @@ def _yaml(text: str) -> Any:
     return yaml.load(text, Loader=_Loader)
 
 
-def _read(path: Path) -> Mapping[str, Any]:
+def _load(path: Path) -> CameraIntrinsics:
     try:
         text = read_text(path, "the camera calibration", errors="replace")
         # FileStorage writes "%YAML:1.0", which no YAML reader accepts; the directive says nothing we need.
@@ -369,25 +326,67 @@ def _read(path: Path) -> Mapping[str, Any]:
         raise CalibrationError(error.args[0], hint=_HINT) from None
     if not isinstance(content, dict):
         raise CalibrationError(f"{path} is not a camera calibration: it has no keys", hint=_HINT)
-    return content
+    try:
+        intrinsics = _intrinsics(content)
+        intrinsics.require_plausible()
+    except CalibrationError as error:
+        raise CalibrationError(f"{path}: {error.args[0]}", hint=error.hint or _HINT) from None
+    if intrinsics.rms is not None and intrinsics.rms > _POOR_RMS_PX:
+        logger.warning(
+            "%s: its reprojection error is %.2f px; a good calibration has less than %g px: calibrate again",
+            path, intrinsics.rms, _POOR_RMS_PX,
+        )  # fmt: skip
+    return intrinsics
 
 
-def _first(content: Mapping[str, Any], names: tuple[str, ...], path: Path) -> Any:
+def _intrinsics(content: Mapping[str, Any]) -> CameraIntrinsics:
+    width, height = _whole(content, "image_width"), _whole(content, "image_height")
+    matrix = _numbers(_first(content, _MATRIX_KEYS), "camera matrix")
+    if matrix.size != 9:
+        raise CalibrationError(f"the camera matrix has {matrix.size} numbers, not 9")
+    k = matrix.reshape(3, 3)
+    if abs(k[0, 1]) > 1e-9 * abs(k[0, 0]) or not np.allclose(k[2], (0, 0, 1)):
+        raise CalibrationError(
+            f"the camera matrix is not of the form [fx 0 cx; 0 fy cy; 0 0 1]: {k.tolist()}",
+            hint="a skewed pixel grid is not supported; calibrate without skew",
+        )
+    coefficients = _numbers(_first(content, _DISTORTION_KEYS), "distortion coefficients")
+    model, distortion = _model(content, coefficients)
+    return CameraIntrinsics(
+        width=width,
+        height=height,
+        fx=float(k[0, 0]),
+        fy=float(k[1, 1]),
+        cx=float(k[0, 2]),
+        cy=float(k[1, 2]),
+        distortion=distortion,
+        model=model,
+        rms=_optional(content, "avg_reprojection_error"),
+        std=tuple(_numbers(content.get("intrinsics_std_dev", []), "standard deviations")),
+        views=next((_whole(content, key) for key in ("views", "nframes") if key in content), None),
+        name=str(content.get("camera_name", "camera")),
+        date=str(content.get("calibration_time", content.get("calibration_date", ""))),
+        edge_shift=_optional(content, "edge_shift"),
+        edge_shift_sigma=_optional(content, "edge_shift_std_dev"),
+    )
+
+
+def _first(content: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     for name in names:
         if name in content:
             return content[name]
     have = ", ".join(map(str, content)) or "nothing"
-    raise CalibrationError(f"{path} lacks the key {' or '.join(names[:3])}; it has {have}", hint=_HINT)
+    raise CalibrationError(f"it lacks the key {' or '.join(names[:3])}; it has {have}")
 
 
-def _numbers(value: Any, what: str, path: Path) -> Array:
+def _numbers(value: Any, what: str) -> Array:
     data = value.get("data", []) if isinstance(value, dict) else value
     try:
         flat = [float(v) for v in _flatten(data)]
     except (TypeError, ValueError):
-        raise CalibrationError(f"{path}: the {what} must be numbers, not {shown(data)}", hint=_HINT) from None
+        raise CalibrationError(f"the {what} must be numbers, not {shown(data)}") from None
     if not all(abs(value) <= LARGEST_NUMBER for value in flat):  # words such as "nan" are numbers to YAML
-        raise CalibrationError(f"{path}: the {what} must be finite, not {shown(flat)}", hint=_HINT)
+        raise CalibrationError(f"the {what} must be finite, not {shown(flat)}")
     return np.array(flat)
 
 
@@ -399,43 +398,36 @@ def _flatten(value: Any) -> Iterable[Any]:
         yield value
 
 
-def _whole(content: Mapping[str, Any], key: str, path: Path) -> int:
-    value = _first(content, (key,), path)
+def _whole(content: Mapping[str, Any], key: str) -> int:
+    value = _first(content, (key,))
     if isinstance(value, bool) or not isinstance(value, (int, float)) or value != int(value):
-        given = shown(value)
-        raise CalibrationError(f"{path}: {key} must be a whole number, not {given}", hint=_HINT)
+        raise CalibrationError(f"{key} must be a whole number, not {shown(value)}")
     return int(value)
 
 
-def _optional(content: Mapping[str, Any], key: str, path: Path) -> float | None:
+def _optional(content: Mapping[str, Any], key: str) -> float | None:
     if key not in content:
         return None
-    found = _numbers(content[key], key, path)
+    found = _numbers(content[key], key)
     if found.size != 1:
-        raise CalibrationError(f"{path}: {key} must be one number, not {shown(content[key])}", hint=_HINT)
+        raise CalibrationError(f"{key} must be one number, not {shown(content[key])}")
     return float(found[0])
 
 
-def _views(content: Mapping[str, Any], path: Path) -> int | None:
-    return next((_whole(content, key, path) for key in ("views", "nframes") if key in content), None)
-
-
-def _model(content: Mapping[str, Any], numbers: Array, path: Path) -> tuple[str, tuple[float, ...]]:
+def _model(content: Mapping[str, Any], numbers: Array) -> tuple[str, tuple[float, ...]]:
     """Model name and coefficients; OpenCV pads with zeros and does not say the model."""
     given = str(content.get("distortion_model", "")).lower()
     if given in _MODEL_NAMES:
         model = _MODEL_NAMES[given]
     elif given:
-        raise CalibrationError(
-            f"{path}: unknown distortion_model {given!r}; known: {', '.join(_MODEL_NAMES)}", hint=_HINT
-        )
+        raise CalibrationError(f"unknown distortion_model {given!r}; known: {', '.join(_MODEL_NAMES)}")
     else:
         model = "plumb_bob" if not np.any(numbers[5:]) else "rational_polynomial"
     fits = lens.COEFFICIENTS[model]
     size = next((n for n in sorted(fits) if n >= len(numbers)), max(fits))
     if np.any(numbers[size:]):
         raise CalibrationError(
-            f"{path}: {len(numbers)} distortion coefficients (thin prism or tilted sensor) are not supported",
+            f"{len(numbers)} distortion coefficients (thin prism or tilted sensor) are not supported",
             hint="calibrate with the plumb_bob (5) or rational (8) model",
         )
     padded = np.zeros(size)

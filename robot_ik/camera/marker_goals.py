@@ -24,7 +24,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Clock, GoalSource, RealClock, VirtualClock, short_switch_interval
+from robot_ik.ports import Clock, RealClock, VirtualClock, short_switch_interval
 
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
@@ -104,14 +104,13 @@ SYNTHETIC_RATE_HZ = 15.0
 
 
 class LatestGoals:
-    """Asks a goal source on a thread of its own (real time), or whenever a picture is due (virtual time).
+    """Looks on a thread of its own (real time), or whenever a picture is due (virtual time).
 
-    Taking a picture and finding a marker in it takes several periods of a control loop.  A source with
-    ``observe`` and ``goal_at`` (``MarkerGoalSource``) observes there and is asked for the goal at each tick's
-    own time; any other is polled there, and its newest goal given.
+    Taking a picture and finding a marker in it takes several periods of a control loop.  So the source
+    observes there, and is asked for the goal at each tick's own time.
 
     Args:
-        goals: The source that is asked.
+        goals: The source that is asked: its ``observe`` and ``goal_at``.
         clock: The run's clock.
         rate_hz: How often to look; None, real time only: as fast as pictures come, for cameras that
             have a rate of their own.
@@ -120,16 +119,11 @@ class LatestGoals:
         ended: The film is over, or the camera has stopped; from then on there is no goal.
     """
 
-    def __init__(self, goals: GoalSource[Any], clock: Clock, rate_hz: float | None = None) -> None:
+    def __init__(self, goals: MarkerGoalSource, clock: Clock, rate_hz: float | None = None) -> None:
         self._goals, self._clock = goals, clock
-        self._observe_source = getattr(goals, "observe", None)
-        self._goal_at = getattr(goals, "goal_at", None)
         self._period = 0.0 if rate_hz is None else 1.0 / rate_hz
         self._virtual = isinstance(clock, VirtualClock)
         self._due = -float("inf")
-        self._lock = threading.Lock()
-        self._latest: Any = None
-        self._seen_at = -float("inf")
         self._failure: BaseException | None = None
         self.ended = False
         self._stop = threading.Event()
@@ -152,8 +146,8 @@ class LatestGoals:
             self._thread.join(timeout=5.0)
         self._prompt.close()
 
-    def poll(self, now: float) -> Any:
-        """The newest goal; None, which means hold, when there is none or it is older than half a second.
+    def poll(self, now: float) -> Goal | None:
+        """The goal for the time ``now``; None, which means hold, when there is none.
 
         Raises:
             CameraError: What looking raised, except that pictures came to an end.
@@ -162,26 +156,16 @@ class LatestGoals:
         if self._virtual and now >= self._due and not self.ended:
             self._due = now + self._period
             self._observe(now)
-        with self._lock:
-            if self._failure is not None:
-                raise self._failure
-            fresh = now - self._seen_at <= max(_MAX_AGE_S, 2.0 * self._period)
-            latest = self._latest if fresh else None
-        return latest if self._goal_at is None else self._goal_at(now)
+        if self._failure is not None:
+            raise self._failure
+        return self._goals.goal_at(now)
 
     def _observe(self, now: float) -> None:
-        goal = None
         try:
-            if self._observe_source is not None:
-                self._observe_source(now, wait=not self._virtual)
-            else:
-                goal = self._goals.poll(now)
+            self._goals.observe(now, wait=not self._virtual)
         except FrameTimeoutError as error:
             _log.info("no more pictures: %s", error)
             self.ended = True
-            return
-        with self._lock:
-            self._latest, self._seen_at = goal, self._clock.now()
 
     def _run(self) -> None:
         while not self._stop.is_set() and not self.ended:
@@ -189,8 +173,7 @@ class LatestGoals:
             try:
                 self._observe(begin)
             except Exception as error:  # handed to whoever asks next
-                with self._lock:
-                    self._failure = error
+                self._failure = error
                 return
             self._stop.wait(max(0.0, begin + self._period - self._clock.now()))
 
@@ -243,6 +226,8 @@ AMBIGUITY_LIMIT = 0.6
 _SAME_POSITION = 0.002
 # Standard deviation of an orientation that says nothing, rad.
 _ANY_ROTATION = 10.0
+# Standard deviations (m, rad) up to which a goal weighs 1.
+_TRUSTED = 1e-3, np.deg2rad(0.5)
 # However uncertain, a goal weighs at least this: it was seen.
 LEAST_WEIGHT = 0.05
 
@@ -292,8 +277,8 @@ class MarkerGoalSource:
 
     Only ``marker`` can become a goal, whatever else is in view.  Each picture counts for the time it was
     grabbed at (``Frame.time``, on the run's clock); from them a ``MotionFilter`` estimates where the marker
-    is at the time asked for.  Goals weigh less where that is uncertain: min(1, ``trusted`` / σ) for the
-    metres and for the radians, at least 0.05.
+    is at the time asked for.  Where that is uncertain goals weigh less, from 1 mm and from 0.5 degrees on
+    (``goal_weight``).
 
     ``poll`` searches a picture and gives the goal.  Where a picture takes longer than a tick, ``observe`` may
     be called by a thread of its own and ``goal_at`` by the loop (``LatestGoals`` does so).
@@ -313,7 +298,6 @@ class MarkerGoalSource:
         motion: What the filter assumes; None: no filter, each picture is for itself.
         predict: Goals for the time asked for, not for that of the picture.  None: where pictures are live.
         lead: Seconds to predict beyond the time asked for: the servos' own lag.
-        trusted: Standard deviations (m, rad) up to which a goal weighs 1.
         calm: Smooths what is given while the marker rests.
         when_lost: What to do after a while without a goal.
         clock: The run's, which also stamps the pictures; None: the machine's.
@@ -338,7 +322,6 @@ class MarkerGoalSource:
         motion: FilterOptions | None = FilterOptions(),  # noqa: B008 - frozen
         predict: bool | None = None,
         lead: float = 0.0,
-        trusted: tuple[float, float] = (1e-3, np.deg2rad(0.5)),
         calm: OneEuro | None = None,
         when_lost: WhenLost = WhenLost(),
         clock: Clock | None = None,
@@ -346,7 +329,7 @@ class MarkerGoalSource:
         self.source, self.tracker, self.tool = source, tracker, frame
         self.pose_world_camera, self.pose_marker_tool = pose_world_camera, pose_marker_tool
         self.marker = marker if isinstance(marker, int) else dict(getattr(marker, "markers", marker))
-        self.lead, self.trusted, self.when_lost = lead, trusted, when_lost
+        self.lead, self.when_lost = lead, when_lost
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
@@ -381,8 +364,7 @@ class MarkerGoalSource:
             FrameTimeoutError: The source has ended or stopped.
             CalibrationError: The frames have not the size of the calibration.
         """
-        newest = None if wait else getattr(self.source, "newest", None)
-        frame: Frame | None = newest() if newest is not None else self.source.read()
+        frame = self.source.read() if wait else self.source.newest()
         if frame is None:
             return
         if self.last_frame is not None and frame.sequence == self.last_frame.sequence:
@@ -487,7 +469,8 @@ class MarkerGoalSource:
         if not moving and self._calm is not None:
             pose = self._calm_pose
         goal = self._make(observation, pose, covariance)
-        self._resting = self._resting if moving else goal
+        if not moving:
+            self._resting = goal
         return goal
 
     def _make(self, observation: PlacedObservation, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
@@ -497,14 +480,14 @@ class MarkerGoalSource:
         if observation.tool_offset is not None:
             sigma = sigmas_at(covariance, np.zeros(3))[0]
             return PositionGoal(
-                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, self.trusted[0])
+                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, _TRUSTED[0])
             )
         target = pose.compose(self.pose_marker_tool)
         metres, radians = sigmas_at(covariance, target.position - pose.position)
         return PoseGoal(
             self.tool, target.position, target.wxyz,
-            position_weight=goal_weight(metres, self.trusted[0]),
-            angle_weight=goal_weight(radians, self.trusted[1]),
+            position_weight=goal_weight(metres, _TRUSTED[0]),
+            angle_weight=goal_weight(radians, _TRUSTED[1]),
         )  # fmt: skip
 
     def _absent(self, now: float) -> Goal | None:

@@ -151,11 +151,16 @@ class MotionFilter:
         gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
         distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
         if not distance <= self.options.gate:
-            return self._reject(time, pose, noise)
+            self._rejected, self._rejected_at = self._rejected + 1, time
+            if self._rejected >= self.options.outliers_to_restart:
+                return self._begin(time, pose, noise, Update.RESTARTED)
+            return Update.OUTLIER
         change = gain @ innovation
         keep = np.eye(12)
         keep[:, _POSE] -= gain
-        self._compare(innovation, difference(pose, self._pose))
+        # How the observation was met by prediction and by holding.
+        missed = np.stack([innovation, difference(pose, self._pose)]).reshape(2, 2, 3)
+        self._misses += _NEW_SHARE * (np.sum(missed**2, axis=2) - self._misses)
         fresh, passed = gain @ noise @ gain.T, keep @ step
         self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
@@ -213,11 +218,6 @@ class MotionFilter:
             )
         return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least_sigma), 3))
 
-    def _compare(self, innovation: Array, change: Array) -> None:
-        """Notes how an observation was met by prediction and by holding."""
-        squares = [np.sum(part.reshape(2, 3) ** 2, axis=1) for part in (innovation, change)]
-        self._misses += _NEW_SHARE * (np.array(squares) - self._misses)
-
     def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
         self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
         self._rejected, self._rejected_at = 0, -np.inf
@@ -228,13 +228,6 @@ class MotionFilter:
         self._shaking[_POSE, _POSE] = noise
         self._misses = np.zeros((2, 2))
         return how
-
-    def _reject(self, time: float, pose: Pose, noise: Array) -> Update:
-        self._rejected += 1
-        self._rejected_at = time
-        if self._rejected >= self.options.outliers_to_restart:
-            return self._begin(time, pose, noise, Update.RESTARTED)
-        return Update.OUTLIER
 
     def _density(self) -> Array:
         return np.repeat(np.square(self.options.process_noise), 3)

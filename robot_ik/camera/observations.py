@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.corner_refinement import RefinedCorners, unrefined
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.pose_fit import (
+    BranchChoice,
     Branches,
     CornerData,
     FittedPose,
@@ -72,18 +73,14 @@ def marker_points(size: float) -> Array:
         CameraError: The size is not positive, or suspiciously large.
     """
     if not 0.0 < size <= _LARGEST_SIZE:
+        millimetres = _LARGEST_SIZE < size <= 1000 * _LARGEST_SIZE
+        example = f"{size} mm are {size / 1000:g}" if millimetres else "50 mm are 0.05"
         raise CameraError(
             f"a marker size of {size} m cannot be right",
-            hint=f"give the side of the black square in metres: {_in_metres(size)}",
+            hint=f"give the side of the black square in metres: {example}",
         )
     h = 0.5 * size
     return np.array([[-h, h, 0.0], [h, h, 0.0], [h, -h, 0.0], [-h, -h, 0.0]])
-
-
-def _in_metres(size: float) -> str:
-    return (
-        f"{size} mm are {size / 1000:g}" if _LARGEST_SIZE < size <= 1000 * _LARGEST_SIZE else "50 mm are 0.05"
-    )
 
 
 def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrinsics) -> Branches | None:
@@ -95,25 +92,21 @@ def marker_branches(seen: RefinedCorners, size: float, intrinsics: CameraIntrins
     points = marker_points(size)
     if not np.isfinite(seen.normalized).all():
         return None
-    return square_branches(points, CornerData.of(points, seen, intrinsics))
+    return square_branches(points, CornerData.of(points, [seen], intrinsics))
 
 
 def marker_observation(
-    id: int,
-    seen: RefinedCorners,
-    branches: Branches,
-    time: float,
-    chosen: int = 0,
-    ambiguity: float | None = None,
+    id: int, seen: RefinedCorners, branches: Branches, choice: BranchChoice, time: float
 ) -> MarkerObservation:
-    """The observation with the branch ``chosen``; ``ambiguity`` None: what this picture alone says."""
+    """The observation with the branch of choice."""
+    chosen = choice.index
     return MarkerObservation(
         id=id,
         corners=seen.corners,
         pose=branches.poses[chosen],
         alternative=branches.other(chosen),
-        reprojection_error=branches.pixel_error(chosen),
-        ambiguity=branches.ambiguity if ambiguity is None else ambiguity,
+        reprojection_error=branches.fits[chosen].pixel_error,
+        ambiguity=choice.ambiguity,
         covariance=branches.covariances[chosen],
         sigma=seen.sigma,
         refined=seen.refined,
@@ -146,7 +139,7 @@ def estimate_marker(
     """
     seen = corners if isinstance(corners, RefinedCorners) else unrefined(corners, intrinsics)
     branches = marker_branches(seen, size, intrinsics)
-    return None if branches is None else marker_observation(id, seen, branches, time)
+    return None if branches is None else marker_observation(id, seen, branches, branches.alone, time)
 
 
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
@@ -194,18 +187,16 @@ class BodyBranches:
     ids: tuple[int, ...]
     rejected: tuple[int, ...]
 
-    def observation(
-        self, chosen: int = 0, ambiguity: float | None = None, time: float = float("nan")
-    ) -> BodyObservation:
-        """The observation with the branch ``chosen``; ``ambiguity`` None: what this picture alone says."""
-        b = self.branches
+    def observation(self, choice: BranchChoice, time: float = float("nan")) -> BodyObservation:
+        """The observation with the branch of choice."""
+        b, chosen = self.branches, choice.index
         return BodyObservation(
             pose_camera_body=b.poses[chosen],
             covariance=b.covariances[chosen],
-            reprojection_error=b.pixel_error(chosen),
+            reprojection_error=b.fits[chosen].pixel_error,
             ids=self.ids,
             rejected=self.rejected,
-            ambiguity=b.ambiguity if ambiguity is None else ambiguity,
+            ambiguity=choice.ambiguity,
             alternative=b.other(chosen),
             time=time,
         )
@@ -233,7 +224,7 @@ def estimate_body(
         CameraError: A size of the layout cannot be right.
     """
     found = body_branches(observed, layout, intrinsics)
-    return None if found is None else found.observation()
+    return None if found is None else found.observation(found.branches.alone)
 
 
 def body_branches(
@@ -247,19 +238,16 @@ def body_branches(
         size, pose_body_marker = layout[i]
         value = observed[i]
         corners = value if isinstance(value, RefinedCorners) else unrefined(value, intrinsics)
-        own = marker_points(size)
-        if not np.isfinite(corners.normalized).all():
-            continue
-        found = square_branches(own, CornerData.of(own, corners, intrinsics))
+        found = marker_branches(corners, size, intrinsics)
         if found is None:
             continue
         ids.append(i)
         seen.append(replace(corners, covariance=corners.covariance + _MODEL_SIGMA**2 * np.eye(8)))
-        points.append(pose_body_marker.apply(own))
+        points.append(pose_body_marker.apply(marker_points(size)))
         starts += [pose.compose(pose_body_marker.inverse()) for pose in found.poses]
     if not ids:
         return None
-    data = CornerData.of_markers(np.concatenate(points), seen, intrinsics)
+    data = CornerData.of(np.concatenate(points), seen, intrinsics)
     chosen, pose = _consensus(data, starts)
     branches = with_mirror_image(_weighted(data, chosen, pose), pose)
     if branches is None:

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
-from robot_ik.camera.detection import Image, correctable, to_gray
-from robot_ik.camera.image import marker_bits
+from robot_ik.camera.detection import correctable
+from robot_ik.camera.image import Image, marker_bits, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, lens_vector
 from robot_ik.camera.photometric_equations import (
@@ -63,6 +63,9 @@ _MARGIN = 0.45
 _BLUR, _BLUR_SPREAD = 0.8, 0.6
 #: Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
 UNKNOWN_SHIFT = (0.25, 0.35)
+# Pixels of a print that are looked at, about, and of those near an edge that are fitted, at most: of a
+# picture alone, where more make no marker better than the model is; and in films: the next one comes soon.
+_SINGLE, _FILM = (9000, 2200), (2500, 1000)
 # Spread of the edge shift between the markers of a picture (light, printing).
 _SHIFT_ALIKE = 0.08
 # Standard deviation of the edge shift by side lines, as a part of it.
@@ -89,24 +92,6 @@ class EdgeShift:
         return cls(intrinsics.edge_shift, max(intrinsics.edge_shift_sigma or 0.0, _SHIFT_ALIKE))
 
 
-@dataclass(frozen=True)
-class PrintEffort:
-    """How many pixels a fit uses.
-
-    Attributes:
-        sampled: Of a print, about.
-        fitted: Of those near an edge, at most.
-    """
-
-    sampled: int = 9000
-    fitted: int = 2200
-
-
-#: Of a picture alone: more pixels make no marker better than the model is; and in films, which want to be
-#: fast: the next picture comes soon.
-SINGLE, FILM = PrintEffort(), PrintEffort(2500, 1000)
-
-
 def refine_prints(
     image: Image,
     sides: Sequence[RefinedCorners],
@@ -115,14 +100,13 @@ def refine_prints(
     intrinsics: CameraIntrinsics,
     *,
     origin: tuple[int, int] = (0, 0),
-    expected: EdgeShift | None = None,
-    effort: PrintEffort = SINGLE,
+    film: bool = False,
     before: Mapping[int, RefinedCorners] = MappingProxyType({}),
 ) -> list[RefinedCorners]:
     """Corners of several markers by all of their prints.
 
     Where a print cannot be fitted its side lines are moved outwards by the edge shift of the others, or by
-    the expected one, and are as uncertain as that.
+    what is known of the camera's, and are as uncertain as that.
 
     Args:
         image: (h, w) or (h, w, 3) uint8; or a part of the picture that holds the markers.
@@ -131,25 +115,24 @@ def refine_prints(
         dictionary: Of all of them.
         intrinsics: Of the whole picture.
         origin: Pixel (x, y) of the whole picture at which the part begins.
-        expected: Edge shift of this camera; None: as its calibration says.
-        effort: How many pixels of a print are used.
+        film: The next picture comes soon: a fit uses fewer pixels.
         before: Of the last picture, by id: a fit starts from what was found there.
     """
     if not len(sides):
         return []
     announce(fit_photometric, "the fit of the markers' prints")
-    gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
+    gray, expected = np.ascontiguousarray(to_gray(image)), EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[CX] -= origin[0]
     lens[CY] -= origin[1]
     fits = []
     for i, start in zip(ids, sides, strict=True):
         black, last = marker_black(dictionary, i), before.get(i)
-        one = _fitted(gray, lens, black, start, origin, expected, effort, last)
+        one = _fitted(gray, lens, black, start, origin, expected, film, last)
         if last is not None and not one.by_print:
-            one = _fitted(gray, lens, black, start, origin, expected, effort, None)
+            one = _fitted(gray, lens, black, start, origin, expected, film, None)
         fits.append(one)
-    allowed = correctable(dictionary, strict=True)
+    allowed = correctable(dictionary)
     fits = [replace(one, misread=max(0, one.misread - allowed)) if one.misread else one for one in fits]
     if all(one.by_print or not one.refined for one in fits):
         return fits
@@ -202,14 +185,14 @@ def _fitted(
     start: RefinedCorners,
     origin: tuple[int, int],
     expected: EdgeShift,
-    effort: PrintEffort,
+    film: bool,
     before: RefinedCorners | None,
 ) -> RefinedCorners:
     """Corners by one print; where that fails those of the sides, with how much the print explains."""
     blur, push = (start.blur, start.blur * expected.value) if start.refined else (_BLUR, 0.0)
     from_print, seen = _homography(start.normalized), _homography(start.corners - origin)
-    reach = 0.5 + _MARGIN / len(black)
-    found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, effort.sampled)
+    reach, (sampled, most) = 0.5 + _MARGIN / len(black), _FILM if film else _SINGLE
+    found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, sampled)
     if found is None:
         return replace(start, explained=math.nan, misread=0)
     box, capacity = found
@@ -230,7 +213,7 @@ def _fitted(
         push = before.blur * before.edge_shift if start.refined else push
         fit[MODEL, :MODEL_NUMBERS] = before.model
         fit[REPORT, EDGE_BLUR:REPORT_NUMBERS] = before.blur, before.edge_shift, before.edge_shift_sigma
-    state = fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals, effort.fitted)
+    state = fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals, most)
     if state == NO_PRINT:
         return replace(start, explained=math.nan, misread=0)
     explained, misread, *edges = fit[REPORT, :REPORT_NUMBERS].tolist()
@@ -261,14 +244,8 @@ def _box(
 ) -> tuple[NDArray[np.int64], int] | None:
     """Whole pixels (x0, y0, x1, y1) round a print and one in how many is looked at; how many that may be.
 
-    Args:
-        seen: (9,) from the print to pixels.
-        shape: Of the picture.
-        reach: Of the print, u and v to each side.
-        most: About so many pixels are enough.
-
-    Returns:
-        None where the print is not in the picture.
+    ``seen`` (9,) is from the print to pixels, ``reach`` of the print u and v to each side, ``most`` about
+    enough pixels.  None where the print is not in the picture of this ``shape``.
     """
     a, b, c, d, e, f, g, h, i = seen
     xs, ys, least = [], [], math.inf

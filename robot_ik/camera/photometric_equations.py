@@ -147,22 +147,11 @@ def normal_quantile(p):
 
 @pure
 def print_intensity(u, v, wide, high, r, k, black, least, space, seen):
-    """Fills ``seen``: G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
+    """Fills ``seen`` (6,): G_k(S) at (u, v), its derivatives by u, v, ln blur and k; how steep S is, a sigma.
 
-    Args:
-        u: Position on the print, with ``v``.
-        v: See ``u``.
-        wide: Sigma of the blur along u; ``high`` along v; ``r`` their correlation.
-        high: See ``wide``.
-        r: See ``wide``.
-        k: Edge shift.
-        black: (n, n) 1 where the print is black.
-        least: Where S is less steep than this, nothing but that is wanted.
-        space: Work space.
-        seen: (6,) out.
-
-    Returns:
-        Whether it is as steep.
+    ``wide`` is the sigma of the blur along u, ``high`` along v, ``r`` their correlation; ``black`` (n, n) is
+    1 where the print is black, ``space`` work space.  Where S is less steep than ``least``, nothing but that
+    is wanted; False there.
     """
     n = black.shape[0]
     if least > 0.0:
@@ -392,13 +381,8 @@ def gauss_newton_step(fit):
 def gauss_newton(pixels, count, black, fit, residuals, steps):
     """Gauss and Newton's steps, so many at most, until they are small: CONVERGED says whether they became so.
 
-    Args:
-        pixels: As in ``photometric_equations``, like ``count`` and ``black``.
-        count: See ``pixels``.
-        black: See ``pixels``.
-        fit: In and out; NORMAL has the equations before the last step.
-        residuals: (5, k) out: residuals before the last step, positions, residuals before the first one.
-        steps: See above.
+    Arguments are as in ``photometric_equations``.  Out come, in NORMAL of ``fit``, the equations before the
+    last step; in ``residuals`` (5, k) those before the last step, positions, those before the first one.
     """
     numbers, sizes = fit[NUMBERS], residuals[4]
     for iteration in range(steps + 1):

@@ -265,15 +265,8 @@ class CornerData:
     to_pixels: Array
 
     @classmethod
-    def of(cls, points: Array, seen: RefinedCorners, intrinsics: CameraIntrinsics) -> CornerData:
-        """The four corners of one marker; ``points`` (4, 3) in the body's frame."""
-        return cls.of_markers(points, [seen], intrinsics)
-
-    @classmethod
-    def of_markers(
-        cls, points: Array, seen: Sequence[RefinedCorners], intrinsics: CameraIntrinsics
-    ) -> CornerData:
-        """Several markers of one body; ``points`` (4 m, 3) in its frame."""
+    def of(cls, points: Array, seen: Sequence[RefinedCorners], intrinsics: CameraIntrinsics) -> CornerData:
+        """The markers of one body; ``points`` (4 m, 3) in its frame."""
         announce(fit_poses, "the pose of markers")
         normalized = np.concatenate([s.normalized for s in seen])
         blocks, to_pixels = np.zeros((len(seen), 8, 8)), np.empty((len(normalized), 2, 2))
@@ -349,6 +342,14 @@ SAME_ANGLE = np.deg2rad(0.5)
 _FLAT = 1e-3
 
 
+@dataclass(frozen=True)
+class BranchChoice:
+    """Which branch to believe in, and its ambiguity as in ``MarkerObservation``."""
+
+    index: int
+    ambiguity: float
+
+
 @dataclass(frozen=True, eq=False)
 class Branches:
     """Fitted poses, best first, one or two.
@@ -375,21 +376,22 @@ class Branches:
             return 0.0
         return float(np.sqrt((self.costs[0] + self.expected) / (self.costs[1] + self.expected)))
 
+    @property
+    def alone(self) -> BranchChoice:
+        """What this picture alone says."""
+        return BranchChoice(0, self.ambiguity)
+
     @cached_property
     def fits(self) -> tuple[FittedPose, ...]:
         """How well each pose fits."""
         return tuple(self.data.fit(pose) for pose in self.poses)
-
-    def pixel_error(self, chosen: int = 0) -> float:
-        """RMS distance of the corners, px."""
-        return self.fits[chosen].pixel_error
 
     @cached_property
     def covariances(self) -> tuple[Array, ...]:
         """(6, 6) of each pose."""
         return tuple(covariance_of(f.jacobian, cost) for f, cost in zip(self.fits, self.costs, strict=True))
 
-    def other(self, chosen: int = 0) -> Pose | None:
+    def other(self, chosen: int) -> Pose | None:
         """The pose that was not chosen."""
         return self.poses[1 - chosen] if len(self.poses) > 1 else None
 

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Self
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -39,7 +39,7 @@ _OPENERS = {
     "synthetic": ("robot_ik.camera.synthetic.moving", "open_moving"),
 }
 
-_DEFAULT_RATE_HZ = 30.0  # of films that do not state theirs
+_DEFAULT_RATE_HZ = 30.0  # of folders, and of films that do not state theirs
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,55 +70,41 @@ class Frame:
         return dataclasses.replace(self, truth=None)
 
 
-@runtime_checkable
-class FrameSource(Protocol):
-    """Gives pictures one by one; a context manager.
+class FrameSource(ABC):
+    """Gives pictures one by one; a context manager, and an iterator up to the last picture.
 
     Every source says itself whether it is live, and what wraps a source passes that on: an arm is moved and
     goals are predicted before a live one only.
     """
-
-    @property
-    def live(self) -> bool:
-        """Whether a picture shows what is there when it is read.
-
-        False for what is recorded or computed beforehand: photographs, folders, films, also over a network.
-        """
-        ...
-
-    def read(self) -> Frame:
-        """The next picture; the newest one where the source is a camera.
-
-        Raises:
-            FrameTimeoutError: No more pictures, or none in time.
-        """
-        ...
-
-    def close(self) -> None:
-        """Lets go of the device or file; may be called twice."""
-        ...
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *exc: object) -> None: ...
-
-
-class ClosingSource(ABC):
-    """What all sources share: context manager, and iteration up to the last picture."""
 
     size: tuple[int, int]
 
     @property
     @abstractmethod
     def live(self) -> bool:
-        """See ``FrameSource``; no source is one without saying so."""
+        """Whether a picture shows what is there when it is read.
+
+        False for what is recorded or computed beforehand: photographs, folders, films, also over a network.
+        """
 
     @abstractmethod
     def read(self) -> Frame:
-        """See ``FrameSource``."""
+        """The next picture; the newest one where the source is a camera.
+
+        Raises:
+            FrameTimeoutError: No more pictures, or none in time.
+        """
+
+    def newest(self) -> Frame | None:
+        """The newest picture at once, or None when there is none newer than the last one given.
+
+        Raises:
+            FrameTimeoutError: No more pictures.
+        """
+        return self.read()
 
     def close(self) -> None:  # noqa: B027 - most sources hold nothing that must be closed
-        """Nothing to let go of, unless a source says otherwise."""
+        """Lets go of the device or file; may be called twice."""
 
     @property
     def exhausted(self) -> bool:
@@ -136,7 +122,7 @@ class ClosingSource(ABC):
             yield self.read()
 
 
-class ImageSource(ClosingSource):
+class ImageSource(FrameSource):
     """One photograph: every ``read`` gives the same frame, with the same time and number."""
 
     live = False
@@ -155,17 +141,15 @@ class ImageSource(ClosingSource):
         return self._frame
 
 
-class FolderSource(ClosingSource):
-    """The pictures of a folder in natural order (frame2 before frame10); one that is none raises in its turn.
+class FolderSource(FrameSource):
+    """The pictures of a folder in natural order (frame2 before frame10).
 
-    Args:
-        path: The folder.
-        rate_hz: Time stamps advance by its inverse.
+    One that is none raises in its turn.
     """
 
     live = False
 
-    def __init__(self, path: Path | str, rate_hz: float = _DEFAULT_RATE_HZ) -> None:
+    def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
             raise CameraNotFoundError(f"there is no folder {self.path}", hint=neighbours(self.path))
@@ -176,7 +160,6 @@ class FolderSource(ClosingSource):
         self.size = first_size(self.files)
         self._next = 0
         self._start = time.monotonic()
-        self._period = 1.0 / rate_hz
 
     @property
     def exhausted(self) -> bool:
@@ -185,23 +168,16 @@ class FolderSource(ClosingSource):
     def read(self) -> Frame:
         if self.exhausted:
             raise FrameTimeoutError(f"all {len(self.files)} pictures of {self.path} have been read")
-        self._next += 1
-        index = self._next - 1
-        return Frame(read_image(self.files[index]), self._start + index * self._period, index)
+        index, self._next = self._next, self._next + 1
+        return Frame(read_image(self.files[index]), self._start + index / _DEFAULT_RATE_HZ, index)
 
 
-class VideoSource(ClosingSource):
-    """A film: every picture in turn as fast as it is read, or at its own pace.
-
-    Args:
-        path: The film.
-        real_time: Give each picture when its time has come, and skip those that a slow reader missed, as a
-            camera would.
-    """
+class VideoSource(FrameSource):
+    """A film: every picture in turn, as fast as it is read."""
 
     live = False
 
-    def __init__(self, path: Path | str, *, real_time: bool = False) -> None:
+    def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_file():
             raise CameraNotFoundError(f"there is no film {self.path}", hint=neighbours(self.path))
@@ -217,7 +193,6 @@ class VideoSource(ClosingSource):
             )
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.rate_hz = rate if np.isfinite(rate) and 0.1 < rate < 1000.0 else _DEFAULT_RATE_HZ
-        self._real_time = real_time
         self._start = time.monotonic()
         self._count = 0
         # One picture is read ahead: only so is the end known before it is asked for.
@@ -229,32 +204,15 @@ class VideoSource(ClosingSource):
         return self._lookahead is None
 
     def read(self) -> Frame:
-        if self._real_time:
-            self._keep_pace()
         image = self._lookahead
         if image is None:
             raise FrameTimeoutError(f"the film {self.path} ended after {self._count} pictures")
         frame = Frame(image, self._start + self._count / self.rate_hz, self._count)
-        self._advance()
-        return frame
-
-    def _advance(self) -> None:
         self._count += 1
         with quiet():
             good, following = self._capture.read()
         self._lookahead = np.asarray(following, dtype=np.uint8) if good else None
-
-    def _keep_pace(self) -> None:
-        early = self._start + self._count / self.rate_hz - time.monotonic()
-        if early > 0:
-            time.sleep(early)
-        # The last picture is never skipped: a late reader still sees how the film ends.
-        while self._start + (self._count + 1) / self.rate_hz < time.monotonic():
-            last = self._lookahead
-            self._advance()
-            if self._lookahead is None:
-                self._lookahead, self._count = last, self._count - 1
-                return
+        return frame
 
     def close(self) -> None:
         self._lookahead = None
@@ -267,7 +225,6 @@ def open_source(
     size: tuple[int, int] | None = None,
     rate_hz: float | None = None,
     timeout: float | None = None,
-    real_time: bool = False,
 ) -> FrameSource:
     """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
 
@@ -276,7 +233,6 @@ def open_source(
         size: (width, height) in pixels; asked of a camera, required of everything else.
         rate_hz: Pictures a second, asked of a camera.
         timeout: Seconds a camera or stream may stay without a new picture.
-        real_time: Let a film run at its own pace.
 
     Raises:
         CameraNotFoundError: It cannot be opened; the hint says what exists.
@@ -284,14 +240,13 @@ def open_source(
         CameraError: A camera does not run at ``rate_hz``.
     """
     text = text.strip()
-    if text.isdigit():
-        return _opener("device")(int(text), size=size, rate_hz=rate_hz, timeout=timeout)
     if text.startswith("file://"):
         text = url2pathname(urlsplit(text).path)
-    in_memory = text.startswith("/dev/") and Path(text).is_file()  # a file of /dev/shm is no device
-    if re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text) or (text.startswith("/dev/") and not in_memory):
-        return _opener("device")(text, size=size, rate_hz=rate_hz, timeout=timeout)
-    source = _open_file(Path(text).expanduser(), text, real_time)
+    is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device
+    if text.isdigit() or is_node or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text):
+        device = int(text) if text.isdigit() else text
+        return _opener("device")(device, size=size, rate_hz=rate_hz, timeout=timeout)
+    source = _opener("synthetic")(text) if text.startswith("synthetic:") else _open_file(text)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(
@@ -301,16 +256,15 @@ def open_source(
     return source
 
 
-def _opener(kind: str) -> Callable[..., ClosingSource]:
+def _opener(kind: str) -> Callable[..., FrameSource]:
     """What opens a source that is not a file: those modules build on this one."""
     module, name = _OPENERS[kind]
-    opener: Callable[..., ClosingSource] = getattr(importlib.import_module(module), name)
+    opener: Callable[..., FrameSource] = getattr(importlib.import_module(module), name)
     return opener
 
 
-def _open_file(path: Path, text: str, real_time: bool) -> ClosingSource:
-    if text.startswith("synthetic:"):
-        return _opener("synthetic")(text)
+def _open_file(text: str) -> FrameSource:
+    path = Path(text).expanduser()
     if path.is_dir():
         return FolderSource(path)
     if not path.exists():
@@ -318,5 +272,4 @@ def _open_file(path: Path, text: str, real_time: bool) -> ClosingSource:
             f"there is no camera, file or folder {text!r}",
             hint=f"give a camera's index (0), picture, film, folder or URL; {neighbours(path)}",
         )
-    film = path.suffix.lower() in VIDEO_SUFFIXES
-    return VideoSource(path, real_time=real_time) if film else ImageSource(path)
+    return VideoSource(path) if path.suffix.lower() in VIDEO_SUFFIXES else ImageSource(path)

@@ -14,11 +14,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
-from robot_ik.camera.detection import Detection, Image, MarkerDetector, SearchWindow, to_gray
-from robot_ik.camera.image import dictionary_size
+from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
+from robot_ik.camera.image import Image, dictionary_size, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import (
     BodyObservation,
@@ -28,11 +29,13 @@ from robot_ik.camera.observations import (
     marker_observation,
     marker_points,
 )
-from robot_ik.camera.photometric_corners import FILM, SINGLE, EdgeShift, is_print, refine_prints
-from robot_ik.camera.pose_fit import Branches
+from robot_ik.camera.photometric_corners import is_print, refine_prints
+from robot_ik.camera.pose_fit import BranchChoice, Branches
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
+
+Array = NDArray[np.float64]
 
 #: Marker id -> (side in metres, its pose seen from the body or board).
 Layout = Mapping[int, tuple[float, Pose]]
@@ -41,10 +44,9 @@ Layout = Mapping[int, tuple[float, Pose]]
 # Keeps both poses of a flat marker alive from picture to picture, so that a lucky error does not flip it.
 #
 # Which of the two branches of each picture is the true one is a chain with two states.  Its evidence is added
-# up (Rabiner 1989, forward pass): the errors of the branches in each picture, and how far the marker
-# would have
-# had to turn since the last one.  Old evidence fades, so a wrong branch cannot stay alive; the branch in use
-# is left only for one that is clearly better.
+# up (Rabiner 1989, forward pass): the errors of the branches in each picture, and how far the marker would
+# have had to turn since the last one.  Old evidence fades, so a wrong branch cannot stay alive; the branch in
+# use is left only for one that is clearly better.
 
 
 # What is left of the evidence of one picture in the next: ten pictures count, nearly.
@@ -57,14 +59,6 @@ _MOST_BY_ROTATION, _MOST_BY_PICTURE = 4.0, 8.0
 _HYSTERESIS = 0.5
 # A marker not seen for so long is a new one; pictures without a time are taken to come at 30 Hz.
 _FORGET_S, _USUAL_S = 0.5, 1.0 / 30.0
-
-
-@dataclass(frozen=True, eq=False)
-class BranchChoice:
-    """Which branch, and its ambiguity as in ``MarkerObservation``, with the evidence of the last pictures."""
-
-    index: int
-    ambiguity: float
 
 
 @dataclass(eq=False)
@@ -105,17 +99,14 @@ class BranchMemory:
                 odds[k] += max(transitions) + math.log(
                     sum(math.exp(transition - max(transitions)) for transition in transitions)
                 )
-            index = self._stay(odds, plausible[self._chosen])
+            # The continuation of the branch in use, unless another one is clearly better.
+            row = plausible[self._chosen]
+            same, best = row.index(max(row)), odds.index(max(odds))
+            index = best if odds[best] > odds[same] + _HYSTERESIS else same
         odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
         return BranchChoice(index, self._ambiguity(branches, alone, odds, index, scale))
-
-    @staticmethod
-    def _stay(odds: list[float], plausible: list[float]) -> int:
-        """The continuation of the branch in use, unless another one is clearly better."""
-        same, best = plausible.index(max(plausible)), odds.index(max(odds))
-        return best if odds[best] > odds[same] + _HYSTERESIS else same
 
     @staticmethod
     def _ambiguity(
@@ -148,11 +139,10 @@ class MarkerTracker:
         dictionary: Name as in OpenCV.
         sizes: Side of the black squares in metres: one number, or by id.
         ids: Only these are reported; None for all, or for those named in ``sizes``.
-        window: Search only round the markers of the last frame, farther round when one is lost, and the
-            whole frame when it is not there either, and every tenth time.  Several times faster; off, each
-            frame is searched for itself.
-        memory: Decide between the two poses of a flat marker with the last pictures in mind, see
-            ``robot_ik.camera.tracker``; None: as ``window``.  For pictures of one scene in their order.
+        window: The frames are of one scene in their order.  Search only round the markers of the last one,
+            farther round when one is lost, and the whole frame when it is not there either, and every tenth
+            time: several times faster.  Decide between the two poses of a flat marker with the last frames
+            in mind.  Off, each frame is for itself.
 
     Raises:
         CameraError: Unknown dictionary, an id beyond it, an id without a size, or a size that cannot be.
@@ -166,35 +156,24 @@ class MarkerTracker:
         ids: Iterable[int] | None = None,
         *,
         window: bool = False,
-        memory: bool | None = None,
     ) -> None:
         self.intrinsics = intrinsics
-        by_id = dict(sizes) if isinstance(sizes, Mapping) else None
-        chosen = frozenset(ids) if ids is not None else (frozenset(by_id) if by_id is not None else None)
-        self._sizes = by_id
-        self._size = None if isinstance(sizes, Mapping) else float(sizes)
-        missing = sorted(i for i in chosen or () if by_id is not None and i not in by_id)
-        if missing:
-            raise CameraError(
-                f"no size is given for marker ids {missing}",
-                hint="give the side of each black square in metres",
-            )
-        for size in by_id.values() if by_id is not None else [self._size or 0.0]:
+        self._sizes = dict(sizes) if isinstance(sizes, Mapping) else float(sizes)
+        chosen = None if ids is None else frozenset(ids)
+        if isinstance(self._sizes, dict):
+            chosen = frozenset(self._sizes) if chosen is None else chosen
+            if missing := sorted(chosen - self._sizes.keys()):
+                raise CameraError(
+                    f"no size is given for marker ids {missing}",
+                    hint="give the side of each black square in metres",
+                )
+        for size in self._sizes.values() if isinstance(self._sizes, dict) else [self._sizes]:
             marker_points(size)
         self.detector = MarkerDetector(dictionary, chosen)
-        self._expected = EdgeShift.of(intrinsics)
         self._use_window = window
         self._window = SearchWindow()
-        self._use_memory = window if memory is None else memory
         self._seen: tuple[Frame | None, list[tuple[int, RefinedCorners]]] = (None, [])
         self._memories: dict[int | frozenset[int], BranchMemory] = {}
-
-    def size_of(self, marker_id: int) -> float:
-        """Side of the black square of a marker, metres."""
-        if self._sizes is None:
-            assert self._size is not None
-            return self._size
-        return self._sizes[marker_id]
 
     def observe(self, frame: Frame, ids: Iterable[int] | None = None) -> list[MarkerObservation]:
         """All wanted markers in the frame, sorted by id; empty when there is none.
@@ -213,14 +192,13 @@ class MarkerTracker:
         found = [(i, c) for i, c in self._refined(frame) if chosen is None or i in chosen]
         count = Counter(i for i, _ in found)
         for marker_id, corners in found:
-            branches = marker_branches(corners, self.size_of(marker_id), self.intrinsics)
+            size = self._sizes[marker_id] if isinstance(self._sizes, dict) else self._sizes
+            branches = marker_branches(corners, size, self.intrinsics)
             if branches is None:
                 continue
             # It is unknown which of two copies the last picture was about.
             choice = self._choose(marker_id, branches, frame.time, certain=count[marker_id] == 1)
-            observations.append(
-                marker_observation(marker_id, corners, branches, frame.time, choice.index, choice.ambiguity)
-            )
+            observations.append(marker_observation(marker_id, corners, branches, choice, frame.time))
         return observations
 
     def observe_body(self, frame: Frame, body: MarkerBody | Layout) -> BodyObservation | None:
@@ -243,7 +221,7 @@ class MarkerTracker:
         if fitting is None:
             return None
         choice = self._choose(frozenset(layout), fitting.branches, frame.time)
-        return fitting.observation(choice.index, choice.ambiguity, frame.time)
+        return fitting.observation(choice, frame.time)
 
     def corners(self, frame: Frame) -> dict[int, RefinedCorners]:
         """Corners of the wanted markers in the frame, by id; those that come twice are left out.
@@ -259,9 +237,9 @@ class MarkerTracker:
         self, who: int | frozenset[int], branches: Branches, time: float, *, certain: bool = True
     ) -> BranchChoice:
         """The branch to believe in: what this picture says, or with a memory what the last ones say."""
-        if not (self._use_memory and certain):
+        if not (self._use_window and certain):
             self._memories.pop(who, None)
-            return BranchChoice(0, branches.ambiguity)
+            return branches.alone
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
@@ -279,7 +257,7 @@ class MarkerTracker:
                 detections, refined = again, better
         fitted = refine_prints(
             part, refined, [d.id for d in detections], self.detector.dictionary, self.intrinsics,
-            origin=origin, expected=self._expected, effort=FILM if self._use_window else SINGLE,
+            origin=origin, film=self._use_window,
             before={} if whole else {i: c for i, c in self._seen[1] if c.by_print},
         )  # fmt: skip
         found = [(d.id, c) for d, c in zip(detections, fitted, strict=True) if is_print(c)]
@@ -328,10 +306,12 @@ _AXES = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Corners:
-    """A marker without a pose: there are no intrinsics."""
+    """A marker without a pose, for there are no intrinsics; attributes as in ``MarkerObservation``."""
 
     id: int
-    seen: RefinedCorners
+    corners: Array
+    sigma: float
+    refined: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -425,7 +405,11 @@ class MarkerFinder:
         sides = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
         ids = [d.id for d in found]
         refined = refine_prints(gray, sides, ids, self._detector.dictionary, straight)
-        return [Corners(i, seen) for i, seen in zip(ids, refined, strict=True) if is_print(seen)]
+        return [
+            Corners(i, one.corners, one.sigma, one.refined)
+            for i, one in zip(ids, refined, strict=True)
+            if is_print(one)
+        ]
 
 
 # ---------------------------------------------------------------------------------- as values
@@ -435,32 +419,22 @@ def as_values(sighting: Sighting) -> dict[str, Any]:
     """A sighting for JSON: corners in pixels (integer pixel centres), poses in metres and wxyz."""
     return {
         "markers": [_marker_values(m) for m in sighting.markers],
-        "bodies": [_body_values(name, seen) for name, seen in sighting.bodies.items()],
+        "bodies": [
+            {"name": name, "ids": list(seen.ids), "rejected": list(seen.rejected)}
+            | _fit_values(seen, seen.pose_camera_body)
+            for name, seen in sighting.bodies.items()
+        ],
     }
 
 
 def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
-    if isinstance(marker, Corners):
-        return {
-            "id": marker.id,
-            "corners": marker.seen.corners.tolist(),
-            "corner_sigma": marker.seen.sigma,
-            "refined": marker.seen.refined,
-        }
-    return {
+    values = {
         "id": marker.id,
         "corners": marker.corners.tolist(),
         "corner_sigma": marker.sigma,
         "refined": marker.refined,
-    } | _fit_values(marker, marker.pose)
-
-
-def _body_values(name: str, seen: BodyObservation) -> dict[str, Any]:
-    return {
-        "name": name,
-        "ids": list(seen.ids),
-        "rejected": list(seen.rejected),
-    } | _fit_values(seen, seen.pose_camera_body)
+    }
+    return values if isinstance(marker, Corners) else values | _fit_values(marker, marker.pose)
 
 
 def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
@@ -489,7 +463,7 @@ def drawn(sighting: Sighting, intrinsics: CameraIntrinsics | None) -> Image:
     if image.ndim == 2:
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
     for marker in sighting.markers:
-        corners = marker.seen.corners if isinstance(marker, Corners) else marker.corners
+        corners = marker.corners
         image = draw_marker_outline(image, corners, label=str(marker.id))
         if isinstance(marker, MarkerObservation) and intrinsics is not None:
             side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())

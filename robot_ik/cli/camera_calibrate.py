@@ -141,7 +141,7 @@ def _print(result: CalibrationResult) -> None:
         (name, f"{value:.3f} px", f"{std:.3g} px")
         if name[0] in "fc"
         else (name, f"{value:.5f}", f"{std:.3g}")
-        for name, value, std in zip(names, values, result.std, strict=True)
+        for name, value, std in zip(names, values, camera.std, strict=True)
     ]
     console.show(
         console.table("view", "corners", "error", "left out", rows=views),
@@ -167,7 +167,7 @@ def _as_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any
         "c": (camera.cx, camera.cy),
         "model": camera.model,
         "distortion": camera.distortion,
-        "std": result.std,
+        "std": camera.std,
         "rms_px": result.rms,
         "hold_out_rms_px": result.hold_out_rms,
         "views": [{"name": v.name, "corners": v.corners, "rms_px": v.rms, "left_out": v.left_out}

@@ -30,7 +30,7 @@ UNSEEN = 60
 
 def frames_of(source: FrameSource) -> Iterator[Frame | CameraNotFoundError]:
     """Picture after picture to the end of the source; in place of a file that is no picture, its error."""
-    while not getattr(source, "exhausted", False):
+    while not source.exhausted:
         try:
             frame: Frame | CameraNotFoundError = source.read()
         except CameraNotFoundError as error:
@@ -240,7 +240,7 @@ def _gather_moving(
     live, unseen = source.live, 0
     if live:
         say("show the board, hold it still, move it on; Ctrl-C when done")
-    while not getattr(source, "exhausted", False) and len(gatherer.views) < MOST_VIEWS:
+    while not source.exhausted and len(gatherer.views) < MOST_VIEWS:
         frame = source.read()
         taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", selective=True)
         unseen = 0 if gatherer.in_view else unseen + 1

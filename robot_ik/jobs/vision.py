@@ -22,7 +22,7 @@ from robot_ik.camera.marker_goals import (
 )
 from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import ClosingSource, Frame, FrameSource, ImageSource, open_source
+from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 REST_SECONDS = 1.5
 
 
-class WithoutTruth(ClosingSource):
+class WithoutTruth(FrameSource):
     """A source whose pictures come without their truth; the truth is kept for the report."""
 
     def __init__(self, source: FrameSource) -> None:
@@ -59,7 +59,7 @@ class WithoutTruth(ClosingSource):
 
     @property
     def exhausted(self) -> bool:
-        return bool(getattr(self._source, "exhausted", False))
+        return self._source.exhausted
 
     def read(self) -> Frame:
         frame = self._source.read()

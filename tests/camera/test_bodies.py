@@ -111,7 +111,7 @@ def test_markers_that_disagree_a_little_count_less() -> None:
     from robot_ik.camera.pose_fit import CornerData, fit_pose
 
     points = np.concatenate([p.apply(marker_points(s)) for s, p in board.markers.values()])
-    plain, _ = fit_pose(CornerData.of_markers(points, [seen[i] for i in board.markers], CAMERA), pose)
+    plain, _ = fit_pose(CornerData.of(points, [seen[i] for i in board.markers], CAMERA), pose)
     assert body.pose_camera_body.distance(pose)[0] < 0.6 * plain.distance(pose)[0]
 
 

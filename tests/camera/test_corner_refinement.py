@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, refine_corners, refine_markers
+from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -63,9 +63,9 @@ def test_bad_pictures_cost_little(sensor: SensorModel, limit: float) -> None:
     errors = []
     for view in standard_set(0.5, 8, seed=2, sensor=sensor):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
-        corners, sigma = refine_corners(view.image, found.corners, STANDARD_CAMERA, cells=6)
-        assert sigma < 0.3
-        errors.append(corners - view.corners)
+        result = refine_markers(view.image, [found.corners], STANDARD_CAMERA, cells=6)[0]
+        assert result.sigma < 0.3
+        errors.append(result.corners - view.corners)
     assert np.sqrt(np.mean(np.square(errors))) <= limit
 
 
@@ -96,8 +96,8 @@ def test_the_half_pixel_is_right() -> None:
     low, high = np.array([199.5, 119.5]), np.array([295.5, 215.5])
     truth = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     rough = truth + np.array([[0.8, -1.0], [1.0, 0.6], [-0.7, 0.9], [0.5, 0.5]])
-    corners, _ = refine_corners(image, rough, STRAIGHT, cells=6)
-    assert corners == pytest.approx(truth, abs=0.01)
+    (found,) = refine_markers(image, [rough], STRAIGHT, cells=6)
+    assert found.corners == pytest.approx(truth, abs=0.01)
 
 
 def test_far_starts_are_found() -> None:
@@ -105,17 +105,18 @@ def test_far_starts_are_found() -> None:
     truth = np.array([[199.5, 119.5], [295.5, 119.5], [295.5, 215.5], [199.5, 215.5]])
     rng = np.random.default_rng(4)
     for _ in range(10):
-        corners, sigma = refine_corners(image, truth + rng.uniform(-2.0, 2.0, (4, 2)), STRAIGHT, cells=6)
-        assert corners == pytest.approx(truth, abs=0.02)
-        assert sigma < 0.1
+        rough = truth + rng.uniform(-2.0, 2.0, (4, 2))
+        (found,) = refine_markers(image, [rough], STRAIGHT, cells=6)
+        assert found.corners == pytest.approx(truth, abs=0.02)
+        assert found.sigma < 0.1
 
 
 def test_a_speck_of_dirt_on_an_edge_hardly_matters() -> None:
     image = crisp(200, 120)
     truth = np.array([[199.5, 119.5], [295.5, 119.5], [295.5, 215.5], [199.5, 215.5]])
     image[117:123, 240:250] = 255
-    corners, _ = refine_corners(cv2.GaussianBlur(image, (0, 0), 0.8), truth, STRAIGHT, cells=6)
-    assert corners == pytest.approx(truth, abs=0.1)
+    (found,) = refine_markers(cv2.GaussianBlur(image, (0, 0), 0.8), [truth], STRAIGHT, cells=6)
+    assert found.corners == pytest.approx(truth, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -163,7 +164,7 @@ def test_nothing_given_is_changed() -> None:
     image = crisp(200, 120)
     corners = np.array([[199.0, 119.0], [295.0, 119.0], [295.0, 215.0], [199.0, 215.0]])
     before = image.copy(), corners.copy()
-    refine_corners(image, corners, STRAIGHT)
+    refine_markers(image, [corners], STRAIGHT)
     assert (image == before[0]).all()
     assert (corners == before[1]).all()
 

@@ -11,7 +11,7 @@ import pytest
 from robot_ik.camera.corner_refinement import unrefined
 from robot_ik.camera.marker_goals import AMBIGUITY_LIMIT, MarkerGoalSource
 from robot_ik.camera.observations import estimate_marker, marker_points
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import render_marker
 from robot_ik.camera.tracker import MarkerTracker
@@ -34,7 +34,7 @@ class Poison:
 
 
 @dataclass
-class ListSource(ClosingSource):
+class ListSource(FrameSource):
     """Frames from a list; counts how often it was asked."""
 
     frames: list[Frame]

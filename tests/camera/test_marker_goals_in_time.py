@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_ik.camera.marker_goals import LEAST_WEIGHT, MarkerGoalSource, WhenLost, goal_weight
 from robot_ik.camera.motion_filter import OneEuro, moved
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, MarkerNotFoundError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import PoseGoal, PositionGoal, PostureGoal
@@ -24,7 +24,7 @@ SPEED = 0.3
 BLANK = np.zeros((480, 640, 3), np.uint8)
 
 
-class ListSource(ClosingSource):
+class ListSource(FrameSource):
     """Frames from a list."""
 
     live = True

@@ -11,7 +11,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers, unrefined
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.observations import estimate_body
-from robot_ik.camera.photometric_corners import FILM, is_print, refine_prints
+from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
@@ -93,7 +93,7 @@ def test_a_print_that_is_not_there_is_not_believed() -> None:
     flat = unrefined(sides[0].corners * (1, 0), STANDARD_CAMERA)
     for spoilt in (unrefined(sides[0].corners + 2000.0, STANDARD_CAMERA), flat):
         assert not fit(image, 0, spoilt).by_print
-        (found,) = refine_prints(image, [spoilt], [0], DICTIONARY, STANDARD_CAMERA, effort=FILM, before=last)
+        (found,) = refine_prints(image, [spoilt], [0], DICTIONARY, STANDARD_CAMERA, film=True, before=last)
         assert not found.by_print
     assert refine_prints(image, [], [], DICTIONARY, STANDARD_CAMERA) == []
 
@@ -113,7 +113,7 @@ def test_in_a_film_a_fit_starts_from_the_last_picture_and_ends_where_it_would_al
             starts: list[RefinedCorners] = starts,
             ids: list[int] = ids,
         ) -> list[RefinedCorners]:
-            return refine_prints(image, starts, ids, DICTIONARY, STANDARD_CAMERA, effort=FILM, before=known)
+            return refine_prints(image, starts, ids, DICTIONARY, STANDARD_CAMERA, film=True, before=known)
 
         alone, again, tracked = fit({}), fit({}), fit(before)
         assert all((a.corners == b.corners).all() for a, b in zip(alone, again, strict=True))

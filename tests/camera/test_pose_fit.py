@@ -150,7 +150,7 @@ def test_jacobian_is_the_derivative(seed: int) -> None:
     pose, _ = random_pose(CAMERA, rng, 0.5)
     points = marker_points(0.05)
     seen = seen_by_opencv(pose, points) + rng.normal(0, 1, (4, 2))
-    data = CornerData.of(points, unrefined(seen, CAMERA), CAMERA)
+    data = CornerData.of(points, [unrefined(seen, CAMERA)], CAMERA)
     step = 1e-6
 
     def residual(twist: np.ndarray) -> np.ndarray:
@@ -169,7 +169,7 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
         pose, _ = random_pose(CAMERA, rng, 0.5, tilt_deg=(25, 55))
         points = marker_points(0.05)
         corners = CAMERA.project(pose.apply(points)) + rng.normal(0, 0.3, (4, 2))
-        data = CornerData.of(points, unrefined(corners, CAMERA, 0.3), CAMERA)
+        data = CornerData.of(points, [unrefined(corners, CAMERA, 0.3)], CAMERA)
         start = Pose(pose.position * 1.05, quat_multiply(rotation_exp([0.05, -0.05, 0.1]), pose.wxyz))
         best = least_squares(
             lambda v, d=data: whitened(d, Pose(v[:3], rotation_exp(v[3:]))),

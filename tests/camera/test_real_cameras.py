@@ -207,12 +207,10 @@ def test_a_board_is_where_it_is_under_a_webcam() -> None:
     assert np.mean(nees) < 3.0
 
 
-def sides_and_print(
-    image: NDArray[np.uint8], expected: EdgeShift | None = None
-) -> tuple[RefinedCorners, ...]:
+def sides_and_print(image: NDArray[np.uint8]) -> tuple[RefinedCorners, ...]:
     (found,) = MarkerDetector(DICTIONARY).detect(image)
     (sides,) = refine_markers(image, [found.corners], CAMERA, cells=6)
-    (fitted,) = refine_prints(image, [sides], [found.id], DICTIONARY, CAMERA, expected=expected)
+    (fitted,) = refine_prints(image, [sides], [found.id], DICTIONARY, CAMERA)
     return sides, fitted
 
 

@@ -7,7 +7,6 @@ import http.server
 import os
 import tempfile
 import threading
-import time
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,6 @@ import pytest
 
 from robot_ik.camera.image import natural_sort, read_image
 from robot_ik.camera.sources import (
-    ClosingSource,
     FolderSource,
     Frame,
     FrameSource,
@@ -112,24 +110,6 @@ def test_a_film_gives_every_picture_with_its_time(film: Path) -> None:
             source.read()
     assert [round(int(f.image[20, 20, 0]) / 20) for f in frames] == list(range(12))
     assert np.diff([f.time for f in frames]) == pytest.approx(0.1)
-
-
-def test_a_film_can_run_at_its_own_pace(film: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
-    with open_source(str(film), real_time=True) as source:
-        assert [source.read().sequence for _ in range(3)] == [0, 1, 2]
-        assert now[0] == pytest.approx(100.2), "waited for the third picture"
-        now[0] += 0.45  # the reader was busy
-        frame = source.read()
-        assert frame.sequence == 6 and frame.time == pytest.approx(100.6)
-        assert round(int(frame.image[20, 20, 0]) / 20) == 6, "the picture is the one of its number"
-        now[0] += 5.0
-        last = source.read()
-        assert last.sequence == 11 and round(int(last.image[20, 20, 0]) / 20) == 11
-        with pytest.raises(FrameTimeoutError, match="ended after 12"):
-            source.read()
 
 
 def test_a_synthetic_camera_keeps_its_truth_apart() -> None:
@@ -235,7 +215,7 @@ def test_an_image_source_counts_as_exhausted_once_given(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("live", [True, False])
 def test_what_wraps_a_source_passes_on_whether_it_is_live(live: bool) -> None:
-    class Some(ClosingSource):
+    class Some(FrameSource):
         def __init__(self) -> None:
             self.now = live
 
@@ -254,7 +234,7 @@ def test_what_wraps_a_source_passes_on_whether_it_is_live(live: bool) -> None:
 
 
 def test_no_source_is_one_without_saying_whether_it_is_live() -> None:
-    class Silent(ClosingSource):
+    class Silent(FrameSource):
         def read(self) -> Frame:
             return Frame(picture(0), 0.0, 0)
 

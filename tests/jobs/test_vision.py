@@ -169,17 +169,19 @@ def test_the_pushed_marker_rests_wanders_and_rests() -> None:
 
 
 class Counting:
-    """A goal source that counts; raises what it is asked to."""
+    """A goal source that counts how often it looked; raises what it is asked to."""
 
     def __init__(self, delay: float = 0.0) -> None:
         self.count, self.delay, self.error = 0, delay, None
 
-    def poll(self, now: float) -> int:
+    def observe(self, now: float, *, wait: bool = False) -> None:
         time.sleep(self.delay)
         if self.error is not None:
             raise self.error
         self.count += 1
-        return self.count
+
+    def goal_at(self, now: float) -> tuple[int, float]:
+        return self.count, now
 
 
 def test_on_virtual_time_pictures_come_at_their_rate() -> None:
@@ -187,44 +189,25 @@ def test_on_virtual_time_pictures_come_at_their_rate() -> None:
     with LatestGoals(goals, clock, 10.0) as latest:
         for k in range(100):
             clock.sleep_until(0.01 * k)
-            assert latest.poll(clock.now()) == goals.count
+            assert latest.poll(clock.now()) == (goals.count, clock.now())
     assert goals.count == 10
     goals.error = FrameTimeoutError("over")
     with LatestGoals(goals, clock, 10.0) as latest:
-        assert latest.poll(clock.now()) is None and latest.ended
-
-
-class Predicting(Counting):
-    """Looks, and tells the goal at any time."""
-
-    def observe(self, now: float, *, wait: bool = False) -> None:
-        self.poll(now)
-
-    def goal_at(self, now: float) -> tuple[int, float]:
-        return self.count, now
-
-
-def test_a_source_that_predicts_is_asked_at_each_ticks_own_time() -> None:
-    goals, clock = Predicting(), VirtualClock()
-    with LatestGoals(goals, clock, 10.0) as latest:
-        for k in range(30):
-            clock.sleep_until(0.01 * k)
-            assert latest.poll(clock.now()) == (1 + k // 10, clock.now())
-    with LatestGoals(Predicting(delay=0.1), RealClock(), None) as latest:
-        assert latest.poll(7.0)[1] == 7.0  # nobody waits for the first picture
+        latest.poll(clock.now())
+        assert latest.ended
 
 
 def test_looking_never_holds_up_the_loop(real_time: None) -> None:
     goals, clock, before = Counting(delay=0.2), RealClock(), sys.getswitchinterval()
     with LatestGoals(goals, clock, None) as latest:
-        wait_for(lambda: latest.poll(clock.now()) is not None, "no goal comes")
+        assert latest.poll(7.0) == (0, 7.0)  # nobody waits for the first picture
+        wait_for(lambda: latest.poll(7.0) == (1, 7.0), "no goal comes")
         slowest = 0.0
         for _ in range(200):
             begin = time.monotonic()
             latest.poll(clock.now())
             slowest = max(slowest, time.monotonic() - begin)
         assert slowest < 0.2
-        assert latest.poll(clock.now() + 1.0) is None  # history
     assert sys.getswitchinterval() == before
 
 

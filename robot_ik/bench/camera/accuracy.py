@@ -22,7 +22,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import MarkerGoalSource
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_DISTANCES,
@@ -206,7 +206,7 @@ def clutter(effort: Effort) -> Iterator[Quantity]:
     yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
 
 
-class _SingleFrameSource(ClosingSource):
+class _SingleFrameSource(FrameSource):
     """One frame for ever."""
 
     live = False

@@ -23,7 +23,7 @@ from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.camera.tracker import MarkerTracker
@@ -143,7 +143,7 @@ def drawing(effort: Effort) -> Iterator[Quantity]:
             yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
 
 
-class _PreparedPictures(ClosingSource):
+class _PreparedPictures(FrameSource):
     """Pictures made before, one after the other; their times go on as a camera's do."""
 
     live = True
@@ -157,7 +157,7 @@ class _PreparedPictures(ClosingSource):
         return replace(frame, sequence=self._next, time=self._next * _PERIOD)
 
 
-def _goals(source: ClosingSource, camera: CameraIntrinsics, robot: Robot, **options: Any) -> MarkerGoalSource:
+def _goals(source: FrameSource, camera: CameraIntrinsics, robot: Robot, **options: Any) -> MarkerGoalSource:
     """The marker's middle is where the tool is at home, so that the robot can go there."""
     tool = robot.forward(robot.home)
     marker = Pose((0.0, 0.0, _DISTANCE), (0, 1, 0, 0))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,18 +94,14 @@ class MarkerBoard:
         be measured where others' could.
         """
         sizes = {id: side for id, (side, _) in self.layout.items()}
-        seen = MarkerTracker(intrinsics, self.dictionary, sizes).observe(frame)
-        seen = [one for one in seen if one.refined] or seen
-        count = Counter(one.id for one in seen)
-        used = {one.id: one for one in seen if count[one.id] == 1}
-        if not used:
-            return None
-        body = estimate_body({i: one.corners for i, one in used.items()}, self.layout, intrinsics)
+        seen = MarkerTracker(intrinsics, self.dictionary, sizes).corners(frame)
+        seen = {i: one for i, one in seen.items() if one.refined} or seen
+        body = estimate_body({i: one.corners for i, one in seen.items()}, self.layout, intrinsics)
         if body is None:
             return None
         points = [self.layout[i][1].apply(marker_points(self.layout[i][0])) for i in body.ids]
-        pixels = [used[i].corners for i in body.ids]
-        sigma = float(np.sqrt(np.mean([used[i].sigma ** 2 for i in body.ids])))
+        pixels = [seen[i].corners for i in body.ids]
+        sigma = float(np.sqrt(np.mean([seen[i].sigma ** 2 for i in body.ids])))
         return BoardView(np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma)
 
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import cv2
 import numpy as np
@@ -27,6 +27,7 @@ from robot_ik.camera.image import (
     quiet,
     reduced,
     times_smaller,
+    to_gray,
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
@@ -64,6 +65,8 @@ _GAP_REACH = 1.2
 _SQUARE_REACH = 0.45
 # What is plain beside an edge of a square, in squares: nearly half of it.
 _PLAIN = 0.4
+# Columns and rows of a board at least.
+_LEAST_COUNT = 3
 # A view needs corners on both sides of the board: two lines of them at least.
 _FEWEST_LINES = 2
 
@@ -80,6 +83,18 @@ class Pattern(ABC):
     columns: int
     rows: int
     square: float
+
+    #: What the pattern and what its columns and rows are called.
+    name: ClassVar[str]
+    counted: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        if min(self.columns, self.rows) < _LEAST_COUNT:
+            raise CalibrationError(
+                f"a {self.name} of {self.columns}x{self.rows} {self.counted} is too small to calibrate with",
+                hint=f"at least {_LEAST_COUNT}x{_LEAST_COUNT}; 8x6 is usual",
+            )
+        _check_length("a square", self.square)
 
     @property
     @abstractmethod
@@ -147,9 +162,7 @@ class ChessboardPattern(Pattern):
         CalibrationError: Fewer than 3 x 3 inner corners, or a size that cannot be meant.
     """
 
-    def __post_init__(self) -> None:
-        _check_count("chessboard", "inner corners", self.columns, self.rows, 3)
-        _check_length("a square", self.square)
+    name, counted = "chessboard", "inner corners"
 
     @property
     def corners(self) -> tuple[int, int]:
@@ -164,7 +177,7 @@ class ChessboardPattern(Pattern):
         return -self.square, -self.square
 
     def find(self, image: Image) -> FoundPattern | None:
-        gray = _gray(image)
+        gray = to_gray(image)
         times = times_smaller(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         with quiet():
@@ -200,9 +213,10 @@ class CharucoPattern(Pattern):
     dictionary: str = "DICT_5X5_50"
     legacy: bool = False
 
+    name, counted = "ChArUco board", "squares"
+
     def __post_init__(self) -> None:
-        _check_count("ChArUco board", "squares", self.columns, self.rows, 3)
-        _check_length("a square", self.square)
+        super().__post_init__()
         _check_length("a marker", self.marker)
         if self.marker >= self.square:
             raise CalibrationError(
@@ -234,7 +248,7 @@ class CharucoPattern(Pattern):
         return min(_PLAIN, (self.square - self.marker) / 2 / self.square)
 
     def find(self, image: Image) -> FoundPattern | None:
-        gray = _gray(image)
+        gray = to_gray(image)
         times = times_smaller(gray)
         found = self._find(gray, times)
         if times > 1 and (found is None or len(found.ids) < self.corners[0] * self.corners[1]):
@@ -294,20 +308,6 @@ def _black_squares(
     return np.hstack([corner, np.full((len(squares), 2), square)])
 
 
-def _gray(image: Image) -> Image:
-    if image.ndim == 2:
-        return np.ascontiguousarray(image)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
-def _check_count(what: str, of: str, columns: int, rows: int, least: int) -> None:
-    if min(columns, rows) < least:
-        raise CalibrationError(
-            f"a {what} of {columns}x{rows} {of} is too small to calibrate with",
-            hint=f"at least {least}x{least}; 8x6 is usual",
-        )
-
-
 def _check_length(what: str, length: float) -> None:
     # A print of more than a metre a square, or less than a millimetre, is a mistake of the unit.
     if not 1e-3 <= length <= 1.0:
@@ -365,18 +365,18 @@ def _relatives(pattern: Pattern) -> list[Pattern]:
         return [p for p in both if p != pattern]
     c, r = pattern.columns, pattern.rows
     sizes = [(c - 1, r - 1), (r, c), (c + 1, r + 1), (c - 1, r), (c, r - 1), (c + 1, r), (c, r + 1)]
-    good = [s for s in dict.fromkeys(sizes) if min(s) >= 3 and s != (c, r)]
+    good = [s for s in dict.fromkeys(sizes) if min(s) >= _LEAST_COUNT and s != (c, r)]
     return [ChessboardPattern(a, b, pattern.square) for a, b in good]
 
 
 def describe(pattern: Pattern) -> str:
     """The pattern as text."""
-    count, square = f"{pattern.columns}x{pattern.rows}", f"{1e3 * pattern.square:g} mm"
-    if isinstance(pattern, CharucoPattern):
-        layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""
-        markers = f"markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}"
-        return f"ChArUco board of {count} squares ({square}, {markers}{layout})"
-    return f"chessboard of {count} inner corners (squares {square})"
+    what = f"{pattern.name} of {pattern.columns}x{pattern.rows} {pattern.counted}"
+    square = f"{1e3 * pattern.square:g} mm"
+    if not isinstance(pattern, CharucoPattern):
+        return f"{what} (squares {square})"
+    layout = ", layout of OpenCV before 4.6" if pattern.legacy else ""
+    return f"{what} ({square}, markers {1e3 * pattern.marker:g} mm, {pattern.dictionary}{layout})"
 
 
 PatternKind = Literal["charuco", "chessboard"]
@@ -416,14 +416,12 @@ class PatternRequest:
         square = square if self.square_mm is None else self.square_mm
         if self.kind == "chessboard":
             return ChessboardPattern(columns, rows, square / 1e3)
-        marker = self.marker_mm if self.marker_mm is not None else _marker_of(square)
+        marker = self.marker_mm
+        if marker is None:
+            # Whole millimetres can be measured; in a small square they would be too coarse.
+            share = MARKER_SHARE * square
+            marker = float(round(share)) if square >= 10.0 else share
         return CharucoPattern(columns, rows, square / 1e3, marker / 1e3, self.dictionary)
 
 
 _USUAL = {"charuco": (8, 6, 30.0), "chessboard": (9, 6, 25.0)}
-
-
-def _marker_of(square: float) -> float:
-    share = MARKER_SHARE * square
-    # Whole millimetres can be measured; in a small square they would be too coarse.
-    return float(round(share)) if square >= 10.0 else share

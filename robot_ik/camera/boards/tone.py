@@ -38,7 +38,6 @@ class Tone:
     Attributes:
         edge_shift: How far they lie in the black, in sigmas of their blur (mean).
         pixels: The same in px.
-        edges: How many were measured.
         white: Grey level of white (median).
         overshoot: How much brighter than white it is beside the edges, in contrasts.
         blocks: Steps of grey at the borders of 8 x 8 blocks over those elsewhere.
@@ -46,7 +45,6 @@ class Tone:
 
     edge_shift: float
     pixels: float
-    edges: int
     white: float
     overshoot: float
     blocks: float
@@ -81,7 +79,11 @@ def measure_tone(
     """
     index = {int(i): k for k, i in enumerate(ids)}
     pairs = [
-        (k, index[i + step]) for i, k in index.items() for step in _steps(i, columns) if i + step in index
+        (k, index[other])
+        for i, k in index.items()
+        # To the right, where that is the same row, and downwards.
+        for other in ((i + 1, i + columns) if (i + 1) % columns else (i + columns,))
+        if other in index
     ]
     if not pairs:
         return None
@@ -94,13 +96,9 @@ def measure_tone(
         return None
     shift, blur, white, overshoot = np.array(rows).T
     return Tone(
-        float(np.mean(shift / blur)), float(np.mean(shift)), len(rows), float(np.median(white)),
+        float(np.mean(shift / blur)), float(np.mean(shift)), float(np.median(white)),
         float(np.median(overshoot)), _blockiness(gray),
     )  # fmt: skip
-
-
-def _steps(i: int, columns: int) -> tuple[int, ...]:
-    return (1, columns) if (i + 1) % columns else (columns,)
 
 
 def _profiles(gray: Image, ends: Array, reach: float) -> tuple[list[Array], NDArray[np.bool_]]:

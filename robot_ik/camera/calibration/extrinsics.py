@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -22,6 +22,7 @@ from robot_ik.camera.calibration.handeye import (
     HandEyeSample,
     Mount,
     compress,
+    corner_misses,
     robust_mean_pose,
 )
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
@@ -67,17 +68,22 @@ class CameraExtrinsics:
     intrinsics_hash: str
     method: str = "board"
     views: int = 1
-    sigma_position: float = field(init=False)
-    sigma_angle: float = field(init=False)
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=float)
         if covariance.shape != (6, 6) or not np.isfinite(covariance).all():
             raise CalibrationError(f"a covariance is (6, 6) and finite, not {covariance.shape}")
         object.__setattr__(self, "covariance", covariance)
-        # Standard deviations of the whole distance (m) and angle (rad), for people.
-        object.__setattr__(self, "sigma_position", float(np.sqrt(max(np.trace(covariance[:3, :3]), 0.0))))
-        object.__setattr__(self, "sigma_angle", float(np.sqrt(max(np.trace(covariance[3:, 3:]), 0.0))))
+
+    @property
+    def sigma_position(self) -> float:
+        """Standard deviation of the whole distance, m."""
+        return float(np.sqrt(max(np.trace(self.covariance[:3, :3]), 0.0)))
+
+    @property
+    def sigma_angle(self) -> float:
+        """Standard deviation of the whole angle, rad."""
+        return float(np.sqrt(max(np.trace(self.covariance[3:, 3:]), 0.0)))
 
     def require_intrinsics(self, intrinsics: CameraIntrinsics) -> None:
         """Checks that this place was found with these intrinsics.
@@ -121,11 +127,13 @@ class CameraExtrinsics:
         """
         made_by = "such files are made by: robot-ik camera locate, robot-ik camera handeye"
         try:
-            extrinsics = read_table(
-                _ExtrinsicsFile, Path(path), "the pose of the camera", made_by
-            ).extrinsics()
+            file = read_table(_ExtrinsicsFile, Path(path), "the pose of the camera", made_by)
         except ConfigError as error:
             raise CalibrationError(error.args[0], hint=error.hint or made_by) from error
+        extrinsics = CameraExtrinsics(
+            Pose(file.position, file.wxyz), file.parent, np.array(file.covariance), file.residual_px,
+            file.residual_mm, file.date, file.intrinsics, method=file.method, views=file.views,
+        )  # fmt: skip
         if intrinsics is not None:
             extrinsics.require_intrinsics(intrinsics)
         return extrinsics
@@ -166,9 +174,8 @@ def locate_camera(
     sample = HandEyeSample(Pose(), view)
 
     def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
-        data = compress(mount, [sample], intrinsics, weights)
-        # There is no arm that could be off.
-        return data.views(1.0, data.by_shared, np.zeros((0, 1, 6, 6))), data.misses(_scale(data.left[0]))
+        views, left = compress(mount, [sample], intrinsics, weights)
+        return views, corner_misses(left, _scale(left[0]))
 
     mount = Mount(pose_world_board.compose(start.inverse()), pose_world_board, "eye_to_hand")
     mount, normal = fit_views(linear, mount, _CAMERA)
@@ -283,17 +290,3 @@ class _ExtrinsicsFile(Table):
     intrinsics: str
     method: str = ""
     views: int = 1
-
-    def extrinsics(self) -> CameraExtrinsics:
-        """What the file says."""
-        return CameraExtrinsics(
-            Pose(self.position, self.wxyz),
-            self.parent,
-            np.array(self.covariance),
-            self.residual_px,
-            self.residual_mm,
-            self.date,
-            self.intrinsics,
-            method=self.method,
-            views=self.views,
-        )

@@ -13,7 +13,7 @@ axes of parent and other, the rotation about the origin of camera and board; tha
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -61,11 +61,18 @@ class Mount:
         pose_parent_camera: X.
         pose_other_board: Y.
         mounting: Who is carried.
+
+    Raises:
+        CalibrationError: Unknown mounting.
     """
 
     pose_parent_camera: Pose
     pose_other_board: Pose
     mounting: Mounting
+
+    def __post_init__(self) -> None:
+        if self.mounting not in MOUNTINGS:
+            raise CalibrationError(f"unknown mounting {self.mounting!r}; known: {', '.join(MOUNTINGS)}")
 
     def moved(self, step: Array) -> Mount:
         """Both poses moved by twists (12,): the camera's, then the board's."""
@@ -121,47 +128,23 @@ def _cross(vectors: Array) -> Array:
     return np.cross(np.eye(3), vectors[:, None])
 
 
-@dataclass(frozen=True, eq=False)
-class Compressed:
-    """All views, each boiled down to what it says of the hand: n small Gaussians instead of all corners.
-
-    A change of camera or board moves a view's points exactly as some motion of the hand does.  So a view is
-    summed up by the twist of the hand that it would like best, with a covariance: nothing is lost.
-
-    Attributes:
-        pseudo_measurement: (n, 6) twist of the hand with which the view's own corners fit best.
-        covariance: (n, 6, 6) of the target, from the pixels alone.
-        by_shared: (n, 6, 12) by how much camera and board (12,) change it.
-        left: For each view (k,) how far each corner is off after that, in its standard deviations.
-        dof: How many numbers ``left`` is made of, less those that were fitted.
-    """
-
-    pseudo_measurement: Array
-    covariance: Array
-    by_shared: Array
-    left: tuple[Array, ...]
-    dof: int
-
-    def views(
-        self, scale: float, rows: Array, sources: Array, prior: Array | None = None, off: Array | None = None
-    ) -> LinearViews:
-        """For a fit; as in ``LinearViews``, with pixels of ``scale`` times the stated standard deviation."""
-        if prior is None or off is None:
-            prior, off = np.zeros((rows.shape[2],) * 2), np.zeros(rows.shape[2])
-        return LinearViews(self.pseudo_measurement, self.covariance * scale**2, rows, sources, prior, off)
-
-    def misses(self, scale: float) -> list[Array]:
-        """``left`` in standard deviations of one coordinate."""
-        return [one / np.sqrt(2.0) / scale for one in self.left]
-
-
 def compress(
     mount: Mount,
     samples: Sequence[HandEyeSample],
     intrinsics: CameraIntrinsics,
     weights: Sequence[Array] | None = None,
-) -> Compressed:
-    """Each view linear at ``mount``, with ``weights`` (k,) of the corners of each; 1 when not given."""
+) -> tuple[LinearViews, list[Array]]:
+    """All views, linear at ``mount``: n small Gaussians instead of all corners, and what is left of these.
+
+    A change of camera or board moves a view's points exactly as some motion of the hand does.  So a view is
+    summed up by the twist of the hand that it would like best, with a covariance: nothing is lost.
+
+    ``weights`` (k,) are of the corners of each view; 1 when not given.
+
+    Returns:
+        The views, with the twists of camera and board (12,) as unknowns of which nothing is known, and no
+        error of the arm; for each view (k,) how far each corner is off after that, in standard deviations.
+    """
     pseudo_measurements, covariances, rows, left = [], [], [], []
     for k, sample in enumerate(samples):
         miss, shared, hand = view_derivatives(mount, sample, intrinsics)
@@ -173,8 +156,11 @@ def compress(
         rows.append(-covariance @ (hand.T @ (w[:, None] * shared)))
         rest = (miss + hand @ pseudo_measurement).reshape(-1, 2) / sample.view.sigma
         left.append(np.linalg.norm(rest, axis=1))
-    dof = sum(2 * len(one) - 6 for one in left)
-    return Compressed(np.array(pseudo_measurements), np.array(covariances), np.array(rows), tuple(left), dof)
+    views = LinearViews(
+        np.array(pseudo_measurements), np.array(covariances), np.array(rows),
+        np.zeros((0, len(samples), 6, 6)), np.zeros((12, 12)), np.zeros(12),
+    )  # fmt: skip
+    return views, left
 
 
 # ------------------------------------------------------------------------------------------
@@ -349,9 +335,8 @@ def _translation(motions: Sequence[tuple[Pose, Pose]], rotation: Array, weights:
 # The unknowns are twists of camera and board; the arm's error is one of the hand's position and its angle.
 _ALL = np.arange(12)
 _HAND = np.array([np.diag([1.0] * 3 + [0.0] * 3), np.diag([0.0] * 3 + [1.0] * 3)])
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
-# and by more than this many pixels: below, print and lens are as good a reason.
-_OUTLIER, _OUTLIER_PIXELS = 6.4, 0.3
+# What contradicts the others by fewer pixels is no outlier: print and lens are as good a reason.
+_OUTLIER_PIXELS = 0.3
 # Beyond this part of the picture's longer side a view's miss is no arm's error: 16 px of 640, 10 mm and more
 # at half a metre.
 _ABSURD = 0.025
@@ -439,16 +424,14 @@ def solve_handeye(
         CalibrationError: Unknown mounting, too few views, too little turning, or views that no mounting
             explains.
     """
-    if mounting not in MOUNTINGS:
-        raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
     spread = require_diversity(samples)
     # The hand is off, position and angle; nothing is known beforehand.
     hand = np.broadcast_to(_HAND[:, None], (2, len(samples), 6, 6))
 
     def linear(mount: Mount, weights: Sequence[Array] | None) -> tuple[LinearViews, Sequence[Array]]:
-        data = compress(mount, samples, intrinsics, weights)
-        scale = pixel_scale(data)
-        return data.views(scale, data.by_shared, hand), data.misses(scale)
+        views, left = compress(mount, samples, intrinsics, weights)
+        scale = pixel_scale(left)
+        return replace(views, pixels=scale**2 * views.pixels, sources=hand), corner_misses(left, scale)
 
     mount, normal = fit_views(linear, start_handeye(samples, mounting), _ALL)
     found = _result(mount, samples, intrinsics, normal, spread)
@@ -478,16 +461,24 @@ def require_explained(
     )
 
 
-def pixel_scale(data: Compressed) -> float:
-    """Standard deviation of the pixels in units of the stated one; robust, and not from few numbers alone."""
-    left = np.concatenate(data.left)
+def pixel_scale(left: Sequence[Array]) -> float:
+    """Standard deviation of the pixels in units of the stated one; robust, and not from few numbers alone.
+
+    ``left`` is what ``compress`` leaves of each view.
+    """
+    every = np.concatenate(left)
     # Median of the length of a Gaussian pair; the fit of six numbers a view has swallowed a part of it.
-    robust = float(np.median(left)) / 1.1774
-    share = data.dof / (2 * len(left))
+    robust = float(np.median(every)) / 1.1774
+    dof, prior = 2.0 * len(every) - 6.0 * len(left), 10.0
+    share = dof / (2 * len(every))
     if share < 0.1:
         return 1.0
-    dof, prior = float(data.dof), 10.0
     return float(np.sqrt((prior + dof * robust**2 / share) / (prior + dof)))
+
+
+def corner_misses(left: Sequence[Array], scale: float) -> list[Array]:
+    """What ``compress`` leaves, in standard deviations of one coordinate: ``scale`` times the stated ones."""
+    return [one / np.sqrt(2.0) / scale for one in left]
 
 
 def _result(
@@ -523,17 +514,17 @@ def _residual(
     hand = sample.pose_world_hand.compose(Pose.exp(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))
     deviation = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
-    left_out = _rms_distance(others.miss(sample, intrinsics))
+    left_out = rms_distance(others.miss(sample, intrinsics))
     return ViewResidual(
-        pixels=_rms_distance(mount.miss(sample, intrinsics)),
+        pixels=rms_distance(mount.miss(sample, intrinsics)),
         left_out_pixels=left_out,
         left_out_position=float(np.sqrt(np.mean(deviation**2))),
         left_out_angle=expected.distance(found)[1],
         sigmas=without.sigmas,
-        outlier=without.sigmas > _OUTLIER and left_out > _OUTLIER_PIXELS,
+        outlier=without.contradicts and left_out > _OUTLIER_PIXELS,
     )
 
 
-def _rms_distance(miss: Array) -> float:
-    """NaN (a board behind the camera) counts as endlessly far."""
+def rms_distance(miss: Array) -> float:
+    """Of misses (n, 2); NaN (a board behind the camera) counts as endlessly far."""
     return float(np.sqrt(np.mean(np.sum(np.nan_to_num(miss, nan=np.inf) ** 2, axis=1))))

@@ -39,13 +39,12 @@ def _focal_share(camera: CameraIntrinsics) -> float:
     return max(camera.std[0] / camera.fx, camera.std[1] / camera.fy)
 
 
-def _doubts(
-    camera: CameraIntrinsics, rms: float, hold_out: float, views: int, coverage: Coverage
-) -> list[str]:
+def _doubts(camera: CameraIntrinsics, rms: float, hold_out: float, coverage: Coverage) -> list[str]:
     """What is wrong with a calibration; empty when nothing is.
 
     Reprojection errors in px: ``rms`` on its own views, ``hold_out`` on those that it has not seen.
     """
+    views = len(coverage.tilts)
     found = []
     if views < ENOUGH_VIEWS:
         found.append(f"only {views} views: take {ENOUGH_VIEWS} or more")
@@ -116,11 +115,9 @@ class CalibrationResult:
     """A calibration, and how far to trust it.
 
     Attributes:
-        intrinsics: With ``rms``, ``std`` and ``views`` filled in.
+        intrinsics: With ``rms``, ``std`` (the larger one of the formal and the jackknife's) and ``views``.
         rms: Reprojection error over all used corners, px.
         per_view: One report a view, in the order given.
-        std: Standard deviations of fx, fy, cx, cy and the coefficients: the larger one of the formal and
-            the jackknife's.
         hold_out_rms: Reprojection error of views that the calibration had not seen, px.
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: As text.
@@ -132,7 +129,6 @@ class CalibrationResult:
     intrinsics: CameraIntrinsics
     rms: float
     per_view: tuple[ViewReport, ...]
-    std: tuple[float, ...]
     hold_out_rms: float
     coverage: Coverage
     verdict: str
@@ -192,11 +188,11 @@ def calibrate(
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
-    doubts = _doubts(intrinsics, fit.rms, hold_out, len(used), coverage)
+    doubts = _doubts(intrinsics, fit.rms, hold_out, coverage)
     if coefficients == 8 and _fit(found, size, 5).rms < _WORTHLESS * fit.rms:
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
-        intrinsics, fit.rms, _reports(named, used, fit, left_out), std, hold_out, coverage,
+        intrinsics, fit.rms, _reports(named, used, fit, left_out), hold_out, coverage,
         _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones),
     )  # fmt: skip
 

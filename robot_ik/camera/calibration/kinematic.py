@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     LEAST_VIEWS,
-    MOUNTINGS,
     HandEyeSample,
     Mount,
     Mounting,
     compress,
+    corner_misses,
     pixel_scale,
     require_explained,
+    rms_distance,
 )
 from robot_ik.camera.calibration.least_squares import (
     LinearViews,
@@ -141,7 +142,7 @@ class ArmModel:
 
         The unknowns are the joints' offsets and the poses (nv + 12,), the arm's error one rad in each joint.
         """
-        data = compress(state.mount, self.samples(state), self.intrinsics, weights)
+        views, left = compress(state.mount, self.samples(state), self.intrinsics, weights)
         by_joint = np.array([self._hand_jacobian(state, one) for one in self.views])
         n = self.robot.nv
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
@@ -149,9 +150,10 @@ class ArmModel:
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
         off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
         off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
-        rows = np.concatenate([-by_joint, data.by_shared], axis=2)
-        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(data)
-        return data.views(scale, rows, joints[None], prior, off), data.misses(scale)
+        rows = np.concatenate([-by_joint, views.rows], axis=2)
+        joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(left)
+        views = LinearViews(views.pseudo_measurement, scale**2 * views.pixels, rows, joints[None], prior, off)
+        return views, corner_misses(left, scale)
 
     def _hand_jacobian(self, state: ArmEstimate, view: CalibrationStation) -> Array:
         """(6, nv) twist of the hand, in its own axes, by the joints."""
@@ -160,24 +162,9 @@ class ArmModel:
         jacobian = self.robot.jacobian(q, self.frame)
         return np.concatenate([rotation @ jacobian[:3], rotation @ jacobian[3:]])
 
-    def deviation(self, state: ArmEstimate, view: CalibrationStation) -> tuple[Array, float]:
-        """Where the picture shows the carried object less where the joints put it: world, metres (3,), rad.
 
-        Eye to hand it is the board; eye in hand, the camera.
-        """
-        mount, hand = state.mount, self.hand(state, view)
-        seen = view.view.pose_camera_board
-        if self.mounting == "eye_to_hand":
-            found, expected = mount.pose_parent_camera.compose(seen), hand.compose(mount.pose_other_board)
-        else:
-            found = mount.pose_other_board.compose(seen.inverse())
-            expected = hand.compose(mount.pose_parent_camera)
-        return found.position - expected.position, found.distance(expected)[1]
-
-
-# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
-# and by more than this distance: below, print and lens are as good a reason.
-_OUTLIER, _OUTLIER_DISTANCE = 6.4, 5e-4
+# What contradicts the others by less than this distance is no outlier: print and lens are as good a reason.
+_OUTLIER_DISTANCE = 5e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +176,7 @@ class PoseError:
         vector: (3,) from there to where the picture shows it, world, metres.
         angle: The same of the orientation, rad.
         sigma, sigma_angle: Standard deviation of the measurement (square root of the sum over the axes).
-        sigmas: How far the view contradicts all others, in standard deviations; 0 where that is not asked.
-        outlier: It contradicts them, and counts for almost nothing.
+        outlier: It contradicts all others, and counts for almost nothing.
     """
 
     position: Array
@@ -198,7 +184,6 @@ class PoseError:
     angle: float
     sigma: float
     sigma_angle: float
-    sigmas: float
     outlier: bool
 
     @property
@@ -208,24 +193,28 @@ class PoseError:
 
 
 def pose_error(
-    model: ArmModel, state: ArmEstimate, view: int, covariance: Array, sigmas: float = 0.0
+    model: ArmModel, state: ArmEstimate, view: int, covariance: Array, *, contradicts: bool = False
 ) -> PoseError:
-    """View number ``view`` at a state; ``sigmas`` as in ``PoseError``.
+    """View number ``view`` at a state, and whether it contradicts the others.
 
     ``covariance`` (6, 6) is of the twist of the hand, in its axes, that separates picture and joints.
     """
     one, mount = model.views[view], state.mount
-    carried = mount.pose_other_board if model.mounting == "eye_to_hand" else mount.pose_parent_camera
-    vector, angle = model.deviation(state, one)
+    seen = one.view.pose_camera_board
+    if model.mounting == "eye_to_hand":
+        carried, found = mount.pose_other_board, mount.pose_parent_camera.compose(seen)
+    else:
+        carried, found = mount.pose_parent_camera, mount.pose_other_board.compose(seen.inverse())
+    expected = model.hand(state, one).compose(carried)
+    vector = found.position - expected.position
     at_point = np.concatenate([np.eye(3), np.cross(carried.position, np.eye(3))], axis=1)
     return PoseError(
-        position=np.asarray(model.hand(state, one).apply(carried.position)),
+        position=expected.position,
         vector=vector,
-        angle=angle,
+        angle=found.distance(expected)[1],
         sigma=float(np.sqrt(np.trace(at_point @ covariance @ at_point.T))),
         sigma_angle=float(np.sqrt(np.trace(covariance[3:, 3:]))),
-        sigmas=sigmas,
-        outlier=sigmas > _OUTLIER and float(np.linalg.norm(vector)) > _OUTLIER_DISTANCE,
+        outlier=contradicts and float(np.linalg.norm(vector)) > _OUTLIER_DISTANCE,
     )
 
 
@@ -250,20 +239,18 @@ def measure_errors(
     """
     model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, "eye_to_hand")
     state = model.start()
-    mount = state.mount
     # The hand as the picture has it: what the corners and the two poses are worth is linear there.
-    hands = [_seen_hand(one, mount.pose_parent_camera, mount.pose_other_board) for one in views]
-    samples = [HandEyeSample(hand, one.view) for hand, one in zip(hands, views, strict=True)]
-    data = compress(mount, samples, intrinsics)
+    from_board = board.pose.inverse()
+    samples = [
+        HandEyeSample(camera.pose.compose(one.view.pose_camera_board).compose(from_board), one.view)
+        for one in views
+    ]
+    linear, left = compress(state.mount, samples, intrinsics)
     known = np.zeros((12, 12))
     known[:6, :6], known[6:, 6:] = camera.covariance, board.covariance
-    rows = data.by_shared
-    covariances = data.covariance * pixel_scale(data) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
+    rows = linear.rows
+    covariances = linear.pixels * pixel_scale(left) ** 2 + rows @ known @ rows.transpose(0, 2, 1)
     return tuple(pose_error(model, state, k, covariances[k]) for k in range(len(views)))
-
-
-def _seen_hand(one: CalibrationStation, pose_world_camera: Pose, pose_hand_board: Pose) -> Pose:
-    return pose_world_camera.compose(one.view.pose_camera_board).compose(pose_hand_board.inverse())
 
 
 # A combination of offsets with a larger standard deviation than this, rad, is not determined.
@@ -341,7 +328,7 @@ def fit_zero_offsets(
             offsets explain.
         UnknownJointError: ``hold`` names a joint that is not there.
     """
-    _check(views, robot, mounting, hold)
+    _check(views, robot, hold)
     model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
     held = set(hold)
     unobservable: list[Unobservable] = []
@@ -359,9 +346,7 @@ def fit_zero_offsets(
         held.add(worst.joint)
 
 
-def _check(views: Sequence[CalibrationStation], robot: Robot, mounting: str, hold: Sequence[str]) -> None:
-    if mounting not in MOUNTINGS:
-        raise CalibrationError(f"unknown mounting {mounting!r}; known: {', '.join(MOUNTINGS)}")
+def _check(views: Sequence[CalibrationStation], robot: Robot, hold: Sequence[str]) -> None:
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
             f"{len(views)} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
@@ -386,18 +371,15 @@ def _result(
     # How each view fits what all others say.
     others = [normal.left_out(k) for k in range(len(model.views))]
     errors = tuple(
-        pose_error(model, state.moved(without.step), k, without.covariance, without.sigmas)
+        pose_error(model, state.moved(without.step), k, without.covariance, contradicts=without.contradicts)
         for k, without in enumerate(others)
     )
     mount = state.mount
-    every = [
-        np.sum(np.nan_to_num(mount.miss(one, model.intrinsics), nan=np.inf) ** 2, axis=1)
-        for one in model.samples(state)
-    ]
+    misses = [mount.miss(one, model.intrinsics) for one in model.samples(state)]
     outliers = [one.outlier for one in errors]
     if judge:
-        require_explained([float(np.sqrt(np.mean(one))) for one in every], outliers, model.intrinsics)
-    squares = [one for one, out in zip(every, outliers, strict=True) if not out]
+        require_explained([rms_distance(miss) for miss in misses], outliers, model.intrinsics)
+    good = [miss for miss, out in zip(misses, outliers, strict=True) if not out]
     return ZeroOffsets(
         joints=model.robot.joints,
         offsets=state.offsets,
@@ -406,7 +388,7 @@ def _result(
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
         errors=errors,
-        residual_px=float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else float("nan"),
+        residual_px=rms_distance(np.concatenate(good)) if good else float("nan"),
         joint_noise=float(normal.noise.sizes[0]),
         singular_values=np.sqrt(joint_information(normal, n)[0]),
     )

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 _SIZES = np.geomspace(1e-7, 5e-2, 10)
 _NEARBY = np.geomspace(0.4, 2.5, 3)
 _ZOOMS = 5
+# A view that the others contradict by more than this many standard deviations (of 6 numbers: 1 view in 10^6)
+# is an outlier, where the miss is also more than print and lens explain.
+_OUTLIER = 6.4
 # Student's t with so many degrees of freedom: Gaussian views lose little, a wrong one hardly counts.
 _FREEDOM, _TWIST = 5.0, 6
 _ROUNDS = 3
@@ -93,6 +96,11 @@ class LeftOut:
     pseudo_measurement: Array
     covariance: Array
     sigmas: float
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the view contradicts the others."""
+        return self.sigmas > _OUTLIER
 
 
 @dataclass(frozen=True, eq=False)

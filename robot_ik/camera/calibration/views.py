@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,7 +12,6 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import (
     CharucoPattern,
-    ChessboardPattern,
     FoundPattern,
     Pattern,
     describe,
@@ -21,7 +21,8 @@ from robot_ik.camera.boards.patterns import (
 from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.calibration.intrinsic import CalibrationView
-from robot_ik.camera.detection import guess_dictionary, to_gray
+from robot_ik.camera.detection import guess_dictionary
+from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
 
@@ -91,12 +92,17 @@ class ViewGatherer:
             self._previous = None
             if not selective:
                 self._without.append(name)
-            self._add_unmatched(frame.image)
+            self._unmatched.append(frame.image)
+            self._unmatched_count += 1
+            if not self._found_any and self._unmatched_count == self._identify_at:
+                self._identify_at *= _PATIENCE
+                self._identify_pattern(last=False)
             return False
         self._found_any = True
         still, self._previous = self._is_still(found, frame.size), found
         features = self._view_features(found, frame.size)
-        if selective and not (still and self._is_new(features)):
+        new = all(np.linalg.norm(features - other) > 1.0 for other in self._features)
+        if selective and not (still and new):
             return False
         self._features.append(features)
         tone = measure_tone(
@@ -139,17 +145,10 @@ class ViewGatherer:
                 hint="a calibration is for one picture size: calibrate each size by itself",
             )
 
-    def _add_unmatched(self, image: Image) -> None:
-        self._unmatched.append(image)
-        self._unmatched_count += 1
-        if not self._found_any and self._unmatched_count == self._identify_at:
-            self._identify_at *= _PATIENCE
-            self._identify_pattern(last=False)
-
     def _identify_pattern(self, *, last: bool) -> None:
         images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]
         other = fitting_pattern(self.pattern, images)
-        if isinstance(other, CharucoPattern) and other.legacy and _same_counts(other, self.pattern):
+        if isinstance(self.pattern, CharucoPattern) and other == replace(self.pattern, legacy=True):
             self.pattern = other
             self.notices.append(
                 "the board has the layout of OpenCV before 4.6 (legacy pattern): taken as such"
@@ -158,9 +157,10 @@ class ViewGatherer:
             for number, image in enumerate(images):
                 self.offer(Frame(image, 0.0, number), f"picture {number + 1}", selective=False)
         elif other is not None:
+            counted = "squares" if isinstance(other, CharucoPattern) else "inner corners, not squares"
             raise CalibrationError(
                 f"there is no {describe(self.pattern)} in the pictures, but a {describe(other)}",
-                hint=f"--columns {other.columns} --rows {other.rows}" + _counted(other),
+                hint=f"--columns {other.columns} --rows {other.rows} ({counted})",
             )
         elif last:
             raise CalibrationError(
@@ -197,9 +197,6 @@ class ViewGatherer:
         tilt = cover([found], [rotation], size).tilts[0] / _NEW_TILT
         return np.array([*centre, np.log(max(depth, 1e-6)) / np.log(_NEW_SCALE), *tilt])
 
-    def _is_new(self, features: Array) -> bool:
-        return all(np.linalg.norm(features - other) > 1.0 for other in self._features)
-
 
 def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
     """What to look at when the pattern and all that is nearly the same were not found."""
@@ -217,14 +214,6 @@ def _other_kind(pattern: Pattern, images: Sequence[Image]) -> str:
 
 def _option_text(pattern: Pattern) -> str:
     return f": --columns {pattern.columns} --rows {pattern.rows}"
-
-
-def _counted(pattern: Pattern) -> str:
-    return " (inner corners, not squares)" if isinstance(pattern, ChessboardPattern) else " (squares)"
-
-
-def _same_counts(a: CharucoPattern, b: Pattern) -> bool:
-    return isinstance(b, CharucoPattern) and (a.columns, a.rows) == (b.columns, b.rows)
 
 
 def _pose_guess(found: FoundPattern, size: tuple[int, int]) -> tuple[Array, float]:

@@ -22,7 +22,7 @@ from robot_ik.camera.drawing.prints import PRINT_MARKER, SeenPrint, blank_paper,
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
 from robot_ik.camera.synthetic.scene import Lights, SceneTable
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
@@ -188,7 +188,7 @@ class SyntheticScene:
         return reduce(lambda scene, id: scene.with_marker(id, condition="blank"), ids, self)
 
 
-class SyntheticSource(ClosingSource):
+class SyntheticSource(FrameSource):
     """Photographs of a ``SyntheticScene``: a ``FrameSource`` with ``truth``.
 
     Args:
@@ -303,7 +303,7 @@ def _subject_distance(scene: SyntheticScene) -> float:
     return float(max(inverse.apply(centre)[2], 0.3))
 
 
-class CarriedSource(ClosingSource):
+class CarriedSource(FrameSource):
     """Photographs of a ``SyntheticScene`` by a camera that a frame of the robot carries.
 
     Each picture is of a new scene, so it takes longer than with a camera that stands.

@@ -15,7 +15,7 @@ import numpy as np
 from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_SIZE,
@@ -54,7 +54,7 @@ class MovingOptions:
     blur: float = 0.7
 
 
-class MovingSource(ClosingSource):
+class MovingSource(FrameSource):
     """Something that moves before the camera of the standard set; 640 x 480 px, 30 pictures a second.
 
     Args:

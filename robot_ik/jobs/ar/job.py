@@ -338,7 +338,7 @@ def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) 
 
 def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
     first: float | None = None
-    while not getattr(source, "exhausted", False):
+    while not source.exhausted:
         frame = source.read()
         first = frame.time if first is None else first
         if seconds > 0.0 and frame.time - first > seconds:

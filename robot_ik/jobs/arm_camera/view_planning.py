@@ -337,10 +337,10 @@ def _worth(robot: Robot, task: ViewTask, clearance: Clearance, q: Array) -> Arra
     # Half of a board is enough; of a cube, one side.
     if 2 * len(clear) < len(ids):
         return None
-    data = compress(mount, [task.sample(robot, q, np.concatenate(clear))], task.intrinsics)
+    view, _ = compress(mount, [task.sample(robot, q, np.concatenate(clear))], task.intrinsics)
     arm = np.diag([_ARM_POSITION**2] * 3 + [_ARM_ANGLE**2] * 3)
-    rows = data.by_shared[0]
-    return np.asarray(rows.T @ np.linalg.solve(data.covariance[0] + arm, rows))
+    rows = view.rows[0]
+    return np.asarray(rows.T @ np.linalg.solve(view.pixels[0] + arm, rows))
 
 
 # ---------------------------------------------------------------------------------- choosing

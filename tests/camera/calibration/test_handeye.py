@@ -174,7 +174,7 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
         with pytest.raises(CameraError):
             BoardView(points, pixels, Pose())
     with pytest.raises(CalibrationError, match="eye_in_hand, eye_to_hand"):
-        solve_handeye([], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
+        solve_handeye(handeye_set()[1], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 
 
 # --------------------------------------------------------------------------------- rotations

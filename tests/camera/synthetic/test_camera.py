@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from robot_ik.camera.corner_refinement import refine_corners
+from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.prints import PRINT_MARKER, marker_print, see_print
 from robot_ik.camera.drawing.raycast import ray_field
@@ -68,9 +68,8 @@ def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.nd
         found = {d.id: d.corners for d in detector.detect(frame.image)}
         assert set(found) == set(frame.truth["corners"])
         for id, corners in found.items():
-            misses.append(
-                refine_corners(frame.image, corners, scene.intrinsics)[0] - frame.truth["corners"][id]
-            )
+            (refined,) = refine_markers(frame.image, [corners], scene.intrinsics)
+            misses.append(refined.corners - frame.truth["corners"][id])
     return np.concatenate(misses)
 
 
@@ -229,8 +228,8 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         for id in seen:
             side = robot.forward(where[0], f"marker_{id}")
             assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx((0, 0), abs=1e-9)
-            refined = refine_corners(frame.image, found[id], lens)[0]
-            assert np.abs(refined - frame.truth["corners"][id]).max() < 0.5
+            (refined,) = refine_markers(frame.image, [found[id]], lens)
+            assert np.abs(refined.corners - frame.truth["corners"][id]).max() < 0.5
 
 
 def test_fast_pictures_keep_markers_exact() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, parse_board
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticScene
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, MarkerNotFoundError
@@ -27,7 +27,7 @@ from robot_ik.robot import Robot, load_robot
 Array = NDArray[np.float64]
 
 
-class Drawn(ClosingSource):
+class Drawn(FrameSource):
     """A light camera: the markers of the scene where the servos' shafts put them, before a wall."""
 
     live = True

@@ -14,7 +14,7 @@ from robot_ik.bench.camera import Effort, arm
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.calibration.kinematic import PoseError
-from robot_ik.camera.sources import ClosingSource, Frame
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticScene
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, UnknownJointError
@@ -35,7 +35,7 @@ from robot_ik.jobs.robot_setup import Rehearsal
 HIDDEN = {"joint1": 2.0, "joint2": -2.5, "joint3": 1.5, "joint4": -3.0, "joint5": 2.0, "joint6": 1.0}
 
 
-class Drawn(ClosingSource):
+class Drawn(FrameSource):
     """A light camera: the markers of the scene where the servos' shafts put them, before a wall."""
 
     live = True
@@ -190,7 +190,7 @@ def test_what_is_missing_is_reported_before_anything_moves(
 
 def test_sums_are_over_halves_of_the_space() -> None:
     errors = [
-        PoseError(np.array([x, 0.0, 0.0]), np.array([0.0, off, 0.0]), 0.01, 1e-4, 1e-3, 0.0, False)
+        PoseError(np.array([x, 0.0, 0.0]), np.array([0.0, off, 0.0]), 0.01, 1e-4, 1e-3, False)
         for x, off in ((0.1, 1e-3), (0.2, 2e-3), (0.5, 4e-3))
     ]
     whole, near, far = regions(errors)

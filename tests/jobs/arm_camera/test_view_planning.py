@@ -93,10 +93,10 @@ def test_they_tell_more_than_views_at_random(robot: Robot, task: ViewTask, views
     def reported(some: list[Array]) -> float:
         """Log determinant of the information on camera and board, every marker of the cube seen."""
         corners = np.concatenate([pose.apply(marker_points(side)) for side, pose in task.layout.values()])
-        data = compress(task.mount, [task.sample(robot, q, corners) for q in some], task.intrinsics)
+        seen, _ = compress(task.mount, [task.sample(robot, q, corners) for q in some], task.intrinsics)
         arm = np.diag([5e-4**2] * 3 + [2e-3**2] * 3)
-        weighted = np.linalg.solve(data.covariance + arm, data.by_shared)
-        return float(np.linalg.slogdet(np.einsum("nik,nil->kl", data.by_shared, weighted))[1])
+        weighted = np.linalg.solve(seen.pixels + arm, seen.rows)
+        return float(np.linalg.slogdet(np.einsum("nik,nil->kl", seen.rows, weighted))[1])
 
     near = [robot.clip(views[0] + rng.uniform(-0.35, 0.35, robot.nq)) for _ in views]
     assert reported(views) > reported(near) + 5
