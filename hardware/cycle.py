@@ -30,7 +30,7 @@ from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.torque import arm_watchdog
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.ports import Array, Clock
+from robot_ik.ports import Array
 
 log = logging.getLogger(__name__)
 
@@ -256,9 +256,7 @@ class Cycle:
         reports: See ``MotionReport``.
     """
 
-    def __init__(
-        self, config: ArmConfig, bus: ServoBus, clock: Clock, feedback: Feedback | None = None
-    ) -> None:
+    def __init__(self, config: ArmConfig, bus: ServoBus, feedback: Feedback | None = None) -> None:
         driven, config = len(config.joints), config.whole
         n = len(config.joints)
         self.samples = Samples(config)
@@ -267,7 +265,7 @@ class Cycle:
         self.held = False
         self.reports = MotionReport.empty(n)
         self.period = 1.0 / config.rate_hz
-        self._config, self._bus, self._clock = config, bus, clock
+        self._config, self._bus, self._clock = config, bus, bus.clock
         self._limiter = SafetyLimiter(
             config.lower, config.upper, config.velocity, config.acceleration, joints=config.names,
             commanded=driven,

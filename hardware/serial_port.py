@@ -11,7 +11,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import serial
@@ -60,27 +60,16 @@ class SleepingPortHandler(PortHandler):
         port_name: As the system names it.
         baud: bit/s.
         counters: Its bytes are added here.
-        response_time: s a servo is given to answer.
         posix: A port is a file on which one can wait and which must be locked; else (Windows) a handle that
             the system itself gives to one program only.
-        make_serial: Opens a port, as ``serial.Serial``.
     """
 
     def __init__(
-        self,
-        port_name: str,
-        baud: int,
-        counters: Counters,
-        response_time: float = RESPONSE_TIME,
-        *,
-        posix: bool = os.name == "posix",
-        make_serial: Callable[..., Any] = serial.Serial,
+        self, port_name: str, baud: int, counters: Counters, *, posix: bool = os.name == "posix"
     ) -> None:
         super().__init__(port_name)
         self._posix = posix
-        self._make_serial = make_serial
         self.baudrate = baud
-        self.response_time = response_time
         self.seconds_per_byte = 10.0 / baud
         self._counters = counters
         self._file = -1
@@ -88,7 +77,7 @@ class SleepingPortHandler(PortHandler):
 
     def setupPort(self, cflag_baud: int) -> bool:
         self.closePort()
-        self.ser = self._make_serial(
+        self.ser = serial.Serial(
             port=self.port_name,
             baudrate=cflag_baud,
             bytesize=serial.EIGHTBITS,
@@ -117,7 +106,7 @@ class SleepingPortHandler(PortHandler):
         return time.monotonic() * 1000.0
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.response_time)
+        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * RESPONSE_TIME)
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         super().setPacketTimeoutMillis(msec)

@@ -71,7 +71,7 @@ _POLL = 0.05  # s between two looks
 _NO_REPLY = (BusTimeoutError, BusCorruptError)
 
 
-def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
+def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
 
     ``real``: not made from the arm file; they are compared with the calibration beside it as well.
@@ -387,7 +387,7 @@ class ServoReset:
         return self.after == () and abs(self.turned) < TICKS_PER_REVOLUTION // 2
 
 
-def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoReset]:
+def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
     """Reboots servos with a hardware error, clears watchdogs that have tripped, and looks at all again.
 
     Returns:
@@ -405,7 +405,7 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
             elif row.before:
                 bus.write(servo.id, servo.table["bus_watchdog"], 0)
     return [
-        _state_after(bus, config, servo, row, clock) if row.before else row
+        _state_after(bus, config, servo, row) if row.before else row
         for row, servo in zip(found, config.servos, strict=True)
     ]
 
@@ -419,14 +419,12 @@ def _state_before(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoRes
     return ServoReset(servo.name, servo.id, before, before, here if before else 0)
 
 
-def _state_after(
-    bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset, clock: Clock
-) -> ServoReset:
+def _state_after(bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset) -> ServoReset:
     try:
         if row.restarted:
-            clock.sleep_until(clock.now() + _POLL)  # or it answers before it goes
+            bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
             with joint_named(config):
-                _until(clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
+                _until(bus.clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
         there, after = _look(bus, config, servo)
     except _NO_REPLY as error:
         return replace(row, after=None, turned=0, silence=error)
@@ -457,18 +455,7 @@ def _until(
         clock.sleep_until(clock.now() + _POLL)
 
 
-def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
-    """``reset_servos`` where all must answer afterwards; the joints of those that were rebooted."""
-    rows = reset_servos(bus, config, clock)
-    for row in rows:
-        if row.silence is not None:
-            raise row.silence
-    return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
-
-
-def find_again(
-    bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float, *, real: bool = True
-) -> Feedback:
+def find_again(bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool) -> Feedback:
     """Opens the port as soon as it is there again and stays, and verifies what is behind it.
 
     Raises:
@@ -480,7 +467,7 @@ def find_again(
         bus.open()
         return verify(bus, config, real=real)
 
-    return _until(clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
+    return _until(bus.clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
 
 
 def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int, int]) -> None:

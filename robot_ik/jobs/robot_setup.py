@@ -220,22 +220,21 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
         return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
-    from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
     limited = robot.with_limits(config.lower, config.upper)
     limits = _joint_limits(robot, limited, config)
-    row, servos = bus_row(request.bus), None
-    if row.virtual:
+    if bus_row(request.bus).virtual:
         faults = [joint_offset(config.joint(name), deg) for name, deg in rehearsal.zero_offset_deg.items()]
         faults += [Fault("stuck", config.joint(name).id) for name in rehearsal.stuck]
-        servos = VirtualBus.from_config(config, row.clock(), limited.home)
-        servos.inject(*faults)
+        arm = open_arm(config, request.bus, start=limited.home)
+        assert arm.virtual_bus is not None
+        arm.virtual_bus.inject(*faults)
     else:
         _refuse_servo_faults(rehearsal)
         check_model(config, {limit.joint: limit.model for limit in limits})
-    arm = open_arm(config, request.bus, virtual_bus=servos)
+        arm = open_arm(config, request.bus)
     return RobotSetup(limited, frame, limits, config, arm, arm.clock)
 
 

@@ -21,7 +21,6 @@ from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
@@ -46,12 +45,8 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
     """
     robot = load_robot(name)
     config = _arm_config(robot, arm_file)
-    row = bus_row(bus)
-    servos = None
-    if row.virtual:
-        start = robot.home[[robot.joints.index(joint) for joint in config.names]]
-        servos = VirtualBus.from_config(config, row.clock(), start)
-    arm = open_arm(config, bus, virtual_bus=servos, on_exit=on_exit or None)
+    home = robot.home[[robot.joints.index(joint) for joint in config.names]]
+    arm = open_arm(config, bus, start=home if bus_row(bus).virtual else None, on_exit=on_exit or None)
     link = ArmLink(arm, robot, bus)
     link.open()
     return link

@@ -370,7 +370,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     assert [j.zero_ticks for j in again.whole.joints] == [j.zero_ticks for j in made.whole.joints]
     # The same servos, from the side that does not know that they are simulated.
     wire = SimBus(servos)
-    with Arm(again, wire, servos.clock) as arm:
+    with Arm(again, wire) as arm:
         arm.enable()
         arm.park(dict.fromkeys(arm.joints[:1], 0.3))
     assert arm.exit_report is not None and arm.exit_report.ok
@@ -378,7 +378,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
 
 def test_an_arm_of_placeholders_gets_no_torque_on_real_servos() -> None:
     config, servos = arm_file("koch_v11"), servos_of("koch_v11")
-    with Arm(config, SimBus(servos), servos.clock) as arm:  # nobody says that these servos are simulated
+    with Arm(config, SimBus(servos)) as arm:  # nobody says that these servos are simulated
         assert arm.read().q.shape == (5,)  # looking is allowed
         with pytest.raises(ConfigError, match=r"placeholders.*\n.*servo calibrate") as caught:
             arm.enable()
@@ -486,9 +486,9 @@ def test_leaving_an_arm_never_touches_another_on_the_same_wire(
     servos, first, second = one_wire
     with closing(SimBus(servos)) as wire:
         wire.open()
-        with Arm(second, wire, servos.clock, virtual_bus=servos) as stays:
+        with Arm(second, wire, virtual_bus=servos) as stays:
             stays.enable()
-            with Arm(first, wire, servos.clock, virtual_bus=servos, on_exit=policy) as leaves:
+            with Arm(first, wire, virtual_bus=servos, on_exit=policy) as leaves:
                 leaves.enable()
                 stream(leaves, "joint1", 0.1)
                 stream(stays, "shoulder_pan", 0.1)
@@ -512,8 +512,8 @@ def test_a_fault_of_one_arm_on_a_shared_wire_is_none_of_the_other(
     with closing(SimBus(servos)) as wire:
         wire.open()
         with (
-            Arm(first, wire, servos.clock, virtual_bus=servos) as ours,
-            Arm(second, wire, servos.clock, virtual_bus=servos) as theirs,
+            Arm(first, wire, virtual_bus=servos) as ours,
+            Arm(second, wire, virtual_bus=servos) as theirs,
         ):
             ours.enable()
             theirs.enable()

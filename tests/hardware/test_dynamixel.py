@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusNotOpenError, BusTimeoutError
+from robot_ik.hardware import serial_port
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import describe_failure
@@ -245,10 +246,11 @@ def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_co
     bus.close()
 
 
-def test_a_cable_pulled_while_waiting_wakes_the_reader(scripted):
+def test_a_cable_pulled_while_waiting_wakes_the_reader(monkeypatch):
+    monkeypatch.setattr(serial_port, "RESPONSE_TIME", 5.0)
     master, slave = os.openpty()
     tty.setraw(slave)
-    bus = DynamixelBus(os.ttyname(slave), response_time=5.0)
+    bus = DynamixelBus(os.ttyname(slave))
     bus.open()
     os.close(slave)
     puller = threading.Timer(0.2, os.close, [master])

@@ -15,7 +15,6 @@ import serial
 from robot_ik.cli.connection import served_or_serial_port
 from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware import open_bus
-from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.ports import port_row, serial_ports, serial_row
@@ -106,17 +105,19 @@ class WindowsPort:
         self.options = {}
 
 
-def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
+def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[WindowsPort] = []
 
     def make_serial(**options: Any) -> WindowsPort:
         made.append(WindowsPort(bus, **options))
         return made[-1]
 
-    def handler(name: str, baud: int, counters: Counters, response_time: float) -> SleepingPortHandler:
-        return SleepingPortHandler(name, baud, counters, response_time, posix=False, make_serial=make_serial)
+    class WindowsBus(DynamixelBus):
+        def _make_handler(self) -> SleepingPortHandler:
+            return SleepingPortHandler(self.port, self.baud, self.counters, posix=False)
 
-    driver = DynamixelBus("COM3", make_handler=handler)
+    monkeypatch.setattr(serial, "Serial", make_serial)
+    driver = WindowsBus("COM3")
     driver.open()
     assert (
         made[0].options["port"] == "COM3" and made[0].options["exclusive"] is None
