@@ -21,7 +21,7 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
-from robot_ik.hardware.ports import serial_row
+from robot_ik.hardware.ports import quicker, serial_row
 
 
 @dataclass(frozen=True)
@@ -161,10 +161,7 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, said)]
-    name = os.path.basename(os.path.realpath(port))
-    timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
-    do = f"echo 1 | sudo tee {timer}" if os.path.exists(timer) else "set the adapter's latency timer to 1 ms"
-    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", do)]
+    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", quicker(port))]
 
 
 def _response_time(port: str, servo: FoundServo) -> float | None:

@@ -12,7 +12,6 @@ import select
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import serial
 from dynamixel_sdk import PortHandler
@@ -200,15 +199,10 @@ class SleepingPortHandler(PortHandler):
                 return
 
 
-def describe_failure(
-    port: str, error: Exception, ports: Sequence[Any] | None = None, system: str = sys.platform
-) -> BusNotOpenError:
-    """Why opening ``port`` raised ``error``, which ports there are and what to do.
-
-    ``ports``: of this machine, as pyserial lists them, asked for if None; ``system``: as ``sys.platform``.
-    """
+def describe_failure(port: str, error: Exception) -> BusNotOpenError:
+    """Why opening ``port`` raised ``error``, which ports there are and what to do."""
     text, number = str(error), getattr(error, "errno", None)
-    if system == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
+    if sys.platform == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
         codes = {
             "PermissionError": errno.EBUSY,
             "Access is denied": errno.EBUSY,
@@ -227,14 +221,13 @@ def describe_failure(
     elif number in (errno.EACCES, errno.EPERM):
         reason = "this user may not open it"
         hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
-        if system == "darwin":
+        if sys.platform == "darwin":
             hint = "allow the adapter's driver in System Settings, Privacy & Security; use its name /dev/cu.…"
     elif number == errno.EISDIR or "Inappropriate ioctl" in text or "(25" in text:
         reason, hint = "it is not a serial port", ""
     else:
         reason, hint = text, ""
-    found = list_ports.comports() if ports is None else ports
-    names = [f"{p.device} ({p.description})" for p in found]
+    names = [f"{p.device} ({p.description})" for p in list_ports.comports()]
     exist = f"serial ports here: {', '.join(names)}" if names else "there is no serial port on this machine"
     lines = [hint, exist, "without servos use the bus 'pty' or 'sim'"]
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))

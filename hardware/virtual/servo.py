@@ -52,7 +52,6 @@ class VirtualServo:
         clock: The only source of time.
         position_ticks: What Present Position reads at first.
         mode: Operating mode; ``baud``: bits/s.
-        zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
         firmware: Another than the model's usual one.
         load: What it carries; ``None``: a light load.
         reverse: Bit 0 of its Drive Mode, set when it was built in: it counts against its encoder.
@@ -63,7 +62,7 @@ class VirtualServo:
             report where it really is.
         silent: Hears nothing and answers nothing, as without a data line.
         off: Has no power.
-        zero_offset_ticks: May be changed at any time.
+        zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
         reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
         ready_at: When the last of these is over, s.
         electrics: Temperature and strain of the motor.
@@ -79,7 +78,6 @@ class VirtualServo:
         position_ticks: float = TICKS_PER_REVOLUTION // 2,
         mode: OperatingMode = OperatingMode.POSITION,
         baud: int = 1_000_000,
-        zero_offset_ticks: float = 0.0,
         firmware: int | None = None,
         load: Load | None = None,
         reverse: bool = False,
@@ -87,7 +85,7 @@ class VirtualServo:
     ) -> None:
         self.table = control_table(model, firmware)
         self.memory = Memory(self.table)
-        self.zero_offset_ticks = zero_offset_ticks
+        self.zero_offset_ticks = 0.0
         self.silent = self.off = False
         self.reboot_time = self.ready_at = 0.0
         if reverse:

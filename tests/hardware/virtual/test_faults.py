@@ -21,7 +21,8 @@ PRESENT = CONTROL_TABLES["XM430-W350"]["present_position"]
 
 
 def test_zero_offset_is_seen_by_nobody_on_the_bus(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(zero_offset_ticks=22.75)
+    bench = make_bench()
+    bench.servo.zero_offset_ticks = 22.75
     assert bench.read("present_position") == 2048
     bench.set(torque_enable=1, goal_position=3000)
     bench.wait(5.0)
