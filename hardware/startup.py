@@ -148,7 +148,11 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         _set_eeprom(bus, config, name, values, torque)
     _check_shadows(bus, config)
     _check_servo_limits(bus, config)
-    _set_current_limits(bus, config, torque)
+    if named := [joint.name for joint in config.whole.joints if joint.current_limit is not None]:
+        limited = config.only(named)
+        units = {s.id: current_unit(s.table) for s in limited.servos}
+        counts = {s.id: int((s.current_limit or 0.0) / units[s.id]) for s in limited.servos}
+        _set_eeprom(bus, limited, "current_limit", counts, torque)
     set_currents(bus, config, {})
     for servo in config.servos:
         for name, value in (servo.gains.registers | _profile(servo, config.rate_hz)).items():
@@ -223,45 +227,27 @@ def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
             )
 
 
-def _torque_is_on(servo: JointMap, name: str) -> ArmStateError:
-    return ArmStateError(
-        f"{name} of joint {servo.name!r} must change, but its torque is on (left on by a program)",
-        hint="support the arm, switch its torque off, and connect again",
-    )
-
-
 def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
+    """A register of all servos, written only where it differs."""
     register = shared_register(config, name)
     present = read_all(bus, config, name, absent=0)
     wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
-            raise _torque_is_on(joint, name)
+            raise ArmStateError(
+                f"{name} of joint {joint.name!r} must change, but its torque is on (left on by a program)",
+                hint="support the arm, switch its torque off, and connect again",
+            )
     with joint_named(config):
         for joint in wrong:
             log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
             bus.write(joint.id, register, wanted[joint.id])
-    if wrong and read_all(bus, config, name, absent=0) != dict(wanted):
-        raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
-
-
-def _set_current_limits(bus: ServoBus, config: ArmConfig, torque: Mapping[int, int]) -> None:
-    """Current Limit of the joints that name one; EEPROM, so only where it differs."""
-    for servo in config.servos:
-        if servo.current_limit is None:
-            continue
-        counts = int(servo.current_limit / current_unit(servo.table))
-        register = servo.table["current_limit"]
-        with joint_named(config):
-            present = bus.read(servo.id, register).data
-        if present == counts:
-            continue
-        if torque[servo.id]:
-            raise _torque_is_on(servo, register.name)
-        log.info("current_limit of %s: %s -> %d", servo.name, present, counts)
-        _write_register(bus, config, servo, register.name, counts)
+    present = read_all(bus, config, name, absent=0) if wrong else present
+    for joint in wrong:
+        if present[joint.id] != wanted[joint.id]:
+            raise _not_taken(name, joint)
 
 
 def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str, value: int) -> None:
@@ -271,9 +257,13 @@ def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str
         bus.write(servo.id, register, value)
         if bus.read(servo.id, register).data == value:
             return
-    raise HardwareError(
+    raise _not_taken(name, servo)
+
+
+def _not_taken(name: str, servo: JointMap) -> HardwareError:
+    return HardwareError(
         f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back otherwise; "
-        "nothing was switched on"
+        "no torque was changed"
     )
 
 
@@ -347,10 +337,7 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
         limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
         given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
         counts = min([limit, *(int(mA / current_unit(servo.table)) for mA in given)])
-        register = servo.table["goal_current"]
-        bus.write(servo.id, register, counts)
-        if bus.read(servo.id, register).data != counts:
-            raise HardwareError(f"joint {servo.name!r} does not take a current of {counts} units")
+        _write_register(bus, config, servo, "goal_current", counts)
 
 
 # ------------------------------------------------------------------------------------------

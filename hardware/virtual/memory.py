@@ -57,11 +57,7 @@ class Memory:
     def backup(self) -> dict[str, int]:
         """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
         kept = (r for r in self.table if r.writable and (r.eeprom or r.name in BACKED_UP_RAM or _pointer(r)))
-        return {r.name: self.get(r.name) for r in kept}
-
-    def get(self, name: str) -> int:
-        """Value of a register; ``values[name]`` is the same and quicker."""
-        return self.values[name]
+        return {r.name: self.values[r.name] for r in kept}
 
     def set(self, name: str, value: int) -> None:
         """Sets a register as the servo itself does: without any check but its size."""
@@ -176,5 +172,5 @@ def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
             refused = not values["min_position_limit"] <= value <= values["max_position_limit"]
         case "goal_velocity" | "goal_current" | "goal_pwm":
             error = ErrorCode.DATA_LIMIT
-            refused = abs(value) > memory.get(name.removeprefix("goal_") + "_limit")
+            refused = abs(value) > values[name.removeprefix("goal_") + "_limit"]
     return error if refused else ErrorCode.NONE

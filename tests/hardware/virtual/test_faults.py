@@ -52,7 +52,7 @@ def test_from_config_stands_at_the_start(arm_config: ArmConfig, clock: VirtualCl
     bus = VirtualBus.from_config(arm_config, clock, start)
     for joint, q, servo in zip(arm_config.joints, start, bus.servos, strict=True):
         assert servo.id == joint.id and servo.table.model == joint.model
-        assert servo.memory.get("operating_mode") == joint.mode
+        assert servo.memory.values["operating_mode"] == joint.mode
         assert servo.baud == arm_config.baud
         assert not servo.torque
         assert servo.reading == joint.to_ticks(q)
