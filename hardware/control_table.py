@@ -34,8 +34,6 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """One unit of the velocity registers: 0.229 rev/min, in rad/s."""
 ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
 """One unit of the acceleration registers: 214.577 rev/min^2, in rad/s^2."""
-WATCHDOG_UNIT = 0.020
-"""One unit of Bus Watchdog, in s."""
 MULTI_TURN_TICKS = 1_048_575
 """Largest goal in the extended modes: 256 revolutions either way."""
 
@@ -246,6 +244,9 @@ CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType(
     {model: _build(model, row) for model, row in MODELS.items()}
 )
 """Model name -> its control table with the firmware this project assumes."""
+
+X_SERIES = CONTROL_TABLES["XM430-W350"]
+"""For what lies at the same address in all of them: torque, errors, what is measured."""
 
 _BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
 

@@ -78,7 +78,6 @@ class MotionReport:
         stale: Times no command came for too long and the arm was held by itself.
         clipped: Joint -> number of ticks in which its command lay outside the limits.
         capped: Joint -> number of ticks in which a cap held it back.
-        last: What the limiter did to the last command.
         tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
         largest_tracking_error: (n,) rad.
     """
@@ -89,7 +88,6 @@ class MotionReport:
     stale: int = 0
     clipped: dict[str, int] = field(default_factory=dict)
     capped: dict[str, int] = field(default_factory=dict)
-    last: LimiterReport = field(default_factory=LimiterReport)
 
     @classmethod
     def empty(cls, n: int) -> MotionReport:
@@ -97,7 +95,6 @@ class MotionReport:
 
     def count(self, report: LimiterReport) -> None:
         self.sent += 1
-        self.last = report
         for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
             for name in names:
                 counts[name] = counts.get(name, 0) + 1

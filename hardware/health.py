@@ -14,8 +14,8 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
+    X_SERIES,
     Register,
-    control_table,
     hardware_error_names,
 )
 from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
@@ -56,10 +56,9 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-_X = control_table("XM430-W350")  # all X servos have these at the same addresses
 _ENDS = (("torque_enable", "hardware_error_status"), ("present_current", "present_temperature"))
 _HEALTH, _MOTION = (
-    Register(f"{first} to {last}", _X[first].address, _X[last].end - _X[first].address)
+    Register(f"{first} to {last}", X_SERIES[first].address, X_SERIES[last].end - X_SERIES[first].address)
     for first, last in _ENDS
 )
 
@@ -166,7 +165,6 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
 
 def _response_time(port: str, servo: FoundServo) -> float | None:
     """s from a request to its reply, the best of some: a busy computer is not the adapter's fault."""
-    table = servo.table or control_table("XM430-W350")
     times = []
     try:
         with contextlib.closing(DynamixelBus(port, servo.baud, retries=0)) as bus:
@@ -174,7 +172,7 @@ def _response_time(port: str, servo: FoundServo) -> float | None:
             for _ in range(_ASKED):
                 begin = time.perf_counter()
                 with contextlib.suppress(BusTimeoutError, BusCorruptError, ServoRefusedError):
-                    bus.read(servo.id, table["present_position"])
+                    bus.read(servo.id, X_SERIES["present_position"])
                     times.append(time.perf_counter() - begin)
     except HardwareError:
         return None

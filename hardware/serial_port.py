@@ -69,7 +69,7 @@ class SleepingPortHandler(PortHandler):
         super().__init__(port_name)
         self._posix = posix
         self.baudrate = baud
-        self.seconds_per_byte = 10.0 / baud
+        self.seconds_per_byte = 10.0 / baud  # 8N1 is 10 bits a byte
         self._counters = counters
         self._file = -1
         self._late_bytes = MAX_LATE_BYTES
@@ -86,8 +86,6 @@ class SleepingPortHandler(PortHandler):
         )
         self.is_open = True
         self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10_000.0 / cflag_baud  # ms; 8N1 is 10 bits a byte
-        self.seconds_per_byte = 10.0 / cflag_baud
         self._file = self.ser.fileno() if self._posix else -1
         return True
 
@@ -105,7 +103,7 @@ class SleepingPortHandler(PortHandler):
         return time.monotonic() * 1000.0
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * RESPONSE_TIME)
+        self.setPacketTimeoutMillis(1000.0 * (packet_length * self.seconds_per_byte + RESPONSE_TIME))
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         super().setPacketTimeoutMillis(msec)

@@ -383,49 +383,43 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
     Raises:
         BusDisconnectedError, BusNotOpenError, ServoRefusedError: By joint name.
     """
-    found = [_state_before(bus, config, servo) for servo in config.servos]
+    rows = []
+    for servo in config.servos:
+        ticks, found, silence = _look(bus, config, servo)
+        rows.append((servo, ticks, ServoReset(servo.name, servo.id, found or (), found, silence=silence)))
     with joint_named(config):
-        for row, servo in zip(found, config.servos, strict=True):
+        for servo, _, row in rows:
             if row.restarted:
                 log.info("rebooting servo %d (%s)", servo.id, servo.name)
                 bus.reboot(servo.id)
             elif row.before:
                 bus.write(servo.id, servo.table["bus_watchdog"], 0)
-    return [
-        _state_after(bus, config, servo, row) if row.before else row
-        for row, servo in zip(found, config.servos, strict=True)
-    ]
+    reset = []
+    for servo, ticks, row in rows:
+        if row.before:
+            here, after, silence = _look(bus, config, servo, restarted=row.restarted)
+            turned = 0 if after is None else here - ticks
+            row = replace(row, after=after, turned=turned, silence=silence)
+        reset.append(row)
+    return reset
 
 
-def _state_before(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
-    """Its troubles; ``turned`` is where it stands, in ticks."""
+def _look(
+    bus: ServoBus, config: ArmConfig, servo: JointMap, *, restarted: bool = False
+) -> tuple[int, tuple[str, ...] | None, BusTimeoutError | BusCorruptError | None]:
+    """Where it stands, ticks, and its troubles; None and the error where it does not answer."""
     try:
-        here, before = _look(bus, config, servo)
-    except _NO_REPLY as error:
-        return ServoReset(servo.name, servo.id, (), None, silence=error)
-    return ServoReset(servo.name, servo.id, before, before, here if before else 0)
-
-
-def _state_after(bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset) -> ServoReset:
-    try:
-        if row.restarted:
-            bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
-            with joint_named(config):
+        with joint_named(config):
+            if restarted:
+                bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
                 _until(bus.clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
-        there, after = _look(bus, config, servo)
+            here = bus.read(servo.id, servo.table["present_position"]).data or 0
+            found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
+            if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
+                found += (WATCHDOG,)
     except _NO_REPLY as error:
-        return replace(row, after=None, turned=0, silence=error)
-    return replace(row, after=after, turned=there - row.turned)
-
-
-def _look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> tuple[int, tuple[str, ...]]:
-    """Where it stands, ticks, and its troubles."""
-    with joint_named(config):
-        here = bus.read(servo.id, servo.table["present_position"]).data or 0
-        found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
-        if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
-            found += (WATCHDOG,)
-    return here, found
+        return 0, None, error
+    return here, found, None
 
 
 def _until(

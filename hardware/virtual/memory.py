@@ -11,11 +11,19 @@ from robot_ik.hardware.x_series import TIME_BASED
 Checker = Callable[[Register, int], ErrorCode]
 """A servo's own rule for a register and a value."""
 
-GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
-FEEDFORWARD = ("feedforward_2nd_gain", "feedforward_1st_gain")
-PROFILE = ("profile_acceleration", "profile_velocity")
-BACKED_UP_RAM = frozenset((*GAINS, *FEEDFORWARD, *PROFILE))
-"""Protocol 2.0 manual, "Control Table Backup"; the indirect addresses come on top."""
+CONTROLLER = (
+    "velocity_i_gain",
+    "velocity_p_gain",
+    "position_d_gain",
+    "position_i_gain",
+    "position_p_gain",
+    "feedforward_2nd_gain",
+    "feedforward_1st_gain",
+    "profile_acceleration",
+    "profile_velocity",
+)
+"""Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
+"Control Table Backup"; the indirect addresses come on top)."""
 
 
 def _pointer(register: Register) -> bool:
@@ -56,7 +64,7 @@ class Memory:
 
     def backup(self) -> dict[str, int]:
         """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
-        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in BACKED_UP_RAM or _pointer(r)))
+        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in CONTROLLER or _pointer(r)))
         return {r.name: self.values[r.name] for r in kept}
 
     def set(self, name: str, value: int) -> None:

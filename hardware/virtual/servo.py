@@ -19,14 +19,14 @@ from robot_ik.hardware.control_table import (
     HARDWARE_ERRORS,
     RADIANS_PER_TICK,
     TICKS_PER_REVOLUTION,
-    WATCHDOG_UNIT,
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, TRIPPED, Memory, check_write
+from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory, check_write
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, Electrics, Load
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
@@ -358,7 +358,7 @@ class VirtualServo:
     def watch(self, now: float) -> None:
         """Lets the bus watchdog run out if it has by ``now``, s."""
         limit = self._values.get("bus_watchdog", 0) if self._values["torque_enable"] else 0
-        trip = self.heard + limit * WATCHDOG_UNIT
+        trip = self.heard + limit * (0.001 * WATCHDOG_UNIT_MS)
         if limit > 0 and now > trip:
             self.shaft.brake_at(trip)
             self.memory.set("bus_watchdog", TRIPPED)
@@ -425,7 +425,7 @@ class VirtualServo:
                 # In the other modes it is a limit: what was too weak may be strong enough now.
                 self._goal_written(bool(self._values["torque_enable"]) or mode in TORQUE_MODES)
             case "operating_mode":
-                for register in (*GAINS, *FEEDFORWARD, *PROFILE):
+                for register in CONTROLLER:
                     self.memory.set(register, self.table[register].initial or 0)
                 self._count_anew()
                 self._stand()

@@ -29,7 +29,7 @@ class WaitingPort(InProcessPort):
 
     def __init__(self, bus: VirtualBus, clock: VirtualClock, baud: int, counters: Counters) -> None:
         super().__init__(bus, "waiting", baud, counters)
-        self.seconds_per_byte, self.tx_time_per_byte = 10.0 / baud, 10_000.0 / baud
+        self.seconds_per_byte = 10.0 / baud
         self._clock = clock
 
     def _pass(self, seconds: float) -> None:
