@@ -139,7 +139,6 @@ class ControlTable:
         supply: Nominal supply, V; ``motor``: what it can do.
         abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``.
         drive_bits: Bits of Drive Mode that this firmware knows.
-        notes: What the manual leaves open, and what is assumed.
     """
 
     model: str
@@ -152,7 +151,6 @@ class ControlTable:
     motor: Motor
     abilities: frozenset[str]
     drive_bits: int
-    notes: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Register:
         try:
@@ -236,7 +234,6 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
         row.motor,
         frozenset(a for a in _ABILITIES if a not in missing),
         bits,
-        (*family.notes, *row.notes),
     )
 
 
