@@ -191,10 +191,8 @@ class SleepingPortHandler(PortHandler):
     def drain(self, quiet: float) -> None:
         """Throws away what comes in until the line was silent for ``quiet`` s; at most ``LONGEST_DRAIN``."""
         end = time.monotonic() + LONGEST_DRAIN
-        while time.monotonic() < end:
-            self.setPacketTimeoutMillis(1000.0 * quiet)
-            if not self.readPort(1024):
-                return
+        while (now := time.monotonic()) < end and self.receive(now + quiet):
+            pass
 
 
 def describe_failure(port: str, error: Exception) -> BusNotOpenError:
