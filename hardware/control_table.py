@@ -135,10 +135,9 @@ class ControlTable:
         model: Name, e.g. ``"XM430-W350"``; ``number``: what Model Number reads.
         firmware: What Firmware Version reads.
         registers: By name, in order of address.
-        modes: Operating modes the model has; ``baud_codes``: values its Baud Rate register takes.
+        modes: Operating modes the model has.
         supply: Nominal supply, V; ``motor``: what it can do.
         abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``.
-        drive_bits: Bits of Drive Mode that this firmware knows.
     """
 
     model: str
@@ -146,11 +145,9 @@ class ControlTable:
     firmware: int
     registers: Mapping[str, Register]
     modes: tuple[OperatingMode, ...]
-    baud_codes: tuple[int, ...]
     supply: float
     motor: Motor
     abilities: frozenset[str]
-    drive_bits: int
 
     def __getitem__(self, name: str) -> Register:
         try:
@@ -174,7 +171,7 @@ class ControlTable:
     @property
     def baud_rates(self) -> tuple[int, ...]:
         """Bits per second the model can be set to."""
-        return tuple(BAUD_RATES[code] for code in self.baud_codes)
+        return tuple(rate for code, rate in BAUD_RATES.items() if code <= self["baud_rate"].maximum)
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""
@@ -215,7 +212,6 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
     own: dict[str, Mapping[str, object]] = {
         "model_number": {"initial": row.number},
         "firmware_version": {"initial": firmware},
-        "baud_rate": {"maximum": family.baud_codes[-1]},
         "drive_mode": {"maximum": bits},
     }
     for name, change in (*row.changed.items(), *own.items()):
@@ -229,11 +225,9 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
         firmware,
         MappingProxyType({register.name: register for register in every}),
         tuple(OperatingMode(mode) for mode in row.modes),
-        family.baud_codes,
         row.supply,
         row.motor,
         frozenset(a for a in _ABILITIES if a not in missing),
-        bits,
     )
 
 

@@ -154,13 +154,11 @@ class ServoFamily:
         since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
             ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
             ``guarded_reset`` (ignores a broadcast factory reset of everything).
-        baud_codes: Values its Baud Rate register takes.
     """
 
     firmware: int
     indirect: tuple[Indirect, ...]
     since: Mapping[str, int]
-    baud_codes: tuple[int, ...]
 
 
 # What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
@@ -180,7 +178,6 @@ FAMILY_430 = ServoFamily(
         "backup": 45,
         "fast_read": 45,
     },
-    baud_codes=tuple(range(8)),
 )
 FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38})
 FAMILY_330 = ServoFamily(
@@ -198,7 +195,6 @@ FAMILY_330 = ServoFamily(
         "backup": 46,
         "fast_read": 46,
     },
-    baud_codes=tuple(range(7)),
 )
 
 

@@ -170,7 +170,7 @@ def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
         case "operating_mode":
             refused = value not in memory.table.modes
         case "drive_mode":
-            refused = bool(value & ~memory.table.drive_bits)
+            refused = bool(value & ~register.maximum)
         case "profile_acceleration":
             refused = bool(values.get("drive_mode", 0) & TIME_BASED) and value > _LONGEST_RAMP
         case "goal_position" | "goal_velocity" | "goal_current" | "goal_pwm" if tripped:
