@@ -187,9 +187,6 @@ class DynamixelBus:
         self._times = RoundTripEstimator()
 
     def close(self) -> None:
-        self._close_port()
-
-    def _close_port(self) -> None:
         with self._lock:
             handler, self._handler = self._handler, None
             if handler is not None:
@@ -225,7 +222,7 @@ class DynamixelBus:
                 yield handler
                 clean = True
             except PORT_ERRORS as error:
-                self._close_port()  # what else a bus has stays: the port may come back
+                DynamixelBus.close(self)  # the port alone: what else a bus has stays, it may come back
                 raise BusDisconnectedError(
                     f"the port {self.port} went away: {error}",
                     hint="check cable and adapter, then connect again; torque stays as it was until then",
