@@ -41,7 +41,7 @@ class Bus:
         title: One line for help texts.
         virtual: Its servos are simulated.
         make: (name given, config, servos or None) -> bus, not open yet.
-        clock: Makes the clock on which an arm on this bus runs.
+        clock: Makes the clock of servos that are simulated on it.
     """
 
     name: str
@@ -125,9 +125,9 @@ def open_arm(
     """
     from robot_ik.hardware.arm import Arm
 
-    clock, servos = _surroundings(config, bus, virtual_bus, start)
+    servos = _servos(config, bus, virtual_bus, start)
     made = bus_row(bus).make(bus, config, servos)
-    return Arm(config, made, clock, virtual_bus=servos, on_exit=on_exit, park_at=park_at)
+    return Arm(config, made, virtual_bus=servos, on_exit=on_exit, park_at=park_at)
 
 
 def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = None) -> ServoBus:
@@ -142,16 +142,15 @@ def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = N
         BusNotOpenError: Missing, not a serial port, not permitted, already open.
         ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
     """
-    _, servos = _surroundings(config, name, virtual_bus, None)
-    bus = bus_row(name).make(name, config, servos)
+    bus = bus_row(name).make(name, config, _servos(config, name, virtual_bus, None))
     bus.open()
     return bus
 
 
-def _surroundings(
+def _servos(
     config: ArmConfig, bus: str, servos: VirtualBus | None, start: ArrayLike | None
-) -> tuple[Clock, VirtualBus | None]:
-    """The clock, and the servos where they are virtual; both sides of a simulation share one clock."""
+) -> VirtualBus | None:
+    """The servos where they are virtual; their clock is that of the bus."""
     from robot_ik.hardware.config import ArmConfig
 
     given: object = config
@@ -169,10 +168,9 @@ def _surroundings(
                 key="virtual_bus, start",
                 allowed="for sim and pty",
             )
-        return row.clock(), None
+        return None
     if servos is not None:
-        return servos.clock, servos
+        return servos
     from robot_ik.hardware.virtual.bus import VirtualBus
 
-    clock = row.clock()
-    return clock, VirtualBus.from_config(config, clock, start)
+    return VirtualBus.from_config(config, row.clock(), start)

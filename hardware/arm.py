@@ -26,14 +26,14 @@ from robot_ik.hardware.gripper import Fingers, Grip
 from robot_ik.hardware.startup import (
     check_revolutions_kept,
     find_again,
-    restart_faulty,
+    reset_servos,
     set_currents,
     verify,
 )
 from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
-from robot_ik.ports import Array, Clock, JointReading, VirtualClock
+from robot_ik.ports import Array, JointReading, VirtualClock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -86,8 +86,7 @@ class Arm:
     Args:
         config: The arm file.
         bus: Opened by ``connect``, closed by ``close``; one that is open before stays open,
-            so that several arms can be on one wire.
-        clock: The loop's clock; virtual where the servos are simulated in process.
+            so that several arms can be on one wire.  Its clock is the arm's.
         virtual_bus: The simulated servos behind ``bus``, for tests and demonstrations; None on metal.
         on_exit: ``torque_off``, ``hold`` or ``park`` (then torque off); the arm file's by default.
         park_at: (n,) rad; by default where the arm was enabled: there it had stood without torque.
@@ -102,14 +101,13 @@ class Arm:
         self,
         config: ArmConfig,
         bus: ServoBus,
-        clock: Clock,
         *,
         virtual_bus: VirtualBus | None = None,
         on_exit: str | None = None,
         park_at: ArrayLike | None = None,
     ) -> None:
         self.on_exit = checked_policy(on_exit or config.on_exit, config)
-        self.config, self.bus, self.clock, self.virtual_bus = config, bus, clock, virtual_bus
+        self.config, self.bus, self.clock, self.virtual_bus = config, bus, bus.clock, virtual_bus
         self.joints: tuple[str, ...] = config.names
         self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
         self.state = ArmState.DISCONNECTED
@@ -117,7 +115,7 @@ class Arm:
         self.exit_report: ExitReport | None = None
         self._real = virtual_bus is None
         self._shares_bus = False  # it was open when we came
-        self._cycle = Cycle(config, bus, clock)
+        self._cycle = Cycle(config, bus)
         self._park_at = park_at
         self._rest: tuple[float, ...] = ()
         self._energised = False  # torque may be on because of us, whatever the state says
@@ -162,7 +160,7 @@ class Arm:
             raise
         self.fault = self.exit_report = self._stop_policy = None
         self._stop_acknowledged = True
-        self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
+        self._cycle = Cycle(self.config, self.bus, feedback)
         self.state = after
 
     @uninterrupted
@@ -402,9 +400,12 @@ class Arm:
             after = self._after("reset a fault")
             if not self.bus.is_open:
                 raise ArmStateError("cannot reset the fault: the port is gone", hint="call reconnect()")
-            joints = restart_faulty(self.bus, self.config, self.clock)
+            rows = reset_servos(self.bus, self.config)
+            for row in rows:
+                if row.silence is not None:
+                    raise row.silence
             self._begin_anew(verify(self.bus, self.config, real=self._real), after)
-            return joints
+            return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
         """Opens the port as soon as it is back, and verifies everything.  Never gives torque.
@@ -419,7 +420,7 @@ class Arm:
         """
         with self._lock:
             after = self._after("reconnect")
-            feedback = find_again(self.bus, self.config, self.clock, timeout, real=self._real)
+            feedback = find_again(self.bus, self.config, timeout, real=self._real)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:
@@ -427,7 +428,7 @@ class Arm:
         seen = self._cycle.samples.ticks | self._cycle.samples.jumped
         check_revolutions_kept(self.bus, self.config, seen)
         goals = self._cycle.goals
-        self._cycle = Cycle(self.config, self.bus, self.clock, feedback)
+        self._cycle = Cycle(self.config, self.bus, feedback)
         self._cycle.goals, self._cycle.held = goals, True
         self.fault = self._stop_policy = None
         self.state = after
@@ -575,7 +576,7 @@ class Arm:
                 self._cycle.held = True
         except Exception as error:
             log.error("the goals to hold are not known: %s", error)
-        self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked, clock=self.clock)
+        self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked)
         return self.exit_report
 
     def _park(self, stop: Callable[[], bool]) -> bool:

@@ -77,7 +77,7 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
         for servo in config.servos:
             firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
             table = control_table(servo.model, firmware)
-            registers = _read(bus, servo.id, [r for r in table if not r.name.startswith("indirect_data")])
+            registers = _read(bus, servo.id, table, [r for r in table if "indirect_data" not in r.name])
             found.append(SavedServo(servo.name, servo.id, table.model, table.number, firmware, registers))
     return found
 
@@ -138,7 +138,8 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     for servo in servos:
         firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
         table = control_table(servo.table.model, firmware)
-        present = _read(bus, servo.id, [r for r in table if _restored(r) and r.name in servo.registers])
+        restored = [r for r in table if _restored(r) and r.name in servo.registers]
+        present = _read(bus, servo.id, table, restored)
         found += [
             Change(servo.joint, servo.id, name, value, servo.registers[name])
             for name, value in present.items()
@@ -147,17 +148,17 @@ def differences(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
     return found
 
 
-def _read(bus: ServoBus, id: int, registers: Sequence[Register]) -> dict[str, int]:
-    """Many registers in few reads; what lies between them is read along and thrown away."""
+def _read(bus: ServoBus, id: int, table: ControlTable, registers: Sequence[Register]) -> dict[str, int]:
+    """Many registers, in order of address, in few reads; what lies between them is thrown away."""
     values: dict[str, int] = {}
-    left = sorted(registers, key=lambda register: register.address)
+    left = registers
     while left:
         begin = left[0].address
         block = [register for register in left if register.end <= begin + _BLOCK]
         left = left[len(block) :]
         whole = Register(f"{block[0].name} ...", begin, block[-1].end - begin)
-        data = (bus.read(id, whole).data or 0).to_bytes(whole.size, "little")
-        values |= {r.name: r.decode(data[r.address - begin : r.end - begin]) for r in block}
+        found = table.values(whole, bus.read(id, whole).data or 0)
+        values |= {r.name: found[r.name] for r in block}
     return values
 
 

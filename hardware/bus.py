@@ -21,6 +21,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register, model_name
+from robot_ik.ports import Clock
 
 log = logging.getLogger(__name__)
 
@@ -106,6 +107,7 @@ class ServoBus(Protocol):
 
     port: str
     counters: Counters
+    clock: Clock  # on which an arm on this bus runs
 
     @property
     def is_open(self) -> bool:

@@ -283,16 +283,6 @@ _ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)(.*)$", re.DOTALL)
 _MIDDLE = TICKS_PER_REVOLUTION // 2
 
 
-@dataclass(frozen=True)
-class ZeroChange:
-    """A zero of one servo, ticks at q = 0."""
-
-    joint: str
-    id: int
-    before: int
-    after: int
-
-
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
 
@@ -318,14 +308,6 @@ def _ticks(servo: JointMap, offset: float) -> int:
     """Its zero by which it is where it really is; of a bent gear in the middle of its range."""
     middle = sum(servo.limits) / 2.0 if servo.swing else 0.0
     return round(servo.zero_ticks + servo.position(middle - offset) - servo.position(middle))
-
-
-def changes(before: ArmConfig, after: ArmConfig) -> tuple[ZeroChange, ...]:
-    """The zeros that differ, of every servo."""
-    pairs = zip(before.servos, after.servos, strict=True)
-    return tuple(
-        ZeroChange(a.name, a.id, a.zero_ticks, b.zero_ticks) for a, b in pairs if a.zero_ticks != b.zero_ticks
-    )
 
 
 def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tuple[Path, ...]:

@@ -34,8 +34,6 @@ VELOCITY_UNIT = 0.229 * 2.0 * math.pi / 60.0
 """One unit of the velocity registers: 0.229 rev/min, in rad/s."""
 ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
 """One unit of the acceleration registers: 214.577 rev/min^2, in rad/s^2."""
-WATCHDOG_UNIT = 0.020
-"""One unit of Bus Watchdog, in s."""
 MULTI_TURN_TICKS = 1_048_575
 """Largest goal in the extended modes: 256 revolutions either way."""
 
@@ -137,11 +135,9 @@ class ControlTable:
         model: Name, e.g. ``"XM430-W350"``; ``number``: what Model Number reads.
         firmware: What Firmware Version reads.
         registers: By name, in order of address.
-        modes: Operating modes the model has; ``baud_codes``: values its Baud Rate register takes.
+        modes: Operating modes the model has.
         supply: Nominal supply, V; ``motor``: what it can do.
         abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``.
-        drive_bits: Bits of Drive Mode that this firmware knows.
-        notes: What the manual leaves open, and what is assumed.
     """
 
     model: str
@@ -149,12 +145,9 @@ class ControlTable:
     firmware: int
     registers: Mapping[str, Register]
     modes: tuple[OperatingMode, ...]
-    baud_codes: tuple[int, ...]
     supply: float
     motor: Motor
     abilities: frozenset[str]
-    drive_bits: int
-    notes: tuple[str, ...]
 
     def __getitem__(self, name: str) -> Register:
         try:
@@ -178,7 +171,7 @@ class ControlTable:
     @property
     def baud_rates(self) -> tuple[int, ...]:
         """Bits per second the model can be set to."""
-        return tuple(BAUD_RATES[code] for code in self.baud_codes)
+        return tuple(rate for code, rate in BAUD_RATES.items() if code <= self["baud_rate"].maximum)
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""
@@ -219,7 +212,6 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
     own: dict[str, Mapping[str, object]] = {
         "model_number": {"initial": row.number},
         "firmware_version": {"initial": firmware},
-        "baud_rate": {"maximum": family.baud_codes[-1]},
         "drive_mode": {"maximum": bits},
     }
     for name, change in (*row.changed.items(), *own.items()):
@@ -233,12 +225,9 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
         firmware,
         MappingProxyType({register.name: register for register in every}),
         tuple(OperatingMode(mode) for mode in row.modes),
-        family.baud_codes,
         row.supply,
         row.motor,
         frozenset(a for a in _ABILITIES if a not in missing),
-        bits,
-        (*family.notes, *row.notes),
     )
 
 
@@ -246,6 +235,9 @@ CONTROL_TABLES: Mapping[str, ControlTable] = MappingProxyType(
     {model: _build(model, row) for model, row in MODELS.items()}
 )
 """Model name -> its control table with the firmware this project assumes."""
+
+X_SERIES = CONTROL_TABLES["XM430-W350"]
+"""For what lies at the same address in all of them: torque, errors, what is measured."""
 
 _BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
 

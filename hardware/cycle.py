@@ -30,7 +30,7 @@ from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
 from robot_ik.hardware.torque import arm_watchdog
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.ports import Array, Clock
+from robot_ik.ports import Array
 
 log = logging.getLogger(__name__)
 
@@ -78,7 +78,6 @@ class MotionReport:
         stale: Times no command came for too long and the arm was held by itself.
         clipped: Joint -> number of ticks in which its command lay outside the limits.
         capped: Joint -> number of ticks in which a cap held it back.
-        last: What the limiter did to the last command.
         tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
         largest_tracking_error: (n,) rad.
     """
@@ -89,7 +88,6 @@ class MotionReport:
     stale: int = 0
     clipped: dict[str, int] = field(default_factory=dict)
     capped: dict[str, int] = field(default_factory=dict)
-    last: LimiterReport = field(default_factory=LimiterReport)
 
     @classmethod
     def empty(cls, n: int) -> MotionReport:
@@ -97,7 +95,6 @@ class MotionReport:
 
     def count(self, report: LimiterReport) -> None:
         self.sent += 1
-        self.last = report
         for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
             for name in names:
                 counts[name] = counts.get(name, 0) + 1
@@ -256,9 +253,7 @@ class Cycle:
         reports: See ``MotionReport``.
     """
 
-    def __init__(
-        self, config: ArmConfig, bus: ServoBus, clock: Clock, feedback: Feedback | None = None
-    ) -> None:
+    def __init__(self, config: ArmConfig, bus: ServoBus, feedback: Feedback | None = None) -> None:
         driven, config = len(config.joints), config.whole
         n = len(config.joints)
         self.samples = Samples(config)
@@ -267,7 +262,7 @@ class Cycle:
         self.held = False
         self.reports = MotionReport.empty(n)
         self.period = 1.0 / config.rate_hz
-        self._config, self._bus, self._clock = config, bus, clock
+        self._config, self._bus, self._clock = config, bus, bus.clock
         self._limiter = SafetyLimiter(
             config.lower, config.upper, config.velocity, config.acceleration, joints=config.names,
             commanded=driven,

@@ -16,6 +16,7 @@ from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
+    X_SERIES,
     ControlTable,
     control_table,
     hardware_error_names,
@@ -154,7 +155,7 @@ def _one_by_one(
 
 def _details(bus: DynamixelBus, servo: FoundServo) -> FoundServo:
     """The same servo with its state, and whether its replies collide with another's."""
-    table = servo.table or control_table("XM430-W350")  # addresses are those of all X servos
+    table = servo.table or X_SERIES
     before = bus.counters.corrupt
     values: dict[str, int] = {}
     names = (

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from builtins import id as identity
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -50,6 +49,7 @@ from robot_ik.hardware.serial_port import (
     SleepingPortHandler,
     describe_failure,
 )
+from robot_ik.ports import Clock, RealClock
 
 # ------------------------------------------------------------------------------------------
 # Many servos in one go: goals out, measurements back, within the time a control cycle has.
@@ -126,9 +126,7 @@ class DynamixelBus:
         port: Path or name of the serial port.
         baud: bit/s, one the servos know.
         retries: How often an unanswered or corrupt request is repeated.
-        response_time: s a servo is given to answer, beyond the time of the bytes.
-        make_handler: Makes what reads and writes the port; takes name, rate, counters and response time.
-        now: The clock of ages and deadlines, s.
+        clock: Of ages and deadlines; virtual where the port is a function call.
     """
 
     def __init__(
@@ -137,18 +135,15 @@ class DynamixelBus:
         baud: int = 1_000_000,
         *,
         retries: int = 2,
-        response_time: float = RESPONSE_TIME,
-        make_handler: Callable[..., SleepingPortHandler] = SleepingPortHandler,
-        now: Callable[[], float] = time.monotonic,
+        clock: Clock | None = None,
     ) -> None:
         self.port = port
         self.baud = baud
         self.counters = Counters()
         self._packet = Protocol2PacketHandler()
+        self.clock = clock or RealClock()
         self._retries = retries
-        self._response_time = response_time
-        self._make_handler = make_handler
-        self._now = now
+        self._now = self.clock.now
         self._lock = threading.RLock()
         self._handler: SleepingPortHandler | None = None
         self._dirty = False  # replies to an earlier request may still be under way …
@@ -162,11 +157,15 @@ class DynamixelBus:
     def is_open(self) -> bool:
         return self._handler is not None
 
+    def _make_handler(self) -> SleepingPortHandler:
+        """What reads and writes the port."""
+        return SleepingPortHandler(self.port, self.baud, self.counters)
+
     def open(self) -> None:
         with self._lock:
             if self._handler is not None:
                 return
-            handler = self._make_handler(self.port, self.baud, self.counters, self._response_time)
+            handler = self._make_handler()
             if handler.getCFlagBaud(self.baud) <= 0:
                 rates = ", ".join(str(rate) for rate in BAUD_RATES.values())
                 raise BusNotOpenError(f"cannot open {self.port} at {self.baud} baud; possible: {rates}")
@@ -188,9 +187,6 @@ class DynamixelBus:
         self._times = RoundTripEstimator()
 
     def close(self) -> None:
-        self._close_port()
-
-    def _close_port(self) -> None:
         with self._lock:
             handler, self._handler = self._handler, None
             if handler is not None:
@@ -220,13 +216,13 @@ class DynamixelBus:
                 handler.is_using = False
                 if query is not None:
                     if self._dirty:
-                        handler.drain(QUIET if query == self._asked else self._response_time)
+                        handler.drain(QUIET if query == self._asked else RESPONSE_TIME)
                         self._dirty = False
                     self._asked = query
                 yield handler
                 clean = True
             except PORT_ERRORS as error:
-                self._close_port()  # what else a bus has stays: the port may come back
+                DynamixelBus.close(self)  # the port alone: what else a bus has stays, it may come back
                 raise BusDisconnectedError(
                     f"the port {self.port} went away: {error}",
                     hint="check cable and adapter, then connect again; torque stays as it was until then",
@@ -402,7 +398,7 @@ class DynamixelBus:
 
     def _timeout(self, plan: _ReadPlan, port: SleepingPortHandler) -> float:
         """s from sending the request to giving up the replies."""
-        wait = self._times.timeout(self._response_time)
+        wait = self._times.timeout(RESPONSE_TIME)
         return wait + (len(plan.request) + plan.bytes_back) * port.seconds_per_byte
 
     def _once(self, port: SleepingPortHandler, plan: _ReadPlan, before: bytes, wanted: _Wanted) -> None:

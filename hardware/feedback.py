@@ -27,6 +27,7 @@ from robot_ik.hardware.joint_map import JointMap, StopAt
 log = logging.getLogger(__name__)
 
 _PARTS = ("torque_enable", "present_position")
+_BLOCK = "torque and position"
 
 SUSTAINED = 0.5
 """s for which every sample of a servo must lie beyond its threshold.  Setting out and stopping take a motor
@@ -126,13 +127,13 @@ class Feedback:
     def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
         """What a reply says; ``now``: when it came, s, for thresholds."""
         value, id = status.data, status.id
-        register = self._asked[id]
-        if value is None or register.name not in _KINDS:
-            return Measurement(value, None)
-        if register.name == _BLOCK:
+        register, block = self._asked[id], self._health.get(id)
+        if value is not None and register.name == _BLOCK:
             torque = bool(value & 0xFF)
             return Measurement(value >> 8 if torque else None, torque)
-        values = self._health[id].values(self._tables[id], value)
+        if value is None or block is None or register is not block.register:
+            return Measurement(value, None)
+        values = block.values(self._tables[id], value)
         if values.get("torque_enable") == 0:
             return Measurement(None, False)
         self._beyond = self._beyond or self._thresholds[id].take(values, now)
@@ -147,10 +148,6 @@ class Feedback:
     def watched(self) -> bool:
         """Whether every servo's torque is seen in every cycle."""
         return all(register.name == _BLOCK for register in self.registers.values())
-
-
-_BLOCK, _LONG_BLOCK, _CONTIGUOUS = "torque and position", "torque, position and health", "health and position"
-_KINDS = frozenset((_BLOCK, _LONG_BLOCK, _CONTIGUOUS))
 
 
 class Thresholds:
@@ -217,7 +214,9 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
     offsets = {name: addresses.index(table[name].address) for name in parts}
-    return _FeedbackBlock(Register(_LONG_BLOCK, data.address, len(addresses), signed=True), offsets)
+    return _FeedbackBlock(
+        Register("torque, position and health", data.address, len(addresses), signed=True), offsets
+    )
 
 
 def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
@@ -225,6 +224,5 @@ def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
     names = (*_health_of(table), "present_position")
     first = min(table[name].address for name in names)
     size = max(table[name].end for name in names) - first
-    return _FeedbackBlock(
-        Register(_CONTIGUOUS, first, size, signed=True), {name: table[name].address - first for name in names}
-    )
+    register = Register("health and position", first, size, signed=True)
+    return _FeedbackBlock(register, {name: table[name].address - first for name in names})

@@ -14,14 +14,14 @@ from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
+    X_SERIES,
     Register,
-    control_table,
     hardware_error_names,
 )
 from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
-from robot_ik.hardware.ports import serial_row
+from robot_ik.hardware.ports import quicker, serial_row
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,9 @@ class ServoState:
         return self.ticks is not None and self.torque is not None
 
 
-_X = control_table("XM430-W350")  # all X servos have these at the same addresses
 _ENDS = (("torque_enable", "hardware_error_status"), ("present_current", "present_temperature"))
 _HEALTH, _MOTION = (
-    Register(f"{first} to {last}", _X[first].address, _X[last].end - _X[first].address)
+    Register(f"{first} to {last}", X_SERIES[first].address, X_SERIES[last].end - X_SERIES[first].address)
     for first, last in _ENDS
 )
 
@@ -161,15 +160,11 @@ def _speed_rows(port: str, config: ArmConfig, found: Sequence[FoundServo]) -> li
     said = f"a reply comes {1e3 * late:.1f} ms late: about {rate:.0f} cycles a second"
     if rate >= config.rate_hz and late < _LATE:
         return [CheckRow("servo speed", OK, said)]
-    name = os.path.basename(os.path.realpath(port))
-    timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
-    do = f"echo 1 | sudo tee {timer}" if os.path.exists(timer) else "set the adapter's latency timer to 1 ms"
-    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", do)]
+    return [CheckRow("servo speed", NOTE, f"{said}; the arm file wants {config.rate_hz:g}", quicker(port))]
 
 
 def _response_time(port: str, servo: FoundServo) -> float | None:
     """s from a request to its reply, the best of some: a busy computer is not the adapter's fault."""
-    table = servo.table or control_table("XM430-W350")
     times = []
     try:
         with contextlib.closing(DynamixelBus(port, servo.baud, retries=0)) as bus:
@@ -177,7 +172,7 @@ def _response_time(port: str, servo: FoundServo) -> float | None:
             for _ in range(_ASKED):
                 begin = time.perf_counter()
                 with contextlib.suppress(BusTimeoutError, BusCorruptError, ServoRefusedError):
-                    bus.read(servo.id, table["present_position"])
+                    bus.read(servo.id, X_SERIES["present_position"])
                     times.append(time.perf_counter() - begin)
     except HardwareError:
         return None

@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import glob
 import os
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from robot_ik.environment import NOTE, OK, CheckRow, named_users_of, permission_hint
 
-BY_ID = "/dev/serial/by-id"
+BY_ID = Path("/dev/serial/by-id")
 """Where Linux names ports by their adapters."""
+
+USB_SERIAL = Path("/sys/bus/usb-serial/devices")
+"""Where Linux has the settings of USB adapters."""
 
 #: Ports that only a machine's own board has; no adapter of servos is behind them.
 _ONBOARD = ("ttyS", "ttyAMA", "Bluetooth", "debug-console", "wlan-debug")
 
 
-def serial_ports(listed: Iterable[Any] | None = None) -> list[Any]:
-    """Serial ports of this machine behind which servos may be; ``listed``: by pyserial, asked if None."""
+def serial_ports() -> list[Any]:
+    """Serial ports of this machine behind which servos may be, as pyserial lists them."""
     from serial.tools import list_ports
 
-    found = list_ports.comports() if listed is None else listed
-    ports = [port for port in found if not any(word in port.device for word in _ONBOARD)]
+    ports = [port for port in list_ports.comports() if not any(word in port.device for word in _ONBOARD)]
     return sorted(ports, key=lambda port: (len(port.device), str(port.device)))  # COM3 before COM10
 
 
@@ -50,14 +50,15 @@ class PortRow:
     do: str
 
 
-def port_row(port: Any, system: str = sys.platform) -> PortRow:
-    """What is known of a port as pyserial lists it, without opening it; ``system``: as ``sys.platform``."""
+def port_row(port: Any) -> PortRow:
+    """What is known of a port as pyserial lists it, without opening it."""
     vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
-    about = port.description or "serial port"
-    row = serial_row(port.device, about, system=system, vendor=vendor)
+    row = serial_row(port.device, port.description or "serial port", vendor)
+    real = os.path.realpath(port.device)
+    names = (str(name) for name in sorted(BY_ID.glob("*")) if os.path.realpath(name) == real)
     return PortRow(
         port.device,
-        stable_name(port.device),
+        next(names, ""),
         port.description or "",
         f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
         getattr(port, "serial_number", None) or "",
@@ -68,19 +69,22 @@ def port_row(port: Any, system: str = sys.platform) -> PortRow:
     )
 
 
-def stable_name(device: str, folder: str = BY_ID) -> str:
-    """The name by adapter that leads to ``device``; empty where the system keeps none."""
-    real = os.path.realpath(device)
-    return next((name for name in sorted(glob.glob(f"{folder}/*")) if os.path.realpath(name) == real), "")
+def _latency_timer(path: str) -> Path:
+    return USB_SERIAL / os.path.basename(os.path.realpath(path)) / "latency_timer"
 
 
-def latency_ms(path: str, sys_root: str = "/sys") -> int | None:
+def latency_ms(path: str) -> int | None:
     """Latency timer of a USB serial adapter in ms, or ``None`` where the driver has none."""
-    name = os.path.basename(os.path.realpath(path))
     try:
-        return int(Path(sys_root, "bus/usb-serial/devices", name, "latency_timer").read_text())
+        return int(_latency_timer(path).read_text())
     except (OSError, ValueError):
         return None
+
+
+def quicker(path: str) -> str:
+    """How an adapter is made to answer sooner: with a latency timer of 1 ms."""
+    timer = _latency_timer(path)
+    return f"echo 1 | sudo tee {timer}" if timer.exists() else "set the adapter's latency timer to 1 ms"
 
 
 _FTDI = 0x0403  # USB vendor; most adapters of servos have such a chip
@@ -92,14 +96,12 @@ _LATENCY_ADVICE = {
 """Systems on which a latency timer cannot be read -> what to do about it."""
 
 
-def serial_row(
-    path: str, about: str, *, sys_root: str = "/sys", system: str = sys.platform, vendor: int | None = None
-) -> CheckRow:
+def serial_row(path: str, about: str, vendor: int | None = None) -> CheckRow:
     """One serial port: may it be used, is it in use, how late does it answer.
 
-    ``about``: its description; ``system``: as ``sys.platform``; ``vendor``: of the USB adapter, where known.
+    ``about``: its description; ``vendor``: of the USB adapter, where known.
     """
-    what = f"serial {path}"
+    what, system = f"serial {path}", sys.platform
     # Windows has no files for ports: only opening one shows who may use it.
     if system != "win32" and not os.access(path, os.R_OK | os.W_OK):
         return CheckRow(what, NOTE, f"{about}; no permission", permission_hint(path))
@@ -110,10 +112,8 @@ def serial_row(
     users = named_users_of(path)
     if users:
         return CheckRow(what, NOTE, f"{about}; in use by {', '.join(users)}", "end that program first")
-    latency = latency_ms(path, sys_root)
+    latency = latency_ms(path)
     if latency is not None and latency > 1:
-        name = os.path.basename(os.path.realpath(path))
-        timer = f"/sys/bus/usb-serial/devices/{name}/latency_timer"
         # 16 ms, the driver's default, holds six servos to about 57 cycles a second.
-        return CheckRow(what, NOTE, f"{about}; answers {latency} ms late", f"echo 1 | sudo tee {timer}")
+        return CheckRow(what, NOTE, f"{about}; answers {latency} ms late", quicker(path))
     return CheckRow(what, OK, about + ("; free" if system.startswith("linux") else ""))

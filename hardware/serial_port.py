@@ -11,8 +11,7 @@ import os
 import select
 import sys
 import time
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import serial
 from dynamixel_sdk import PortHandler
@@ -60,35 +59,24 @@ class SleepingPortHandler(PortHandler):
         port_name: As the system names it.
         baud: bit/s.
         counters: Its bytes are added here.
-        response_time: s a servo is given to answer.
         posix: A port is a file on which one can wait and which must be locked; else (Windows) a handle that
             the system itself gives to one program only.
-        make_serial: Opens a port, as ``serial.Serial``.
     """
 
     def __init__(
-        self,
-        port_name: str,
-        baud: int,
-        counters: Counters,
-        response_time: float = RESPONSE_TIME,
-        *,
-        posix: bool = os.name == "posix",
-        make_serial: Callable[..., Any] = serial.Serial,
+        self, port_name: str, baud: int, counters: Counters, *, posix: bool = os.name == "posix"
     ) -> None:
         super().__init__(port_name)
         self._posix = posix
-        self._make_serial = make_serial
         self.baudrate = baud
-        self.response_time = response_time
-        self.seconds_per_byte = 10.0 / baud
+        self.seconds_per_byte = 10.0 / baud  # 8N1 is 10 bits a byte
         self._counters = counters
         self._file = -1
         self._late_bytes = MAX_LATE_BYTES
 
     def setupPort(self, cflag_baud: int) -> bool:
         self.closePort()
-        self.ser = self._make_serial(
+        self.ser = serial.Serial(
             port=self.port_name,
             baudrate=cflag_baud,
             bytesize=serial.EIGHTBITS,
@@ -98,8 +86,6 @@ class SleepingPortHandler(PortHandler):
         )
         self.is_open = True
         self.ser.reset_input_buffer()
-        self.tx_time_per_byte = 10_000.0 / cflag_baud  # ms; 8N1 is 10 bits a byte
-        self.seconds_per_byte = 10.0 / cflag_baud
         self._file = self.ser.fileno() if self._posix else -1
         return True
 
@@ -117,7 +103,7 @@ class SleepingPortHandler(PortHandler):
         return time.monotonic() * 1000.0
 
     def setPacketTimeout(self, packet_length: int) -> None:
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1000.0 * self.response_time)
+        self.setPacketTimeoutMillis(1000.0 * (packet_length * self.seconds_per_byte + RESPONSE_TIME))
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         super().setPacketTimeoutMillis(msec)
@@ -205,21 +191,14 @@ class SleepingPortHandler(PortHandler):
     def drain(self, quiet: float) -> None:
         """Throws away what comes in until the line was silent for ``quiet`` s; at most ``LONGEST_DRAIN``."""
         end = time.monotonic() + LONGEST_DRAIN
-        while time.monotonic() < end:
-            self.setPacketTimeoutMillis(1000.0 * quiet)
-            if not self.readPort(1024):
-                return
+        while (now := time.monotonic()) < end and self.receive(now + quiet):
+            pass
 
 
-def describe_failure(
-    port: str, error: Exception, ports: Sequence[Any] | None = None, system: str = sys.platform
-) -> BusNotOpenError:
-    """Why opening ``port`` raised ``error``, which ports there are and what to do.
-
-    ``ports``: of this machine, as pyserial lists them, asked for if None; ``system``: as ``sys.platform``.
-    """
+def describe_failure(port: str, error: Exception) -> BusNotOpenError:
+    """Why opening ``port`` raised ``error``, which ports there are and what to do."""
     text, number = str(error), getattr(error, "errno", None)
-    if system == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
+    if sys.platform == "win32":  # pyserial gives the reason as text only; a port in use is "access denied"
         codes = {
             "PermissionError": errno.EBUSY,
             "Access is denied": errno.EBUSY,
@@ -238,14 +217,13 @@ def describe_failure(
     elif number in (errno.EACCES, errno.EPERM):
         reason = "this user may not open it"
         hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"
-        if system == "darwin":
+        if sys.platform == "darwin":
             hint = "allow the adapter's driver in System Settings, Privacy & Security; use its name /dev/cu.…"
     elif number == errno.EISDIR or "Inappropriate ioctl" in text or "(25" in text:
         reason, hint = "it is not a serial port", ""
     else:
         reason, hint = text, ""
-    found = list_ports.comports() if ports is None else ports
-    names = [f"{p.device} ({p.description})" for p in found]
+    names = [f"{p.device} ({p.description})" for p in list_ports.comports()]
     exist = f"serial ports here: {', '.join(names)}" if names else "there is no serial port on this machine"
     lines = [hint, exist, "without servos use the bus 'pty' or 'sim'"]
     return BusNotOpenError(f"cannot open {port}: {reason}", hint="\n".join(line for line in lines if line))

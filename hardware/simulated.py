@@ -28,12 +28,11 @@ class SimBus(DynamixelBus):
     """
 
     def __init__(self, virtual_bus: VirtualBus, *, retries: int = 2) -> None:
+        super().__init__("sim", retries=retries, clock=virtual_bus.clock)
         self.virtual_bus = virtual_bus
 
-        def handler(name: str, baud: int, counters: Counters, response_time: float) -> InProcessPort:
-            return InProcessPort(virtual_bus, name, baud, counters)
-
-        super().__init__("sim", retries=retries, make_handler=handler, now=virtual_bus.clock.now)
+    def _make_handler(self) -> InProcessPort:
+        return InProcessPort(self.virtual_bus, self.port, self.baud, self.counters)
 
 
 class InProcessPort(SleepingPortHandler):
@@ -96,6 +95,7 @@ class ServedBus(DynamixelBus):
 
     def __init__(self, servos: VirtualBus, baud: int) -> None:
         super().__init__("pty", baud)
+        self.clock = servos.clock  # of the arm; what is on the wire takes real time
         self._servos = servos
         self._pty: PtyPort | None = None
 

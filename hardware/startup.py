@@ -71,7 +71,7 @@ _POLL = 0.05  # s between two looks
 _NO_REPLY = (BusTimeoutError, BusCorruptError)
 
 
-def verify(bus: ServoBus, config: ArmConfig, *, real: bool = True) -> Feedback:
+def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
 
     ``real``: not made from the arm file; they are compared with the calibration beside it as well.
@@ -148,7 +148,11 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         _set_eeprom(bus, config, name, values, torque)
     _check_shadows(bus, config)
     _check_servo_limits(bus, config)
-    _set_current_limits(bus, config, torque)
+    if named := [joint.name for joint in config.whole.joints if joint.current_limit is not None]:
+        limited = config.only(named)
+        units = {s.id: current_unit(s.table) for s in limited.servos}
+        counts = {s.id: int((s.current_limit or 0.0) / units[s.id]) for s in limited.servos}
+        _set_eeprom(bus, limited, "current_limit", counts, torque)
     set_currents(bus, config, {})
     for servo in config.servos:
         for name, value in (servo.gains.registers | _profile(servo, config.rate_hz)).items():
@@ -223,45 +227,27 @@ def _check_voltage(bus: ServoBus, config: ArmConfig) -> None:
             )
 
 
-def _torque_is_on(servo: JointMap, name: str) -> ArmStateError:
-    return ArmStateError(
-        f"{name} of joint {servo.name!r} must change, but its torque is on (left on by a program)",
-        hint="support the arm, switch its torque off, and connect again",
-    )
-
-
 def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
+    """A register of all servos, written only where it differs."""
     register = shared_register(config, name)
     present = read_all(bus, config, name, absent=0)
     wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
         if torque[joint.id]:
-            raise _torque_is_on(joint, name)
+            raise ArmStateError(
+                f"{name} of joint {joint.name!r} must change, but its torque is on (left on by a program)",
+                hint="support the arm, switch its torque off, and connect again",
+            )
     with joint_named(config):
         for joint in wrong:
             log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
             bus.write(joint.id, register, wanted[joint.id])
-    if wrong and read_all(bus, config, name, absent=0) != dict(wanted):
-        raise HardwareError(f"{name} was written and reads back otherwise; nothing was switched on")
-
-
-def _set_current_limits(bus: ServoBus, config: ArmConfig, torque: Mapping[int, int]) -> None:
-    """Current Limit of the joints that name one; EEPROM, so only where it differs."""
-    for servo in config.servos:
-        if servo.current_limit is None:
-            continue
-        counts = int(servo.current_limit / current_unit(servo.table))
-        register = servo.table["current_limit"]
-        with joint_named(config):
-            present = bus.read(servo.id, register).data
-        if present == counts:
-            continue
-        if torque[servo.id]:
-            raise _torque_is_on(servo, register.name)
-        log.info("current_limit of %s: %s -> %d", servo.name, present, counts)
-        _write_register(bus, config, servo, register.name, counts)
+    present = read_all(bus, config, name, absent=0) if wrong else present
+    for joint in wrong:
+        if present[joint.id] != wanted[joint.id]:
+            raise _not_taken(name, joint)
 
 
 def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str, value: int) -> None:
@@ -271,9 +257,13 @@ def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str
         bus.write(servo.id, register, value)
         if bus.read(servo.id, register).data == value:
             return
-    raise HardwareError(
+    raise _not_taken(name, servo)
+
+
+def _not_taken(name: str, servo: JointMap) -> HardwareError:
+    return HardwareError(
         f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back otherwise; "
-        "nothing was switched on"
+        "no torque was changed"
     )
 
 
@@ -347,10 +337,7 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
         limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
         given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
         counts = min([limit, *(int(mA / current_unit(servo.table)) for mA in given)])
-        register = servo.table["goal_current"]
-        bus.write(servo.id, register, counts)
-        if bus.read(servo.id, register).data != counts:
-            raise HardwareError(f"joint {servo.name!r} does not take a current of {counts} units")
+        _write_register(bus, config, servo, "goal_current", counts)
 
 
 # ------------------------------------------------------------------------------------------
@@ -387,7 +374,7 @@ class ServoReset:
         return self.after == () and abs(self.turned) < TICKS_PER_REVOLUTION // 2
 
 
-def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoReset]:
+def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
     """Reboots servos with a hardware error, clears watchdogs that have tripped, and looks at all again.
 
     Returns:
@@ -396,51 +383,43 @@ def reset_servos(bus: ServoBus, config: ArmConfig, clock: Clock) -> list[ServoRe
     Raises:
         BusDisconnectedError, BusNotOpenError, ServoRefusedError: By joint name.
     """
-    found = [_state_before(bus, config, servo) for servo in config.servos]
+    rows = []
+    for servo in config.servos:
+        ticks, found, silence = _look(bus, config, servo)
+        rows.append((servo, ticks, ServoReset(servo.name, servo.id, found or (), found, silence=silence)))
     with joint_named(config):
-        for row, servo in zip(found, config.servos, strict=True):
+        for servo, _, row in rows:
             if row.restarted:
                 log.info("rebooting servo %d (%s)", servo.id, servo.name)
                 bus.reboot(servo.id)
             elif row.before:
                 bus.write(servo.id, servo.table["bus_watchdog"], 0)
-    return [
-        _state_after(bus, config, servo, row, clock) if row.before else row
-        for row, servo in zip(found, config.servos, strict=True)
-    ]
+    reset = []
+    for servo, ticks, row in rows:
+        if row.before:
+            here, after, silence = _look(bus, config, servo, restarted=row.restarted)
+            turned = 0 if after is None else here - ticks
+            row = replace(row, after=after, turned=turned, silence=silence)
+        reset.append(row)
+    return reset
 
 
-def _state_before(bus: ServoBus, config: ArmConfig, servo: JointMap) -> ServoReset:
-    """Its troubles; ``turned`` is where it stands, in ticks."""
+def _look(
+    bus: ServoBus, config: ArmConfig, servo: JointMap, *, restarted: bool = False
+) -> tuple[int, tuple[str, ...] | None, BusTimeoutError | BusCorruptError | None]:
+    """Where it stands, ticks, and its troubles; None and the error where it does not answer."""
     try:
-        here, before = _look(bus, config, servo)
+        with joint_named(config):
+            if restarted:
+                bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
+                _until(bus.clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
+            here = bus.read(servo.id, servo.table["present_position"]).data or 0
+            found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
+            if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
+                found += (WATCHDOG,)
     except _NO_REPLY as error:
-        return ServoReset(servo.name, servo.id, (), None, silence=error)
-    return ServoReset(servo.name, servo.id, before, before, here if before else 0)
-
-
-def _state_after(
-    bus: ServoBus, config: ArmConfig, servo: JointMap, row: ServoReset, clock: Clock
-) -> ServoReset:
-    try:
-        if row.restarted:
-            clock.sleep_until(clock.now() + _POLL)  # or it answers before it goes
-            with joint_named(config):
-                _until(clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
-        there, after = _look(bus, config, servo)
-    except _NO_REPLY as error:
-        return replace(row, after=None, turned=0, silence=error)
-    return replace(row, after=after, turned=there - row.turned)
-
-
-def _look(bus: ServoBus, config: ArmConfig, servo: JointMap) -> tuple[int, tuple[str, ...]]:
-    """Where it stands, ticks, and its troubles."""
-    with joint_named(config):
-        here = bus.read(servo.id, servo.table["present_position"]).data or 0
-        found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
-        if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
-            found += (WATCHDOG,)
-    return here, found
+        return 0, None, error
+    return here, found, None
 
 
 def _until(
@@ -457,18 +436,7 @@ def _until(
         clock.sleep_until(clock.now() + _POLL)
 
 
-def restart_faulty(bus: ServoBus, config: ArmConfig, clock: Clock) -> tuple[str, ...]:
-    """``reset_servos`` where all must answer afterwards; the joints of those that were rebooted."""
-    rows = reset_servos(bus, config, clock)
-    for row in rows:
-        if row.silence is not None:
-            raise row.silence
-    return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
-
-
-def find_again(
-    bus: ServoBus, config: ArmConfig, clock: Clock, timeout: float, *, real: bool = True
-) -> Feedback:
+def find_again(bus: ServoBus, config: ArmConfig, timeout: float, *, real: bool) -> Feedback:
     """Opens the port as soon as it is there again and stays, and verifies what is behind it.
 
     Raises:
@@ -480,7 +448,7 @@ def find_again(
         bus.open()
         return verify(bus, config, real=real)
 
-    return _until(clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
+    return _until(bus.clock, timeout, (BusNotOpenError, BusDisconnectedError), there)
 
 
 def check_revolutions_kept(bus: ServoBus, config: ArmConfig, before: Mapping[int, int]) -> None:

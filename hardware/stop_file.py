@@ -25,9 +25,6 @@ from robot_ik.reading import read_json
 
 log = logging.getLogger(__name__)
 
-POLICIES = ("hold", "torque_off")
-"""What may be asked for."""
-
 _POLL = 0.01  # s between two polls for a reply
 
 
@@ -80,14 +77,14 @@ class StopFile:
         self._stem, self._request = stem, str(stem.with_suffix(".stop"))
 
     def requested(self) -> str | None:
-        """One of ``POLICIES`` if somebody asks for it."""
+        """``hold`` or ``torque_off`` if somebody asks for it."""
         if not self._request or not os.path.exists(self._request):
             return None
         try:
             policy = read_json(Path(self._request), "the request")["policy"]
         except (OSError, ValueError, LookupError, TypeError):
             policy = None
-        return policy if policy in POLICIES else "hold"  # whatever it says, somebody wants it to stop
+        return "torque_off" if policy == "torque_off" else "hold"  # whatever it says, somebody asks
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
         """What became of the request; it is over."""
@@ -121,7 +118,7 @@ class RunningArm:
     stem: Path
 
     def stop(self, policy: str = "hold", timeout: float = 3.0) -> tuple[bool, str]:
-        """Asks it to stop by one of ``POLICIES`` and waits ``timeout`` s for the reply.
+        """Asks it to stop by ``hold`` or ``torque_off``, and waits ``timeout`` s for the reply.
 
         Returns:
             Whether every servo confirmed it; what happened, as text.

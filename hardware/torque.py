@@ -13,7 +13,6 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
-from robot_ik.ports import Clock, RealClock
 
 log = logging.getLogger(__name__)
 
@@ -196,7 +195,6 @@ def leave(
     goals: Mapping[int, int],
     *,
     parked: bool = False,
-    clock: Clock | None = None,
 ) -> ExitReport:
     """The only way out of an arm: torque off or hold, written to the arm's own servos only, and read back.
 
@@ -209,19 +207,17 @@ def leave(
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``; without them torque goes off.
         parked: For the report.
-        clock: The arm's, by which patience is counted; the machine's by default.
     """
-    clock = clock or RealClock()
-    begin = clock.now()
+    begin = bus.clock.now()
     left = {servo.id: servo.name for servo in config.servos}
     reported: set[str] = set()
     limp: set[int] = set()
     done = "hold" if policy == "hold" and set(left) <= set(goals) else "torque_off"
     if done == "hold":
-        limp = _hold(bus, config, goals, left, clock, reported)
+        limp = _hold(bus, config, goals, left, reported)
     else:
-        _torque_off(bus, config, left, clock, reported)
-    seconds = clock.now() - begin
+        _torque_off(bus, config, left, reported)
+    seconds = bus.clock.now() - begin
     names = dict.fromkeys(servo.name for servo in config.servos)
     unverified = tuple(dict.fromkeys(left.values()))
     verified = tuple(name for name in names if name not in unverified)
@@ -270,11 +266,10 @@ def force_torque_off(
     return failed
 
 
-def _torque_off(
-    bus: ServoBus, config: ArmConfig, left: dict[int, str], clock: Clock, reported: set[str]
-) -> None:
+def _torque_off(bus: ServoBus, config: ArmConfig, left: dict[int, str], reported: set[str]) -> None:
     """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
     torque = shared_register(config, "torque_enable")
+    clock = bus.clock
     end = clock.now() + PATIENCE
     # Needs no reply, so it works even where no reply arrives.  Twice: a signal may have cut off a packet,
     # and the torn head of that one can swallow the first.
@@ -312,7 +307,6 @@ def _hold(
     config: ArmConfig,
     goals: Mapping[int, int],
     left: dict[int, str],
-    clock: Clock,
     reported: set[str],
 ) -> set[int]:
     """Goals as they are, and no Bus Watchdog: another program may take over.
@@ -321,6 +315,7 @@ def _hold(
     """
     torque, goal = (shared_register(config, name) for name in ("torque_enable", "goal_position"))
     watchdog = shared_register(config, "bus_watchdog")
+    clock = bus.clock
     end = clock.now() + PATIENCE
     limp: set[int] = set()
     while left and bus.is_open and clock.now() < end:

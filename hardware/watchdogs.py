@@ -117,13 +117,9 @@ class Heartbeat:
 # -------------------------------------------------------------------------------------------- signals
 
 
-def ending_signals(there: Any = signal) -> tuple[int, ...]:
-    """Signals that end a program here: no SIGHUP on Windows, but SIGBREAK (Ctrl-Break, a closed console)."""
-    names = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
-    return tuple(getattr(there, name) for name in names if hasattr(there, name))
-
-
-SIGNALS = ending_signals()
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
+SIGNALS: tuple[int, ...] = tuple(getattr(signal, name) for name in _NAMES if hasattr(signal, name))
+"""Signals that end a program here: no SIGHUP on Windows, but SIGBREAK (Ctrl-Break, a closed console)."""
 
 
 def uninterrupted(function: Callable[P, R]) -> Callable[P, R]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 # ------------------------------------------------------------------------------------------
@@ -154,17 +154,15 @@ class ServoFamily:
         since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
             ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
             ``guarded_reset`` (ignores a broadcast factory reset of everything).
-        baud_codes: Values its Baud Rate register takes.
-        notes: What the manual leaves open, and what is assumed.
     """
 
     firmware: int
     indirect: tuple[Indirect, ...]
     since: Mapping[str, int]
-    baud_codes: tuple[int, ...]
-    notes: tuple[str, ...] = ()
 
 
+# What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
+# value and no range (0, 0..4095).  Velocity Limit began larger before firmware 42 (XM430-W350: 350 for 200).
 FAMILY_430 = ServoFamily(
     firmware=48,
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
@@ -180,22 +178,12 @@ FAMILY_430 = ServoFamily(
         "backup": 45,
         "fast_read": 45,
     },
-    baud_codes=tuple(range(8)),
-    notes=(
-        "Velocity Limit had a larger initial value before firmware 42 (XM430-W350: 350 for 200).",
-        "Model Information has no value in the manual: 0.",
-    ),
 )
-FAMILY_540 = ServoFamily(
-    FAMILY_430.firmware,
-    FAMILY_430.indirect,
-    {**FAMILY_430.since, "slave": 38},
-    FAMILY_430.baud_codes,
-    (*FAMILY_430.notes, "External Port Data: the manual gives no initial value and no range: 0, 0..4095."),
-)
+FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38})
 FAMILY_330 = ServoFamily(
     firmware=52,
     # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
+    # That there were 20 of them before firmware 52 is assumed.
     indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
     since={
         "reverse": 0,
@@ -207,11 +195,6 @@ FAMILY_330 = ServoFamily(
         "backup": 46,
         "fast_read": 46,
     },
-    baud_codes=tuple(range(7)),
-    notes=(
-        "Indirect Data before firmware 52: that there were 20 of them is assumed.",
-        "Model Information has no value in the manual: 0.",
-    ),
 )
 
 
@@ -226,7 +209,6 @@ class Model:
         supply: Nominal supply, V.
         motor: What it can do.
         changed: Register name -> fields of ``Register`` that differ; ``added``, ``removed``: whole registers.
-        notes: What the manual leaves open, and what is assumed.
     """
 
     number: int
@@ -237,7 +219,6 @@ class Model:
     changed: Mapping[str, Mapping[str, object]]
     added: tuple[Row, ...] = ()
     removed: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 # ------------------------------------------------------------------------------------------
@@ -337,7 +318,6 @@ def _small(
     velocity: int,
     gains: Changes,
     shutdown: int = 52,
-    notes: tuple[str, ...] = (),
 ) -> Model:
     """XL330 and XC330."""
     changed = {
@@ -350,9 +330,7 @@ def _small(
         **_current(current, "1 mA"),
         **gains,
     }
-    return Model(
-        number, FAMILY_330, _CURRENT_MODES, supply.volts, motor, changed, (supply.slope,), notes=notes
-    )
+    return Model(number, FAMILY_330, _CURRENT_MODES, supply.volts, motor, changed, (supply.slope,))
 
 
 MODELS: Mapping[str, Model] = {
@@ -372,9 +350,8 @@ MODELS: Mapping[str, Model] = {
     "XH540-W150": _metal(1110, FAMILY_540, Motor(7.1, 4.9, 70.0, 12.0), 2047, 300, EXTERNAL_PORTS),
     "XM540-W150": _metal(1130, FAMILY_540, Motor(7.3, 4.4, 53.0, 12.0), 2047, 230, EXTERNAL_PORTS),
     "XM540-W270": _metal(1120, FAMILY_540, Motor(10.6, 4.4, 30.0, 12.0), 2047, 128, EXTERNAL_PORTS),
-    "XL330-M077": _small(
+    "XL330-M077": _small(  # Position I Gain 400 is what its page says, alone of all; it may be a misprint
         1190, Motor(0.215, 1.47, 383.0, 5.0), _FIVE, 1750, 1620, _gains(400, 40, 0, 400, 400), 53,
-        ("Position I Gain 400 is what its page says, alone of all models; it may be a misprint.",),
     ),
     "XL330-M288": _small(
         1200, Motor(0.52, 1.47, 103.0, 5.0), _FIVE, 1750, 445, _gains(1600, 180, 0, 0, 400), 53,

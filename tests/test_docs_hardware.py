@@ -123,7 +123,7 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     bus = module.LoggedBus(servos)
     with (
         caplog.at_level(logging.INFO, logger=module.__name__),
-        Arm(CONFIG, bus, servos.clock, virtual_bus=servos) as arm,
+        Arm(CONFIG, bus, virtual_bus=servos) as arm,
     ):
         arm.enable()
         execute(joint_move(ROBOT, arm.read().q, ROBOT.home + 0.1), [arm], clock=arm.clock)

@@ -26,11 +26,11 @@ from robot_ik.errors import BusDisconnectedError, ConfigError
 def test_arm_stands_at_home_with_torque(virtual_arm, virtual_bus):
     assert virtual_arm.virtual_bus is virtual_bus
     assert virtual_arm.state.value == "enabled"
-    assert all(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
+    assert all(servo.memory.values["torque_enable"] for servo in virtual_bus.servos)
     np.testing.assert_allclose(np.degrees(virtual_arm.read().q), [0, 75, -165, 0, -90, 0], atol=0.1)
 
 def test_each_test_has_its_own(virtual_bus):
-    assert not any(servo.memory.get("torque_enable") for servo in virtual_bus.servos)
+    assert not any(servo.memory.values["torque_enable"] for servo in virtual_bus.servos)
 
 def test_a_file_of_faults_counts_from_its_call(virtual_arm, fault_script):
     clock = virtual_arm.clock

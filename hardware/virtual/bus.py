@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,13 +29,6 @@ from robot_ik.ports import Array, Clock
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.world import World
     from robot_ik.robot import Robot
-
-
-class VirtualResponse(NamedTuple):
-    """Bytes that come back, and how many seconds the servos waited before (Return Delay Time)."""
-
-    data: bytes
-    delay: float
 
 
 class VirtualBus:
@@ -171,7 +164,7 @@ class VirtualBus:
         """The supply of all servos; so low that a servo cannot run, it starts anew once power is back."""
         with self.lock:
             for servo in self.servos:
-                servo.feed(volts)
+                servo.set_supply(volts)
 
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
@@ -190,12 +183,15 @@ class VirtualBus:
 
     def handle(self, data: bytes, baud: int | None = None) -> bytes:
         """``respond`` without the time."""
-        return self.respond(data, baud).data
+        return self.respond(data, baud)[0]
 
-    def respond(self, data: bytes, baud: int | None = None) -> VirtualResponse:
+    def respond(self, data: bytes, baud: int | None = None) -> tuple[bytes, float]:
         """Takes bytes from the host, any piece of any number of packets; gives back what the servos send.
 
         ``baud``: bits/s of the host; servos set to another rate hear nothing.  None: all hear.
+
+        Returns:
+            Bytes that come back, and how many seconds the servos waited before (Return Delay Time).
         """
         with self.lock:
             self.advance()
@@ -207,7 +203,7 @@ class VirtualBus:
                 for servo in listeners:
                     servo.hear()
                 replies += self.wire.carry(self._execute_all(packet, listeners))
-            return VirtualResponse(b"".join(replies), self._delay + (self.latency if replies else 0.0))
+            return b"".join(replies), self._delay + (self.latency if replies else 0.0)
 
     def _listeners(self, baud: int | None) -> list[VirtualServo]:
         awake = [servo for servo in self.servos if not servo.deaf]
@@ -246,10 +242,10 @@ class VirtualBus:
         ping, read = packet.instruction == Instruction.PING, packet.instruction == Instruction.READ
         replies: dict[int, list[bytes]] = {}
         for servo in sorted(listeners, key=lambda s: s.id):
-            id, level, alert = servo.id, servo.memory.get("status_return_level"), servo.status_byte(0)
+            id, level, alert = servo.id, servo.memory.values["status_return_level"], servo.status_byte(0)
             delay = servo.return_delay
             if not (broadcast or packet.id == id):
-                if packet.valid and packet.id == servo.memory.get("secondary_id"):
+                if packet.valid and packet.id == servo.memory.values["secondary_id"]:
                     instructions.execute(servo, packet.instruction, packet.params, broadcast=True)
                 continue
             error, data = ErrorCode.CRC, b""

@@ -224,7 +224,7 @@ def _attribute(name: str, convert: Callable[[float], Any] = lambda _: True) -> _
 
 def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
     """A register, behind the host's back."""
-    return _Override(lambda it: it.memory.get(name), lambda it, value: it.memory.set(name, value), convert)
+    return _Override(lambda it: it.memory.values[name], lambda it, value: it.memory.set(name, value), convert)
 
 
 def _chance(name: str) -> _Override:
@@ -276,7 +276,7 @@ def _add_servo(bus: VirtualBus, value: float) -> Undo:
 
 _OFF = _Override(lambda servo: servo.off, lambda servo, off: servo.switch(not off), lambda _: True)
 _PUSH = _Override(lambda servo: servo.shaft.load.push, _set_push)
-_SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.feed)
+_SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.set_supply)
 _ZERO_OFFSET = _attribute("zero_offset_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
 _BAUD = _register("baud_rate", _baud_code)
 _LATENCY = _attribute("latency", lambda ms: 1e-3 * ms)

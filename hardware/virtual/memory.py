@@ -11,11 +11,19 @@ from robot_ik.hardware.x_series import TIME_BASED
 Checker = Callable[[Register, int], ErrorCode]
 """A servo's own rule for a register and a value."""
 
-GAINS = ("velocity_i_gain", "velocity_p_gain", "position_d_gain", "position_i_gain", "position_p_gain")
-FEEDFORWARD = ("feedforward_2nd_gain", "feedforward_1st_gain")
-PROFILE = ("profile_acceleration", "profile_velocity")
-BACKED_UP_RAM = frozenset((*GAINS, *FEEDFORWARD, *PROFILE))
-"""Protocol 2.0 manual, "Control Table Backup"; the indirect addresses come on top."""
+CONTROLLER = (
+    "velocity_i_gain",
+    "velocity_p_gain",
+    "position_d_gain",
+    "position_i_gain",
+    "position_p_gain",
+    "feedforward_2nd_gain",
+    "feedforward_1st_gain",
+    "profile_acceleration",
+    "profile_velocity",
+)
+"""Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
+"Control Table Backup"; the indirect addresses come on top)."""
 
 
 def _pointer(register: Register) -> bool:
@@ -56,12 +64,8 @@ class Memory:
 
     def backup(self) -> dict[str, int]:
         """What Control Table Backup keeps: EEPROM, gains, profile, indirect addresses."""
-        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in BACKED_UP_RAM or _pointer(r)))
-        return {r.name: self.get(r.name) for r in kept}
-
-    def get(self, name: str) -> int:
-        """Value of a register; ``values[name]`` is the same and quicker."""
-        return self.values[name]
+        kept = (r for r in self.table if r.writable and (r.eeprom or r.name in CONTROLLER or _pointer(r)))
+        return {r.name: self.values[r.name] for r in kept}
 
     def set(self, name: str, value: int) -> None:
         """Sets a register as the servo itself does: without any check but its size."""
@@ -166,7 +170,7 @@ def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
         case "operating_mode":
             refused = value not in memory.table.modes
         case "drive_mode":
-            refused = bool(value & ~memory.table.drive_bits)
+            refused = bool(value & ~register.maximum)
         case "profile_acceleration":
             refused = bool(values.get("drive_mode", 0) & TIME_BASED) and value > _LONGEST_RAMP
         case "goal_position" | "goal_velocity" | "goal_current" | "goal_pwm" if tripped:
@@ -176,5 +180,5 @@ def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
             refused = not values["min_position_limit"] <= value <= values["max_position_limit"]
         case "goal_velocity" | "goal_current" | "goal_pwm":
             error = ErrorCode.DATA_LIMIT
-            refused = abs(value) > memory.get(name.removeprefix("goal_") + "_limit")
+            refused = abs(value) > values[name.removeprefix("goal_") + "_limit"]
     return error if refused else ErrorCode.NONE

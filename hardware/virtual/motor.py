@@ -226,13 +226,13 @@ _COASTING = 0.05 * PHYSICAL_ACCELERATION
 def torque_limit(memory: Memory, volts: float) -> float:
     """Largest torque that mode, limits and supply allow, N m."""
     motor = memory.table.motor
-    mode = memory.get("operating_mode")
-    pwm = memory.get("pwm_limit")
+    mode = memory.values["operating_mode"]
+    pwm = memory.values["pwm_limit"]
     if mode != OperatingMode.PWM:
-        pwm = min(pwm, abs(memory.get("goal_pwm")))
+        pwm = min(pwm, abs(memory.values["goal_pwm"]))
     limit = motor.stall_at(volts) * pwm / PWM_FULL
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        amperes = abs(memory.get("goal_current")) * current_unit(memory.table) / 1000.0
+        amperes = abs(memory.values["goal_current"]) * current_unit(memory.table) / 1000.0
         limit = min(limit, amperes * motor.torque_per_ampere)
     return limit
 
@@ -240,15 +240,15 @@ def torque_limit(memory: Memory, volts: float) -> float:
 def effort(memory: Memory, volts: float) -> float:
     """Torque that the goal of a torque mode asks for from a standing shaft, N m, signed as its register."""
     motor = memory.table.motor
-    if memory.get("operating_mode") == OperatingMode.CURRENT:
-        return memory.get("goal_current") * current_unit(memory.table) / 1000.0 * motor.torque_per_ampere
-    return memory.get("goal_pwm") / PWM_FULL * motor.stall_at(volts)
+    if memory.values["operating_mode"] == OperatingMode.CURRENT:
+        return memory.values["goal_current"] * current_unit(memory.table) / 1000.0 * motor.torque_per_ampere
+    return memory.values["goal_pwm"] / PWM_FULL * motor.stall_at(volts)
 
 
 def velocity_control(now: float, position: float, velocity: float, memory: Memory, sign: int) -> MotorMotion:
     """Velocity mode: to Goal Velocity, as steeply as Profile Acceleration says (0: as the motor can)."""
-    wanted = sign * memory.get("goal_velocity") * VELOCITY_TICKS
-    steepness = memory.get("profile_acceleration")
+    wanted = sign * memory.values["goal_velocity"] * VELOCITY_TICKS
+    steepness = memory.values["profile_acceleration"]
     acceleration = steepness * ACCELERATION_TICKS
     if memory.values.get("drive_mode", 0) & TIME_BASED:
         acceleration = abs(wanted - velocity) / (steepness / 1000.0) if steepness else 0.0
@@ -274,7 +274,7 @@ def torque_control(
         return constant_velocity(now, position, velocity, 0.0, _COASTING)
     net -= math.copysign(load.friction, net)
     share = net / stall
-    if memory.get("operating_mode") == OperatingMode.CURRENT:
+    if memory.values["operating_mode"] == OperatingMode.CURRENT:
         # The current is kept until the voltage is used up.
         share = math.copysign(max(0.0, 1.0 - abs(torque) / stall), net)
         acceleration = abs(net) / motor.stall_torque * PHYSICAL_ACCELERATION
@@ -293,7 +293,7 @@ def position_control(
     Time-based profiles (Drive Mode bit 2) keep their times from a stand; a new goal on the fly uses the same
     cruising speed and ramps.  ``physical_top``: speed of the motor and of Velocity Limit, ticks/s.
     """
-    fastest, steepness = memory.get("profile_velocity"), memory.get("profile_acceleration")
+    fastest, steepness = memory.values["profile_velocity"], memory.values["profile_acceleration"]
     if fastest == 0:
         return move(now, position, velocity, goal, physical_top, PHYSICAL_ACCELERATION, ProfileKind.STEP)
     kind = None if steepness else ProfileKind.RECTANGULAR

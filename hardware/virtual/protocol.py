@@ -112,14 +112,6 @@ class Packet:
         return self.valid and self.instruction == Instruction.STATUS and len(self.params) > 0
 
     @property
-    def error(self) -> int:
-        return self.params[0] & 0x7F
-
-    @property
-    def alert(self) -> bool:
-        return bool(self.params[0] & ALERT)
-
-    @property
     def data(self) -> bytes:
         return self.params[1:]
 

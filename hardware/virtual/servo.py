@@ -19,14 +19,14 @@ from robot_ik.hardware.control_table import (
     HARDWARE_ERRORS,
     RADIANS_PER_TICK,
     TICKS_PER_REVOLUTION,
-    WATCHDOG_UNIT,
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import FEEDFORWARD, GAINS, PROFILE, TRIPPED, Memory, check_write
+from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory, check_write
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, Electrics, Load
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
+from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
@@ -52,7 +52,6 @@ class VirtualServo:
         clock: The only source of time.
         position_ticks: What Present Position reads at first.
         mode: Operating mode; ``baud``: bits/s.
-        zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
         firmware: Another than the model's usual one.
         load: What it carries; ``None``: a light load.
         reverse: Bit 0 of its Drive Mode, set when it was built in: it counts against its encoder.
@@ -63,7 +62,7 @@ class VirtualServo:
             report where it really is.
         silent: Hears nothing and answers nothing, as without a data line.
         off: Has no power.
-        zero_offset_ticks: May be changed at any time.
+        zero_offset_ticks: Hidden from the registers: the shaft is this far from where they say.
         reboot_time: Seconds after a reboot in which it is deaf; some tenths on a real one.
         ready_at: When the last of these is over, s.
         electrics: Temperature and strain of the motor.
@@ -79,7 +78,6 @@ class VirtualServo:
         position_ticks: float = TICKS_PER_REVOLUTION // 2,
         mode: OperatingMode = OperatingMode.POSITION,
         baud: int = 1_000_000,
-        zero_offset_ticks: float = 0.0,
         firmware: int | None = None,
         load: Load | None = None,
         reverse: bool = False,
@@ -87,7 +85,7 @@ class VirtualServo:
     ) -> None:
         self.table = control_table(model, firmware)
         self.memory = Memory(self.table)
-        self.zero_offset_ticks = zero_offset_ticks
+        self.zero_offset_ticks = 0.0
         self.silent = self.off = False
         self.reboot_time = self.ready_at = 0.0
         if reverse:
@@ -119,12 +117,12 @@ class VirtualServo:
 
     @property
     def baud(self) -> int:
-        return BAUD_RATES[self.memory.get("baud_rate")]
+        return BAUD_RATES[self.memory.values["baud_rate"]]
 
     @property
     def return_delay(self) -> float:
         """Seconds it waits before it answers."""
-        return 2e-6 * self.memory.get("return_delay_time")
+        return 2e-6 * self.memory.values["return_delay_time"]
 
     @property
     def deaf(self) -> bool:
@@ -135,7 +133,7 @@ class VirtualServo:
     def torque(self) -> bool:
         """Torque Enable, after the bus watchdog and shutdown had their say."""
         self.update()
-        return bool(self.memory.get("torque_enable"))
+        return bool(self.memory.values["torque_enable"])
 
     @property
     def tripped(self) -> bool:
@@ -144,7 +142,7 @@ class VirtualServo:
 
     def status_byte(self, error: int) -> int:
         """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""
-        return error | (ALERT if self.memory.get("hardware_error_status") else 0)
+        return error | (ALERT if self.memory.values["hardware_error_status"] else 0)
 
     @property
     def reading(self) -> float:
@@ -213,7 +211,7 @@ class VirtualServo:
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
         self.update()
-        locked = bool(self.memory.get("torque_enable"))
+        locked = bool(self.memory.values["torque_enable"])
         values, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         for register, value in values:
             self.memory.set(register.name, value)
@@ -223,7 +221,7 @@ class VirtualServo:
     def reg_write(self, address: int, data: bytes) -> ErrorCode:
         """Checks a write and keeps it for ``action``."""
         self.update()
-        locked = bool(self.memory.get("torque_enable"))
+        locked = bool(self.memory.values["torque_enable"])
         _, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
         if not error:
             self._registered = (address, data)
@@ -252,13 +250,13 @@ class VirtualServo:
     def reboot(self) -> None:
         """RAM at its defaults, torque off, errors gone, revolutions forgotten; as when power comes back."""
         memory = self.memory
-        volts = memory.get("present_input_voltage")
+        volts = memory.values["present_input_voltage"]
         memory.reset(eeprom=False)
         memory.set("present_input_voltage", volts)
         if "backup_ready" in self.table:
             memory.set("backup_ready", int(bool(self._backup)))
         self._registered = None
-        startup = memory.get("startup_configuration") if "startup_configuration" in self.table else 0
+        startup = memory.values["startup_configuration"] if "startup_configuration" in self.table else 0
         if startup & _RAM_FROM_BACKUP:
             for name, value in self._backup.items():
                 if not self.table[name].eeprom:
@@ -274,7 +272,7 @@ class VirtualServo:
         keep = {0xFF: (), 1: ("id",), 2: ("id", "baud_rate")}.get(option)
         if keep is None:
             return ErrorCode.DATA_RANGE
-        volts = self.memory.get("present_input_voltage")
+        volts = self.memory.values["present_input_voltage"]
         self.memory.reset(eeprom=True, keep=keep)
         self.memory.set("present_input_voltage", volts)
         self.reboot()
@@ -304,16 +302,15 @@ class VirtualServo:
         self.fail(name)
 
     def set_supply(self, volts: float) -> None:
-        """Another supply voltage; outside the limits of the servo it is an input voltage error."""
+        """Another supply voltage; outside the limits of the servo it is an input voltage error.
+
+        So low that it cannot run, it starts anew once power is back.
+        """
         self.update()
         self.memory.set("present_input_voltage", max(0, round(10.0 * volts)))
-        low, high = self.memory.get("min_voltage_limit"), self.memory.get("max_voltage_limit")
+        low, high = self.memory.values["min_voltage_limit"], self.memory.values["max_voltage_limit"]
         if not low <= 10.0 * volts <= high:
             self.fail("input_voltage")
-
-    def feed(self, volts: float) -> None:
-        """Another supply voltage; so low that it cannot run, it starts anew once power is back."""
-        self.set_supply(volts)
         starved = volts < BROWN_OUT * self.table.supply
         if starved != self.off:
             self.switch(not starved)
@@ -343,7 +340,7 @@ class VirtualServo:
         memory.set("goal_velocity", 0)
         for goal, limit in (("goal_pwm", "pwm_limit"), ("goal_current", "current_limit")):
             if goal in self.table:
-                memory.set(goal, memory.get(limit))
+                memory.set(goal, memory.values[limit])
 
     def update(self) -> None:
         """Lets watchdog and motor act at the time when they do, however late anyone asks."""
@@ -361,27 +358,27 @@ class VirtualServo:
     def watch(self, now: float) -> None:
         """Lets the bus watchdog run out if it has by ``now``, s."""
         limit = self._values.get("bus_watchdog", 0) if self._values["torque_enable"] else 0
-        trip = self.heard + limit * WATCHDOG_UNIT
+        trip = self.heard + limit * (0.001 * WATCHDOG_UNIT_MS)
         if limit > 0 and now > trip:
             self.shaft.brake_at(trip)
             self.memory.set("bus_watchdog", TRIPPED)
 
     def _warm(self, now: float) -> None:
         electrics, memory = self.electrics, self.memory
-        shown = memory.get("present_temperature")
+        shown = memory.values["present_temperature"]
         if shown != min(255, round(electrics.temperature)):
             electrics.temperature = float(shown)  # somebody set it from outside
         electrics.advance(now, self.shaft.torque(), self.shaft.volts)
         memory.set("present_temperature", min(255, round(electrics.temperature)))
         if electrics.strain >= 1.0:
             self.fail("overload")
-        if electrics.temperature > memory.get("temperature_limit"):
+        if electrics.temperature > memory.values["temperature_limit"]:
             self.fail("overheating")
 
     def fail(self, name: str) -> None:
         """A hardware error: Shutdown says whether torque goes off; either way it is kept until a reboot."""
         memory = self.memory
-        memory.set("hardware_error_status", memory.get("hardware_error_status") | _ERROR_BITS[name])
+        memory.set("hardware_error_status", memory.values["hardware_error_status"] | _ERROR_BITS[name])
         if self._shut_down():
             self.shaft.stop()
             self.shaft.powered = False
@@ -428,7 +425,7 @@ class VirtualServo:
                 # In the other modes it is a limit: what was too weak may be strong enough now.
                 self._goal_written(bool(self._values["torque_enable"]) or mode in TORQUE_MODES)
             case "operating_mode":
-                for register in (*GAINS, *FEEDFORWARD, *PROFILE):
+                for register in CONTROLLER:
                     self.memory.set(register, self.table[register].initial or 0)
                 self._count_anew()
                 self._stand()
@@ -445,7 +442,7 @@ class VirtualServo:
         memory, shaft = self.memory, self.shaft
         if self._shut_down():
             memory.set("torque_enable", 0)
-        if not memory.get("torque_enable"):
+        if not memory.values["torque_enable"]:
             shaft.powered = False
             shaft.stop()
         elif not had_torque and not self.tripped:
@@ -465,7 +462,7 @@ class VirtualServo:
             self.shaft.go()
 
     def _count_anew(self) -> None:
-        if self.memory.get("operating_mode") == OperatingMode.POSITION:
+        if self.memory.values["operating_mode"] == OperatingMode.POSITION:
             self.shaft.fold()
 
     @property
@@ -477,7 +474,7 @@ class VirtualServo:
         return bool(self._drive_mode & SLAVE)
 
     def _shut_down(self) -> bool:
-        return bool(self.memory.get("hardware_error_status") & self.memory.get("shutdown"))
+        return bool(self.memory.values["hardware_error_status"] & self.memory.values["shutdown"])
 
 
 # ------------------------------------------------------------------------------------------
@@ -568,7 +565,7 @@ def responding(listeners: Sequence[VirtualServo]) -> dict[int, list[VirtualServo
     """Servos that answer reads, by id."""
     found: dict[int, list[VirtualServo]] = {}
     for servo in listeners:
-        if servo.memory.get("status_return_level") >= RETURN_READ:
+        if servo.memory.values["status_return_level"] >= RETURN_READ:
             found.setdefault(servo.id, []).append(servo)
     return found
 

@@ -121,7 +121,7 @@ class Shaft:
     @property
     def volts(self) -> float:
         """Supply, V."""
-        return self._memory.get("present_input_voltage") / 10.0
+        return self._memory.values["present_input_voltage"] / 10.0
 
     @property
     def top(self) -> float:
@@ -133,7 +133,7 @@ class Shaft:
     def registers(self) -> dict[str, Callable[[], int]]:
         """Registers that follow the shaft, and how to ask for them."""
         return {
-            "moving": lambda: int(abs(self.velocity_register()) > self._memory.get("moving_threshold")),
+            "moving": lambda: int(abs(self.velocity_register()) > self._memory.values["moving_threshold"]),
             "moving_status": self.moving_status,
             "present_velocity": self.velocity_register,
             "present_position": self.position_register,
@@ -156,7 +156,7 @@ class Shaft:
     def moving_status(self) -> int:
         """Bit 0 in position, 1 profile going on, 3 following error, 4-5 kind of profile."""
         ongoing = self._clock.now() < self.motion.end
-        goal_error = abs(self._memory.get("goal_position") - self.reading)
+        goal_error = abs(self._memory.values["goal_position"] - self.reading)
         kind = self.motion.kind if ongoing else ProfileKind.STEP
         in_position = not ongoing and goal_error < _IN_POSITION_TICKS
         following = abs(self._planned()[0] - self.encoder) > _FOLLOWING_ERROR_TICKS
@@ -174,7 +174,7 @@ class Shaft:
             torque = self.sign * drive.effort(memory, self.volts)
             self.motion = drive.torque_control(now, *self._actual(), torque, self.load, memory, self.volts)
         else:
-            goal = self.sign * (memory.get("goal_position") - self._homing - self._revolutions)
+            goal = self.sign * (memory.values["goal_position"] - self._homing - self._revolutions)
             if self._too_weak(goal - position):
                 self.stop()
                 self._unreached = goal
@@ -254,7 +254,7 @@ class Shaft:
             return self.stuck_at, 0.0
         if self.body is not None:
             return self.body.position, self.body.velocity
-        if self.master is not None and self._memory.get("drive_mode") & SLAVE:
+        if self.master is not None and self._memory.values["drive_mode"] & SLAVE:
             master, way, zero = self.master
             position, velocity = master._actual()
             return zero + way * position, way * velocity

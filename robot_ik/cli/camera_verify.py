@@ -120,12 +120,16 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
 
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     """Asks, and writes the zeros to the arm file; whether that was done."""
-    from robot_ik.hardware.calibration_file import changes, write_zeros, zeros_moved
+    from robot_ik.hardware.calibration_file import write_zeros, zeros_moved
 
     offsets, config = report.offsets(), report.config
     if not offsets:
         return False
-    changed = changes(config, zeros_moved(config, offsets)) if config is not None else ()
+    changed = []
+    if config is not None:
+        pairs = zip(config.servos, zeros_moved(config, offsets).servos, strict=True)
+        zeros = [(was.name, was.zero_ticks, now.zero_ticks) for was, now in pairs]
+        changed = [f"{name} {before} -> {after}" for name, before, after in zeros if before != after]
     if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
     elif config is None or not options.arm:
@@ -133,8 +137,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
     else:
-        text = ", ".join(f"{one.joint} {one.before} -> {one.after}" for one in changed)
-        console.say(f"zero_ticks: {text}")
+        console.say(f"zero_ticks: {', '.join(changed)}")
         if options.yes or console.confirm(f"write them to {options.arm}?"):
             kept = write_zeros(options.arm, config, offsets)
             console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")

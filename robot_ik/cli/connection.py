@@ -8,7 +8,7 @@ import select
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.bus import ServoBus
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.jobs.hand_calibration import Limits
-    from robot_ik.ports import Clock
 
 
 NONE = "none"
@@ -151,34 +150,15 @@ def attempt() -> Iterator[None]:
         raise SystemExit(console.NOT_ACHIEVED) from error
 
 
-@dataclass(frozen=True)
-class Link:
-    """An open bus, the arm on it, and the clock on which both run."""
-
-    bus: ServoBus
-    config: ArmConfig
-    clock: Clock
-
-
-@contextmanager
-def opened(options: BusOptions, config: ArmConfig | None = None) -> Iterator[Link]:
-    """The bus, open, and the arm file, or ``config`` instead; nothing is asked of any servo yet.
+def opened(options: BusOptions, config: ArmConfig) -> closing[ServoBus]:
+    """The bus of these options, open; nothing is asked of any servo yet.
 
     Raises:
-        BusNotOpenError, ConfigError, UnknownRobotError.
+        BusNotOpenError.
     """
     from robot_ik.hardware import open_bus
-    from robot_ik.hardware.virtual.bus import VirtualBus
 
-    config = config or load_arm(options.arm)
-    name = port_name(options.bus)
-    clock = bus_row(name).clock()
-    servos = VirtualBus.from_config(config, clock) if bus_row(name).virtual else None
-    bus = open_bus(name, config, virtual_bus=servos)
-    try:
-        yield Link(bus, config, clock)
-    finally:
-        bus.close()
+    return closing(open_bus(port_name(options.bus), config))
 
 
 def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:

@@ -14,10 +14,12 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
-from robot_ik.cli.connection import BusOptions, Link, load_arm, opened, served_or_serial_port
+from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_serial_port
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
+    from robot_ik.hardware.bus import ServoBus
+    from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.discovery import FoundServo
     from robot_ik.hardware.health import ServoState
 
@@ -198,9 +200,10 @@ def run_backup(options: ServoBackupOptions) -> int:
     from robot_ik.hardware.backup import read_tables, save_backup
 
     with claimed(options.file, overwrite=options.overwrite):
-        with opened(options) as link:
-            servos = read_tables(link.bus, link.config)
-        save_backup(options.file, link.config.name, servos)
+        config = load_arm(options.arm)
+        with opened(options, config) as bus:
+            servos = read_tables(bus, config)
+        save_backup(options.file, config.name, servos)
     count = sum(len(servo.registers) for servo in servos)
     console.result(f"{options.file}: {len(servos)} servos, {count} registers")
     return console.DONE
@@ -231,8 +234,8 @@ def run_restore(options: ServoRestoreOptions) -> int:
     for name in options.joints:
         require(name in known, "JOINT", f"{name!r} is not in {options.file}", ", ".join(known))
     servos = [servo for servo in servos if not options.joints or servo.joint in options.joints]
-    with opened(options) as link:
-        changes = (differences if options.dry_run else restore)(link.bus, servos)
+    with opened(options, load_arm(options.arm)) as bus:
+        changes = (differences if options.dry_run else restore)(bus, servos)
     verb = "would become" if options.dry_run else "is now"
     rows = [(c.joint, c.id, c.register, c.present, c.saved) for c in changes]
     shown = console.table("joint", "id", "register", "was", verb, rows=rows)
@@ -268,31 +271,41 @@ def run_monitor(options: ServoMonitorOptions) -> int:
     rate, count = options.rate, options.count
     require(0.0 < rate <= FASTEST, "--rate", f"{rate:g} Hz", f"above 0, at most {FASTEST:g}")
     require(count is None or count >= 1, "--count", f"{count} samples", "1 and more")
-    with opened(options) as link:
-        begin, screen = link.clock.now(), console.out()
+    config = load_arm(options.arm)
+    with opened(options, config) as bus:
+        begin, screen = bus.clock.now(), console.out()
 
         def line(states: Sequence[ServoState]) -> None:
             servos = [asdict(state) for state in states]
-            console.print_json_line({"time": round(link.clock.now() - begin, 6), "servos": servos})
+            console.print_json_line({"time": round(bus.clock.now() - begin, 6), "servos": servos})
 
         if options.json or not screen.is_terminal:
-            return _watch(link, options, line if options.json else lambda s: screen.print(states_table(s)))
+            return _watch(
+                bus, config, options, line if options.json else lambda s: screen.print(states_table(s))
+            )
         with Live(console=screen, auto_refresh=False) as live:
-            return _watch(link, options, lambda states: live.update(states_table(states), refresh=True))
+            return _watch(
+                bus, config, options, lambda states: live.update(states_table(states), refresh=True)
+            )
 
 
-def _watch(link: Link, options: ServoMonitorOptions, show: Callable[[Sequence[ServoState]], object]) -> int:
+def _watch(
+    bus: ServoBus,
+    config: ArmConfig,
+    options: ServoMonitorOptions,
+    show: Callable[[Sequence[ServoState]], object],
+) -> int:
     from robot_ik.hardware.health import read_states
 
-    due, done = link.clock.now(), 0
+    due, done = bus.clock.now(), 0
     while True:
-        states = read_states(link.bus, link.config.servos)
+        states = read_states(bus, config.servos)
         show(states)
         done += 1
         if done == options.count:
             return console.DONE if all(state.answered for state in states) else console.NOT_ACHIEVED
-        due = max(due + 1.0 / options.rate, link.clock.now())
-        link.clock.sleep_until(due)
+        due = max(due + 1.0 / options.rate, bus.clock.now())
+        bus.clock.sleep_until(due)
 
 
 def states_table(states: Sequence[ServoState]) -> Table:

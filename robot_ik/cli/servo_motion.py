@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +15,6 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, require, require_share, several, single, wrong
 from robot_ik.cli.connection import (
     BusOptions,
-    Link,
     arm_on,
     attempt,
     driving,
@@ -168,6 +167,8 @@ def run_torque(options: ServoTorqueOptions) -> int:
         with driving(arm), attempt():
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+    from robot_ik.hardware.torque import force_torque_off
+
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
         for id in options.ids:
@@ -175,14 +176,8 @@ def run_torque(options: ServoTorqueOptions) -> int:
         servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
-    with opened(options, config) as link:
-        return _switch_off(link, servos, everyone=not options.ids and not options.joints)
-
-
-def _switch_off(link: Link, servos: Mapping[int, str], *, everyone: bool) -> int:
-    from robot_ik.hardware.torque import force_torque_off
-
-    failed = force_torque_off(link.bus, link.config, servos, everyone=everyone)
+    with opened(options, config) as bus:
+        failed = force_torque_off(bus, config, servos, everyone=not options.ids and not options.joints)
     for id, error in failed.items():
         console.say(f"error: {servos[id]}: {error.args[0]}; its torque may be ON", "bold red")
     if limp := [name for id, name in servos.items() if id not in failed]:
@@ -210,8 +205,8 @@ def run_reset_fault(options: ServoResetFaultOptions) -> int:
     from robot_ik.hardware.startup import reset_servos
 
     config = load_arm(options.arm).only(options.joints)
-    with opened(options, config) as link:
-        rows = reset_servos(link.bus, config, link.clock)
+    with opened(options, config) as bus:
+        rows = reset_servos(bus, config)
     cells = []
     for row in rows:
         now = "no answer" if row.after is None else ", ".join(row.after) or "healthy"

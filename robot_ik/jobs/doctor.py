@@ -19,7 +19,7 @@ from pathlib import Path
 
 from robot_ik import environment
 from robot_ik.environment import NOTE, OK, OPENCV_WHEELS, PROBLEM, CheckRow, permission_hint, version_of
-from robot_ik.hardware.ports import serial_row
+from robot_ik.hardware.ports import serial_ports, serial_row
 
 #: Seconds that the whole doctor may take: each child process gets what is left of them.
 WHOLE_LIMIT = 9.0
@@ -219,11 +219,7 @@ for path in {paths!r}:
 
 def check_serial(until: float) -> list[CheckRow]:
     """Serial ports with what stands in the way of using them."""
-    from serial.tools import list_ports
-
-    ports = [p for p in list_ports.comports() if sys.platform == "win32" or os.path.exists(p.device)]
-    # On-board UARTs are listed whether or not anything is behind them.
-    rows = [serial_row(p.device, p.description or "serial port") for p in ports if "ttyS" not in p.device]
+    rows = [serial_row(p.device, p.description or "serial port", p.vid) for p in serial_ports()]
     if not rows:
         return [
             CheckRow("serial", NOTE, "no USB serial port", "plug the adapter in; --bus pty and sim need none")

@@ -167,13 +167,14 @@ def test_free_port_then_used_port() -> None:
 @pytest.mark.parametrize(
     ("text", "status"), [("16\n", environment.NOTE), ("1\n", environment.OK), ("?", environment.OK)]
 )
-def test_latency_timer(text: str, status: str, tmp_path: Path) -> None:
+def test_latency_timer(text: str, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = tmp_path / "ttyUSB7"
     port.write_text("")
-    timer = tmp_path / "bus/usb-serial/devices/ttyUSB7/latency_timer"
+    monkeypatch.setattr(ports, "USB_SERIAL", tmp_path / "devices")
+    timer = tmp_path / "devices/ttyUSB7/latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text(text)
-    row = ports.serial_row(str(port), "FTDI", sys_root=str(tmp_path))
+    row = ports.serial_row(str(port), "FTDI")
     assert row.status == status
     assert ("ttyUSB7/latency_timer" in row.do) == (status == environment.NOTE)
 

@@ -28,7 +28,9 @@ def saved(robot_ik: Any, desk: Any, tmp_path: Path) -> Path:
 
 
 def eeprom(desk: Any) -> list[dict[str, int]]:
-    return [{r.name: servo.memory.get(r.name) for r in servo.table if r.eeprom} for servo in desk.bus.servos]
+    return [
+        {r.name: servo.memory.values[r.name] for r in servo.table if r.eeprom} for servo in desk.bus.servos
+    ]
 
 
 def test_what_is_saved_is_what_the_servos_have(saved: Path, desk: Any) -> None:
@@ -54,7 +56,7 @@ def test_restore_undoes_what_was_changed_since(robot_ik: Any, saved: Path, desk:
     desk.servo(3).memory.set("max_position_limit", 4000)
     desk.servo(3).memory.set("min_position_limit", 3000)  # above the saved maximum: order matters
     run = robot_ik("servo", "restore", saved, *desk.at, "--dry-run")
-    assert run.code == 0 and "homing_offset" in run.out and memory.get("homing_offset") == 77
+    assert run.code == 0 and "homing_offset" in run.out and memory.values["homing_offset"] == 77
     run = robot_ik("servo", "restore", saved, "joint1", *desk.at)
     assert run.code == 0 and eeprom(desk)[0] == before[0] and eeprom(desk)[2] != before[2]
     run = robot_ik("servo", "restore", saved, *desk.at)
@@ -71,7 +73,7 @@ def test_restore_refuses_another_model_before_it_writes(robot_ik: Any, saved: Pa
     assert "are not those of the backup" in run.err
     run.assert_one_screen_error()
     assert "joint2: XL330-M288" in run.err and "XL430-W250" in run.err
-    assert desk.servo(1).memory.get("velocity_limit") == 200
+    assert desk.servo(1).memory.values["velocity_limit"] == 200
 
 
 def test_restore_refuses_while_torque_is_on(robot_ik: Any, saved: Path, desk: Any) -> None:
@@ -80,7 +82,7 @@ def test_restore_refuses_while_torque_is_on(robot_ik: Any, saved: Path, desk: An
     run = robot_ik("servo", "restore", saved, *desk.at)
     run.assert_one_screen_error()
     assert "joint2" in run.err and "torque off" in run.err
-    assert desk.servo(1).memory.get("velocity_limit") == 200
+    assert desk.servo(1).memory.values["velocity_limit"] == 200
 
 
 @pytest.fixture(scope="module")

@@ -80,7 +80,7 @@ def test_move_all_joints_then_by_some(robot_ik: Any, desk: Any) -> None:
     run = robot_ik("servo", "move", 10, -20, 5.5, *desk.at, "--speed", 1, "--on-exit", "hold")
     assert run.code == 0, run.err
     assert desk.torque() == [True] * 3 and "torque ON" in run.err
-    assert [s.memory.get("bus_watchdog") for s in desk.bus.servos] == [0] * 3
+    assert [s.memory.values["bus_watchdog"] for s in desk.bus.servos] == [0] * 3
     run = robot_ik("servo", "move", "joint1=-15", "--by", *desk.at, "--speed", 1)
     assert run.code == 0, run.err
     assert degrees(desk) == pytest.approx([-5.0, -20.0, 5.5], abs=0.3)
@@ -204,7 +204,7 @@ def test_reset_fault_restarts_who_has_shut_down(robot_ik: Any, desk: Any) -> Non
     run = robot_ik("servo", "reset-fault", *desk.at)
     assert run.code == 0, run.out
     assert "overload" in run.out and "overheating" in run.out
-    assert [s.memory.get("hardware_error_status") for s in desk.bus.servos] == [0, 0, 0]
+    assert [s.memory.values["hardware_error_status"] for s in desk.bus.servos] == [0, 0, 0]
     assert desk.torque() == [False, True, False]  # joint2 was not touched
 
 
@@ -212,7 +212,7 @@ def test_reset_fault_of_a_tripped_watchdog_needs_no_restart(robot_ik: Any, desk:
     desk.servo(1).memory.set("bus_watchdog", -1)
     run = robot_ik("servo", "reset-fault", *desk.at)
     assert run.code == 0 and "bus_watchdog" in run.out
-    assert desk.servo(1).memory.get("bus_watchdog") == 0
+    assert desk.servo(1).memory.values["bus_watchdog"] == 0
 
 
 def test_reset_fault_tells_of_turns_that_were_forgotten(robot_ik: Any, desk: Any) -> None:

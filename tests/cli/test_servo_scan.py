@@ -65,15 +65,16 @@ def test_ports_name_the_adapter_and_who_uses_it(robot_ik: Any, ports: Any, desk:
     assert run.code == 0 and "0403:6014" in run.out
 
 
-def test_a_name_that_survives_replugging(tmp_path: Any) -> None:
-    from robot_ik.hardware.ports import stable_name
+def test_a_name_that_survives_replugging(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from robot_ik.hardware import ports
 
     names = tmp_path / "by-id"
     names.mkdir()
     (tmp_path / "ttyUSB0").write_text("")
     (names / "usb-FTDI-if00").symlink_to("../ttyUSB0")
-    assert stable_name(str(tmp_path / "ttyUSB0"), str(names)) == str(names / "usb-FTDI-if00")
-    assert stable_name(str(tmp_path / "ttyUSB1"), str(names)) == ""
+    monkeypatch.setattr(ports, "BY_ID", names)
+    listed = [SimpleNamespace(device=str(tmp_path / f"ttyUSB{k}"), description="U2D2") for k in (0, 1)]
+    assert [ports.port_row(port).stable for port in listed] == [str(names / "usb-FTDI-if00"), ""]
 
 
 def test_the_only_port_needs_no_name(robot_ik: Any, ports: Any, desk: Any) -> None:

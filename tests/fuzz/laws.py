@@ -177,11 +177,12 @@ def driver(data: bytes) -> None:
     story, lines = iter(pieces(data)), []
     clock = VirtualClock()
 
-    def line(name: str, baud: int, counters: Counters, response_time: float) -> Line:
-        lines.append(Line(story, name, baud, counters))
-        return lines[-1]
+    class LineBus(DynamixelBus):
+        def _make_handler(self) -> Line:
+            lines.append(Line(story, self.port, self.baud, self.counters))
+            return lines[-1]
 
-    bus = DynamixelBus("fuzz", retries=1, make_handler=line, now=clock.now)
+    bus = LineBus("fuzz", retries=1, clock=clock)
     bus.open()
     answers: list[tuple[int, int, int]] = []
     for ask in QUESTIONS:
@@ -234,7 +235,7 @@ def arm(data: bytes) -> None:
     """Damaged replies never move an arm: while it is asked to stay, every goal is where it stands."""
     config, clock = _arm_config(), VirtualClock()
     bus = VirtualBus.from_config(config, clock)
-    driven = Arm(config, SimBus(bus), clock, virtual_bus=bus, on_exit="torque_off")
+    driven = Arm(config, SimBus(bus), virtual_bus=bus, on_exit="torque_off")
     story = [piece for piece in pieces(data) if piece is not None]
     # A forged reply with a right checksum is a lie that no client can see: not what is asked here.
     noise = iter([p for p in story if not any(kind == Instruction.STATUS for _, kind, _ in checked(p))])

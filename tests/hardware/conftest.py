@@ -125,7 +125,7 @@ def registers() -> Callable[[Arm, str], list[int]]:
     """A register of every servo, straight from its memory: not over the bus under test."""
 
     def registers(arm: Arm, name: str) -> list[int]:
-        return [servo.memory.get(name) for servo in arm.virtual_bus.servos]
+        return [servo.memory.values[name] for servo in arm.virtual_bus.servos]
 
     return registers
 

@@ -33,7 +33,7 @@ def test_a_silent_servo_is_named_within_a_quarter_second_and_the_others_hold(arm
     assert np.isfinite(reading.q).all() and arm.ages[2] > arm.ages[0] > 0.0
     arm.close()
     assert arm.exit_report.unverified == ("joint3",)
-    assert [s.memory.get("torque_enable") for s in arm.virtual_bus.servos] == [0, 0, 1, 0, 0, 0]
+    assert [s.memory.values["torque_enable"] for s in arm.virtual_bus.servos] == [0, 0, 1, 0, 0, 0]
 
 
 def test_a_silent_servo_on_the_wire_is_named_and_leaving_is_quick(arm_config, stream, start, real_time):

@@ -136,7 +136,7 @@ def test_a_current_can_be_lowered_and_never_raised_beyond_the_file(arm_toml):
     text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)
     config = ArmConfig.parse(text)
     with open_arm(config, "sim", virtual_bus=VirtualBus.from_config(config, VirtualClock())) as arm:
-        goal = lambda: arm.virtual_bus.servo(1).memory.get("goal_current")  # noqa: E731
+        goal = lambda: arm.virtual_bus.servo(1).memory.values["goal_current"]  # noqa: E731
         arm.enable()
         arm.limit_current({"joint1": 26.9})
         assert goal() == 10

@@ -44,7 +44,7 @@ def tuned(arm_config: ArmConfig) -> ArmConfig:
 def settings(bus: VirtualBus, id: int) -> dict[str, int]:
     memory = bus.servo(id).memory
     names = (*GAINS.registers, "profile_velocity", "profile_acceleration", "current_limit")
-    return {name: memory.get(name) for name in names}
+    return {name: memory.values[name] for name in names}
 
 
 WANTED = {
@@ -61,7 +61,7 @@ def test_gains_profile_and_current_limit_are_written_at_connect(tuned: ArmConfig
     with open_arm(tuned, "sim", virtual_bus=servos):
         assert settings(servos, 1) == WANTED
         for name in (*GAINS.registers, "current_limit"):
-            assert servos.servo(2).memory.get(name) == untouched[name]  # the file says nothing of them
+            assert servos.servo(2).memory.values[name] == untouched[name]  # the file says nothing of them
 
 
 @pytest.mark.parametrize("name", ["position_p_gain", "current_limit"])
@@ -110,7 +110,7 @@ def test_what_lies_in_ram_is_back_after_a_brown_out(tuned, stream, start) -> Non
         stream(arm, [start] * 3)
         servo = arm.virtual_bus.servo(1)
         servo.reboot()
-        assert servo.memory.get("position_p_gain") == 800 and servo.memory.get("profile_velocity") == 0
+        assert servo.memory.values["position_p_gain"] == 800 and servo.memory.values["profile_velocity"] == 0
         with pytest.raises(MotorFaultError) as caught:
             stream(arm, [start] * 50)
         assert caught.value.status == ("torque_lost",)
@@ -142,7 +142,7 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
 
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     with open_arm(config, "sim") as arm:
-        units = arm.virtual_bus.servo(9).memory.get("profile_velocity")
+        units = arm.virtual_bus.servo(9).memory.values["profile_velocity"]
     # 50 mm/s where a radian of the horn is 6.5 mm (at 37 mm) need more than where it is 15 mm.
     least = finger.swing.lead(0.037)
     assert least == pytest.approx(0.0065, abs=2e-4)
@@ -155,7 +155,7 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
 def test_a_servo_reversed_by_its_maker_moves_as_the_file_says(arm_config, stream, smooth, start) -> None:
     config = changed(arm_config, 0, mode=POSITION, reverse=True)
     servos = servos_of(config, start)
-    assert servos.servo(1).memory.get("drive_mode") == 1
+    assert servos.servo(1).memory.values["drive_mode"] == 1
     with open_arm(config, "sim", virtual_bus=servos) as arm:
         arm.enable()
         assert np.allclose(arm.read().q, start, atol=0.002)
@@ -163,7 +163,7 @@ def test_a_servo_reversed_by_its_maker_moves_as_the_file_says(arm_config, stream
         arm.clock.sleep_until(arm.clock.now() + 0.05)
         assert np.allclose(arm.read().q, start + 0.3, atol=0.01)
         assert np.allclose(servos.true_angles(config), start + 0.3, atol=0.01)
-        assert servos.servo(1).memory.get("drive_mode") == 1  # never cleared
+        assert servos.servo(1).memory.values["drive_mode"] == 1  # never cleared
 
 
 def test_limits_of_a_reversed_servo_are_compared_in_its_own_frame(arm_config, stream, start) -> None:
@@ -192,7 +192,7 @@ def test_a_bit_that_is_not_as_the_file_says_is_refused_with_the_cure(arm_config,
         open_arm(config, "sim", virtual_bus=servos).connect()
     assert "joint 'joint3' (servo id 3)" in str(caught.value)
     assert f"reverse = {str(not said).lower()} in its [[joints]] table" in str(caught.value)
-    assert servos.servo(3).memory.get("drive_mode") == before["drive_mode"]
+    assert servos.servo(3).memory.values["drive_mode"] == before["drive_mode"]
 
 
 def test_the_reverse_bit_of_a_twin(arm_config, start) -> None:
@@ -205,7 +205,7 @@ def test_the_reverse_bit_of_a_twin(arm_config, start) -> None:
         arm = open_arm(config, "sim", virtual_bus=servos)
         if works:
             arm.connect()
-            assert servos.servo(8).memory.get("drive_mode") == found
+            assert servos.servo(8).memory.values["drive_mode"] == found
             arm.close()
         else:
             with pytest.raises(HardwareError, match=r"in its \[joints.twin\] table"):
@@ -217,7 +217,7 @@ def test_other_bits_of_drive_mode_are_cleared_and_reverse_stays(arm_config) -> N
     servos = servos_of(config)
     servos.servo(1).memory.set("drive_mode", 0b0101)  # OpenMANIPULATOR-X: reverse and time-based
     with open_arm(config, "sim", virtual_bus=servos):
-        assert servos.servo(1).memory.get("drive_mode") == 0b0001
+        assert servos.servo(1).memory.values["drive_mode"] == 0b0001
 
 
 # ------------------------------------------------------------------------------------- homing offset

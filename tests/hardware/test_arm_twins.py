@@ -145,15 +145,15 @@ def gripping(arm_config):
 def test_a_gripper_is_a_joint_that_presses_no_harder_than_it_is_reported(gripping, stream, smooth, start):
     with open_arm(gripping, "sim", start=start) as arm:
         servo = arm.virtual_bus.servo(6)
-        assert servo.memory.get("goal_current") == 100
+        assert servo.memory.values["goal_current"] == 100
         arm.enable()
         stream(arm, smooth(start, start + 0.2, 0.5))
         servo.jammed = True
         servo.stuck = True  # something is between its jaws
         stream(arm, smooth(start + 0.2, start + np.array([0.2] * 5 + [0.6]), 0.5))
-        goal = servo.memory.get("goal_position")
+        goal = servo.memory.values["goal_position"]
         arm.hold()
-        assert servo.memory.get("goal_position") == goal  # it does not let go
+        assert servo.memory.values["goal_position"] == goal  # it does not let go
         assert servo.torque
 
 
@@ -161,4 +161,4 @@ def test_its_own_limit_is_never_passed(gripping):
     servos = VirtualBus.from_config(gripping, VirtualClock())
     servos.servo(6).memory.set("current_limit", 40)
     with open_arm(gripping, "sim", virtual_bus=servos):
-        assert servos.servo(6).memory.get("goal_current") == 40
+        assert servos.servo(6).memory.values["goal_current"] == 40

@@ -170,7 +170,7 @@ def _wind(servo: VirtualServo, offset: int) -> None:
     """Another Homing Offset, and a horn screwed on otherwise by as much: the servo reads what it read."""
     before = servo.reading
     servo.memory.set("homing_offset", offset)
-    back = -1.0 if servo.memory.get("drive_mode") & 1 else 1.0
+    back = -1.0 if servo.memory.values["drive_mode"] & 1 else 1.0
     servo.rotate_by_hand(back * (before - servo.reading))
     assert servo.reading == pytest.approx(before, abs=1.0)
 
@@ -182,7 +182,7 @@ def servos_of(name: str) -> VirtualBus:
 def registers_of(
     servos: VirtualBus, ids: Mapping[int, Any], names: tuple[str, ...]
 ) -> dict[tuple[int, str], int]:
-    return {(id, name): servos.servo(id).memory.get(name) for id in ids for name in names}
+    return {(id, name): servos.servo(id).memory.values[name] for id in ids for name in names}
 
 
 def run_once(name: str, servos: VirtualBus) -> None:
@@ -217,12 +217,12 @@ def test_an_arm_connects_moves_grips_parks_and_again_after_the_other_program(nam
     for left in PROGRAMS[name] * 2:
         leave(servos, left)
         kept = registers_of(servos, left.registers, left.kept)
-        reverse = {id: servos.servo(id).memory.get("drive_mode") & 1 for id in left.registers}
+        reverse = {id: servos.servo(id).memory.values["drive_mode"] & 1 for id in left.registers}
         run_once(name, servos)
         assert registers_of(servos, left.registers, left.kept) == kept
         for id, bit in reverse.items():
             assert (
-                servos.servo(id).memory.get("drive_mode") == bit
+                servos.servo(id).memory.values["drive_mode"] == bit
             )  # reverse stays, the time-based profile goes
 
 
@@ -270,7 +270,7 @@ def test_a_gripper_that_cannot_close_does_not_overload_where_the_servo_knows_cur
         (grip,) = arm.grip(finger.lower)
         assert grip.held and grip.current == pytest.approx(300.0, rel=0.05)
         arm.clock.sleep_until(arm.clock.now() + 5.0)
-        assert servos.servo(9).memory.get("hardware_error_status") == 0
+        assert servos.servo(9).memory.values["hardware_error_status"] == 0
 
 
 def test_an_xl430_gripper_that_cannot_close_stops_the_arm_before_it_shuts_down() -> None:
@@ -285,7 +285,7 @@ def test_an_xl430_gripper_that_cannot_close_stops_the_arm_before_it_shuts_down()
                 arm.clock.sleep_until(arm.clock.now() + 0.01)
                 arm.send(rest("wx250s"), arm.clock.now())
         assert caught.value.joint == "left_finger"
-        assert servos.servo(9).memory.get("hardware_error_status") == 0
+        assert servos.servo(9).memory.values["hardware_error_status"] == 0
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -311,7 +311,7 @@ class Hand:
         for part in np.linspace(self.q[name], q, 24):
             for servo in self.true.joint(name).servos:
                 ticks = servo.position(part) - servo.position(self.q[name])
-                back = -1.0 if self.servos.servo(servo.id).memory.get("drive_mode") & 1 else 1.0
+                back = -1.0 if self.servos.servo(servo.id).memory.values["drive_mode"] & 1 else 1.0
                 self.servos.servo(servo.id).rotate_by_hand(back * ticks)
             self.q[name] = float(part)
             sample()
@@ -370,7 +370,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     assert [j.zero_ticks for j in again.whole.joints] == [j.zero_ticks for j in made.whole.joints]
     # The same servos, from the side that does not know that they are simulated.
     wire = SimBus(servos)
-    with Arm(again, wire, servos.clock) as arm:
+    with Arm(again, wire) as arm:
         arm.enable()
         arm.park(dict.fromkeys(arm.joints[:1], 0.3))
     assert arm.exit_report is not None and arm.exit_report.ok
@@ -378,7 +378,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
 
 def test_an_arm_of_placeholders_gets_no_torque_on_real_servos() -> None:
     config, servos = arm_file("koch_v11"), servos_of("koch_v11")
-    with Arm(config, SimBus(servos), servos.clock) as arm:  # nobody says that these servos are simulated
+    with Arm(config, SimBus(servos)) as arm:  # nobody says that these servos are simulated
         assert arm.read().q.shape == (5,)  # looking is allowed
         with pytest.raises(ConfigError, match=r"placeholders.*\n.*servo calibrate") as caught:
             arm.enable()
@@ -486,9 +486,9 @@ def test_leaving_an_arm_never_touches_another_on_the_same_wire(
     servos, first, second = one_wire
     with closing(SimBus(servos)) as wire:
         wire.open()
-        with Arm(second, wire, servos.clock, virtual_bus=servos) as stays:
+        with Arm(second, wire, virtual_bus=servos) as stays:
             stays.enable()
-            with Arm(first, wire, servos.clock, virtual_bus=servos, on_exit=policy) as leaves:
+            with Arm(first, wire, virtual_bus=servos, on_exit=policy) as leaves:
                 leaves.enable()
                 stream(leaves, "joint1", 0.1)
                 stream(stays, "shoulder_pan", 0.1)
@@ -512,8 +512,8 @@ def test_a_fault_of_one_arm_on_a_shared_wire_is_none_of_the_other(
     with closing(SimBus(servos)) as wire:
         wire.open()
         with (
-            Arm(first, wire, servos.clock, virtual_bus=servos) as ours,
-            Arm(second, wire, servos.clock, virtual_bus=servos) as theirs,
+            Arm(first, wire, virtual_bus=servos) as ours,
+            Arm(second, wire, virtual_bus=servos) as theirs,
         ):
             ours.enable()
             theirs.enable()

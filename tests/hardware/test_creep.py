@@ -126,12 +126,12 @@ def test_yielding_is_decided_once_when_holding_begins():
         arm.enable()
         arm.send([0.0], 0.0)
         arm.hold()
-        goal = loaded.servos.servo(1).memory.get("goal_position")
+        goal = loaded.servos.servo(1).memory.values["goal_position"]
         for _ in range(30):
             arm.clock.sleep_until(arm.clock.now() + 0.5)
             arm.hold()
             arm.read()
-            assert loaded.servos.servo(1).memory.get("goal_position") == goal
+            assert loaded.servos.servo(1).memory.values["goal_position"] == goal
 
 
 def test_a_joint_that_is_pushed_away_yields_when_holding_begins(arm, stream, start):

@@ -13,8 +13,10 @@ import tty
 from types import SimpleNamespace
 
 import pytest
+from serial.tools import list_ports
 
 from robot_ik.errors import BusCorruptError, BusDisconnectedError, BusNotOpenError, BusTimeoutError
+from robot_ik.hardware import serial_port
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.serial_port import describe_failure
@@ -142,14 +144,13 @@ except BusNotOpenError as error:
         assert f"(process {os.getpid()})" in done.stdout  # by name: which program to close
 
 
-def test_permission_is_explained_and_the_ports_there_are_listed():
+def test_permission_is_explained_and_the_ports_there_are_listed(monkeypatch):
     ports = [SimpleNamespace(device="/dev/ttyUSB0", description="U2D2")]
-    error = describe_failure("/dev/ttyUSB1", PermissionError(errno.EACCES, "denied"), ports)
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    error = describe_failure("/dev/ttyUSB1", PermissionError(errno.EACCES, "denied"))
     assert "may not open" in str(error) and "dialout" in error.hint and "/dev/ttyUSB0 (U2D2)" in error.hint
-    assert (
-        "no serial port on this machine"
-        in describe_failure("x", FileNotFoundError(errno.ENOENT, ""), []).hint
-    )
+    ports.clear()
+    assert "no serial port on this machine" in describe_failure("x", FileNotFoundError(errno.ENOENT, "")).hint
 
 
 @pytest.mark.parametrize("baud", [57_600, 1_000_000, 4_000_000, 4_500_000])
@@ -245,10 +246,11 @@ def test_a_pulled_cable_is_said_at_once_and_closing_is_quiet(served, bus, arm_co
     bus.close()
 
 
-def test_a_cable_pulled_while_waiting_wakes_the_reader(scripted):
+def test_a_cable_pulled_while_waiting_wakes_the_reader(monkeypatch):
+    monkeypatch.setattr(serial_port, "RESPONSE_TIME", 5.0)
     master, slave = os.openpty()
     tty.setraw(slave)
-    bus = DynamixelBus(os.ttyname(slave), response_time=5.0)
+    bus = DynamixelBus(os.ttyname(slave))
     bus.open()
     os.close(slave)
     puller = threading.Timer(0.2, os.close, [master])

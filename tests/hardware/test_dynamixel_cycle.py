@@ -44,7 +44,7 @@ def test_each_servo_is_asked_for_its_own_register(any_bus, mixed, fast):
     assert places[1].address != places[2].address
     writes = {1: (places[1], 11), 2: (places[2], 22), 3: (GOAL, 5)}
     assert {id: s.data for id, s in any_bus.exchange(writes, places).items()} == {1: 11, 2: 22, 3: 300}
-    assert mixed.servo(3).memory.get("goal_position") == 5
+    assert mixed.servo(3).memory.values["goal_position"] == 5
     # the request alone tells a fast from a plain read: one status packet comes back instead of three
     before = any_bus.counters.bytes_received
     any_bus.exchange({}, places)

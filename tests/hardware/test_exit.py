@@ -163,7 +163,7 @@ def test_after_sigkill_the_bus_watchdog_stops_the_arm(served, child, arm_config)
     time.sleep(0.4)
     here = served.bus.true_angles(arm_config)
     assert torque(served) == [True] * 6  # it holds and does not release: nobody was left to ask
-    assert [servo.memory.get("bus_watchdog") for servo in served.bus.servos] == [-1] * 6
+    assert [servo.memory.values["bus_watchdog"] for servo in served.bus.servos] == [-1] * 6
     time.sleep(0.2)
     assert (served.bus.true_angles(arm_config) == here).all()
 
@@ -190,7 +190,7 @@ def kill_at_random(served, child, config, policy: str, rounds: int, seed: int) -
         assert said == (["interrupted", "True"] if code is None else ["exit", code, "True"]), said
         here = served.bus.true_angles(config)
         if policy == "hold":
-            assert [servo.memory.get("bus_watchdog") for servo in served.bus.servos] == [0] * 6
+            assert [servo.memory.values["bus_watchdog"] for servo in served.bus.servos] == [0] * 6
         if policy == "park" and not k % 2:  # an impatient second signal ends the parking
             assert np.abs(here - stood).max() < 0.02
     process.stdin.close()

@@ -88,11 +88,11 @@ def test_what_is_wrong_of_a_slide_is_said_with_its_key(
 
 def test_moves_of_the_arm_leave_the_gripper_where_it_is(desk_arm: Arm, robot: rik.Robot) -> None:
     servo = desk_arm.virtual_bus.servo(ID)
-    before = servo.memory.get("goal_position")
+    before = servo.memory.values["goal_position"]
     here = desk_arm.read().q
     assert here.shape == (6,) and desk_arm.joints == robot.joints and servo.torque
     rik.execute(rik.joint_move(robot, here, here + 0.2, speed=0.5), [desk_arm], source=desk_arm, settle=0.2)
-    assert servo.memory.get("goal_position") == before
+    assert servo.memory.values["goal_position"] == before
     assert desk_arm.positions()["finger_left"] == pytest.approx(0.009, abs=2e-5)
     with pytest.raises(UnsafeCommandError, match="6 angles, one for each of joint1"):
         desk_arm.send(np.zeros(7), desk_arm.clock.now())
@@ -105,7 +105,7 @@ def test_by_name_it_moves_within_its_limits_and_caps(desk_arm: Arm) -> None:
     for k in range(1, 61):
         desk_arm.clock.sleep_until(begin + 0.01 * k)
         desk_arm.send({"finger_left": -1.0}, desk_arm.clock.now())
-        goals.append(desk_arm.virtual_bus.servo(ID).memory.get("goal_position"))
+        goals.append(desk_arm.virtual_bus.servo(ID).memory.values["goal_position"])
     assert desk_arm.reports.clipped == {"finger_left": 60}
     assert np.abs(np.diff(goals)).max() <= 0.050 * 0.01 * 1e3 * TICKS_PER_MM + 1  # 50 mm/s
     assert goals[-1] == desk_arm.config.joint("finger_left").to_ticks(0.0)
@@ -251,7 +251,7 @@ def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction
             bus.advance()
             assert world.data.qpos[0] == pytest.approx(goal, abs=1e-4)
             assert arm.read().q[0] == pytest.approx(goal, abs=1e-4)
-            horn = (bus.servo(9).memory.get("goal_position") - 2048) * direction * 2 * math.pi / 4096
+            horn = (bus.servo(9).memory.values["goal_position"] - 2048) * direction * 2 * math.pi / 4096
             assert swing.distance(horn) == pytest.approx(goal, abs=finger.resolution)
             fastest = max(fastest, far / (arm.clock.now() - begin))
         assert fastest < 0.05  # the cap in metres a second holds at the finger

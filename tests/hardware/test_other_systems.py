@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import importlib.util
 import signal
 import sys
 from pathlib import Path
@@ -11,17 +12,16 @@ from typing import Any
 
 import pytest
 import serial
+from serial.tools import list_ports
 
 from robot_ik.cli.connection import served_or_serial_port
 from robot_ik.errors import BusNotOpenError
-from robot_ik.hardware import open_bus
-from robot_ik.hardware.bus import Counters
+from robot_ik.hardware import open_bus, watchdogs
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.ports import port_row, serial_ports, serial_row
 from robot_ik.hardware.serial_port import SleepingPortHandler, describe_failure
 from robot_ik.hardware.virtual.bus import VirtualBus
-from robot_ik.hardware.watchdogs import ending_signals
 
 WINDOWS, MAC = "win32", "darwin"
 
@@ -30,28 +30,42 @@ def listed(device: str, about: str = "USB Serial Port", vid: int | None = 0x0403
     return SimpleNamespace(device=device, description=about, vid=vid, pid=0x6014, serial_number="FT1")
 
 
-def test_ports_of_windows_and_mac_are_listed_without_those_of_the_board() -> None:
-    ports = [listed("COM10"), listed("COM3")]
-    assert [p.device for p in serial_ports(ports)] == ["COM3", "COM10"]
+def names_of(ports: list[Any], monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    monkeypatch.setattr(list_ports, "comports", lambda: ports)
+    return [port.device for port in serial_ports()]
+
+
+def test_ports_of_windows_and_mac_are_listed_without_those_of_the_board(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert names_of([listed("COM10"), listed("COM3")], monkeypatch) == ["COM3", "COM10"]
     mac = ["usbserial-FT1", "Bluetooth-Incoming-Port", "debug-console", "wlan-debug", "usbmodem1"]
-    found = [p.device for p in serial_ports(listed(f"/dev/cu.{name}") for name in mac)]
-    assert found == ["/dev/cu.usbmodem1", "/dev/cu.usbserial-FT1"]
+    assert names_of([listed(f"/dev/cu.{name}") for name in mac], monkeypatch) == [
+        "/dev/cu.usbmodem1",
+        "/dev/cu.usbserial-FT1",
+    ]
 
 
-def test_a_windows_port_is_no_file_and_its_latency_is_set_in_the_device_manager() -> None:
-    row = port_row(listed("COM3"), system=WINDOWS)
+def test_a_windows_port_is_no_file_and_its_latency_is_set_in_the_device_manager(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "platform", WINDOWS)
+    row = port_row(listed("COM3"))
     assert (row.usb, row.serial, row.stable, row.latency_ms) == ("0403:6014", "FT1", "", None)
     assert row.status == "note" and "Device Manager" in row.do and "permission" not in row.do
-    quiet = port_row(listed("COM4", vid=0x1A86), system=WINDOWS)
+    quiet = port_row(listed("COM4", vid=0x1A86))
     assert quiet.status == "ok" and quiet.do == ""
 
 
-def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(tmp_path: Path) -> None:
+def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", MAC)
     port = tmp_path / "cu.usbserial-FT1"
     port.touch()
-    row = serial_row(str(port), "USB", system=MAC, vendor=0x0403)
+    row = serial_row(str(port), "USB", vendor=0x0403)
     assert "16 ms" in row.found and "VCP" in row.do
-    gone = serial_row(str(tmp_path / "cu.other"), "USB", system=MAC)
+    gone = serial_row(str(tmp_path / "cu.other"), "USB")
     assert "no permission" in gone.found
 
 
@@ -60,24 +74,31 @@ def windows_error(name: str, number: int, text: str) -> serial.SerialException:
     return serial.SerialException(f"could not open port 'COM3': {name}({number}, '{text}', None, 5)")
 
 
-def test_who_has_the_port_already_is_refused_by_name_on_every_system() -> None:
+def test_who_has_the_port_already_is_refused_by_name_on_every_system(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(list_ports, "comports", lambda: [listed("COM3")])
     errors = {
         WINDOWS: windows_error("PermissionError", 13, "Access is denied."),
         MAC: serial.SerialException(errno.EBUSY, "could not open port /dev/cu.usbserial: Resource busy"),
         "linux": serial.SerialException("Could not exclusively lock port /dev/ttyUSB0: [Errno 11]"),
     }
     for system, error in errors.items():
-        failure = describe_failure("COM3", error, [listed("COM3")], system)
+        monkeypatch.setattr(sys, "platform", system)
+        failure = describe_failure("COM3", error)
         assert str(failure.args[0]).startswith("cannot open COM3: it is already open")
         assert "close the other program first" in failure.hint and "COM3 (USB" in failure.hint
 
 
-def test_missing_and_forbidden_ports_are_told_from_one_in_use() -> None:
+def test_missing_and_forbidden_ports_are_told_from_one_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", WINDOWS)
     gone = windows_error("FileNotFoundError", 2, "The system cannot find the file specified.")
-    assert "no such port" in str(describe_failure("COM9", gone, [], WINDOWS))
+    assert "no such port" in str(describe_failure("COM9", gone))
     denied = PermissionError(errno.EACCES, "Permission denied")
-    assert "dialout" in describe_failure("/dev/ttyUSB0", denied, [], "linux").hint
-    mac = describe_failure("/dev/tty.usb", denied, [], MAC).hint
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert "dialout" in describe_failure("/dev/ttyUSB0", denied).hint
+    monkeypatch.setattr(sys, "platform", MAC)
+    mac = describe_failure("/dev/tty.usb", denied).hint
     assert "/dev/cu." in mac and "dialout" not in mac
 
 
@@ -106,17 +127,19 @@ class WindowsPort:
         self.options = {}
 
 
-def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus) -> None:
+def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[WindowsPort] = []
 
     def make_serial(**options: Any) -> WindowsPort:
         made.append(WindowsPort(bus, **options))
         return made[-1]
 
-    def handler(name: str, baud: int, counters: Counters, response_time: float) -> SleepingPortHandler:
-        return SleepingPortHandler(name, baud, counters, response_time, posix=False, make_serial=make_serial)
+    class WindowsBus(DynamixelBus):
+        def _make_handler(self) -> SleepingPortHandler:
+            return SleepingPortHandler(self.port, self.baud, self.counters, posix=False)
 
-    driver = DynamixelBus("COM3", make_handler=handler)
+    monkeypatch.setattr(serial, "Serial", make_serial)
+    driver = WindowsBus("COM3")
     driver.open()
     assert (
         made[0].options["port"] == "COM3" and made[0].options["exclusive"] is None
@@ -154,11 +177,16 @@ def test_without_pseudo_terminals_the_bus_pty_names_sim(without_pty: None, arm_c
     open_bus("sim", arm_config).close()
 
 
-def test_signals_are_those_that_the_system_has() -> None:
-    windows = SimpleNamespace(SIGINT=2, SIGTERM=15, SIGBREAK=21)
-    assert ending_signals(windows) == (2, 15, 21)
+def test_signals_are_those_that_the_system_has(monkeypatch: pytest.MonkeyPatch) -> None:
     if sys.platform != "win32":
-        assert ending_signals() == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        assert watchdogs.SIGNALS == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    monkeypatch.delattr(signal, "SIGHUP", raising=False)
+    monkeypatch.setattr(signal, "SIGBREAK", 21, raising=False)
+    spec = importlib.util.find_spec("robot_ik.hardware.watchdogs")
+    assert spec is not None and spec.loader is not None
+    windows = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(windows)
+    assert windows.SIGNALS == (signal.SIGINT, signal.SIGTERM, 21)
 
 
 @pytest.mark.parametrize(("system", "folder"), [(WINDOWS, "AppData/Local"), (MAC, "Library/Caches")])

@@ -98,7 +98,7 @@ class Run:
                 step("close", self.arm.close)
 
     def register(self, name: str) -> list[int]:
-        return [servo.memory.get(name) for servo in self.servos.servos]
+        return [servo.memory.values[name] for servo in self.servos.servos]
 
 
 @pytest.fixture

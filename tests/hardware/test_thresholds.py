@@ -122,7 +122,7 @@ def test_without_thresholds_nothing_changes_on_the_wire(arm_config, stream, star
         arm.enable()
         stream(arm, [start] * 2)
         assert arm._cycle.feedback.asked() is arm._cycle.feedback.registers
-        assert arm.virtual_bus.servo(1).memory.get("indirect_address_6") == 229  # factory: itself
+        assert arm.virtual_bus.servo(1).memory.values["indirect_address_6"] == 229  # factory: itself
         sent, received = arm.bus.counters.bytes_sent, arm.bus.counters.bytes_received
         stream(arm, [start])
         assert arm.bus.counters.bytes_sent - sent == (14 + 6 * 5) + (14 + 6)

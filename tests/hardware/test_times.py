@@ -29,7 +29,7 @@ class WaitingPort(InProcessPort):
 
     def __init__(self, bus: VirtualBus, clock: VirtualClock, baud: int, counters: Counters) -> None:
         super().__init__(bus, "waiting", baud, counters)
-        self.seconds_per_byte, self.tx_time_per_byte = 10.0 / baud, 10_000.0 / baud
+        self.seconds_per_byte = 10.0 / baud
         self._clock = clock
 
     def _pass(self, seconds: float) -> None:
@@ -66,13 +66,13 @@ class WaitingPort(InProcessPort):
 def _arm(config: ArmConfig, start: Any) -> Arm:
     clock = VirtualClock()
     servos = VirtualBus.from_config(config, clock, start=start)
-    bus = DynamixelBus(
-        "waiting",
-        config.baud,
-        make_handler=lambda name, baud, counters, wait: WaitingPort(servos, clock, baud, counters),
-        now=clock.now,
-    )
-    arm = Arm(config, bus, clock=clock, virtual_bus=servos)
+
+    class WaitingBus(DynamixelBus):
+        def _make_handler(self) -> WaitingPort:
+            return WaitingPort(servos, clock, self.baud, self.counters)
+
+    bus = WaitingBus("waiting", config.baud, clock=clock)
+    arm = Arm(config, bus, virtual_bus=servos)
     arm.connect()
     arm.enable()
     return arm

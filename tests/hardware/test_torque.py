@@ -98,7 +98,7 @@ def test_an_arm_of_some_joints_never_writes_to_the_others(arm_config, servos, st
         servo.memory.set("torque_enable", 1)  # another program's
     for id in (5, 6):
         servos.servo(id).memory.set("torque_enable", 0)
-    with Arm(part, bus, servos.clock, virtual_bus=servos, on_exit=policy) as arm:
+    with Arm(part, bus, virtual_bus=servos, on_exit=policy) as arm:
         arm.enable()
         arm.park(start[4:] + 0.05)
     assert arm.exit_report.ok
@@ -111,7 +111,7 @@ def test_an_arm_of_some_joints_whose_enable_fails_leaves_the_others_alone(arm_co
     for servo in servos.servos[:4]:
         servo.memory.set("torque_enable", 1)
     bus = SpiedBus(servos)
-    arm = Arm(part, bus, servos.clock, virtual_bus=servos)
+    arm = Arm(part, bus, virtual_bus=servos)
     arm.connect()
     servos.servo(5).inject_error("overload")
     with pytest.raises(HardwareError):
@@ -208,7 +208,7 @@ def test_bus_watchdogs_are_disarmed_with_the_torque_so_that_the_next_goals_are_t
     with open_arm(arm_config, "sim", virtual_bus=servos, on_exit=policy) as arm:
         arm.enable()
         stream(arm, [start] * 3)
-    assert [servo.memory.get("bus_watchdog") for servo in servos.servos] == [0] * 6
+    assert [servo.memory.values["bus_watchdog"] for servo in servos.servos] == [0] * 6
     servos.clock.sleep_until(servos.clock.now() + 5.0)
     bus = SimBus(servos)
     bus.open()
@@ -222,7 +222,7 @@ def test_a_servo_that_did_not_confirm_keeps_its_watchdog(arm_config, servos, str
         arm.enable()
         stream(arm, [start] * 3)
         servos.servo(3).silent = True
-    armed = [servo.memory.get("bus_watchdog") != 0 for servo in servos.servos]
+    armed = [servo.memory.values["bus_watchdog"] != 0 for servo in servos.servos]
     assert armed == [False, False, True, False, False, False]
 
 

@@ -25,7 +25,7 @@ def arm(arm_config, start):
 
 def bus_watchdogs(arm):
     assert all(servo.torque for servo in arm.virtual_bus.servos)  # a servo sees the time when it is looked at
-    return [servo.memory.get("bus_watchdog") for servo in arm.virtual_bus.servos]
+    return [servo.memory.values["bus_watchdog"] for servo in arm.virtual_bus.servos]
 
 
 def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm, stream, smooth, start):

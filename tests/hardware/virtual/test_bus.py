@@ -67,7 +67,7 @@ def test_nobody_answers(bus: VirtualBus, packet: bytes) -> None:
 
 def test_broadcast_write_reaches_all(bus: VirtualBus) -> None:
     bus.handle(build(254, I.WRITE, _word(65) + b"\x01"))
-    assert [s.memory.get("led") for s in bus.servos] == [1, 1, 1]
+    assert [s.memory.values["led"] for s in bus.servos] == [1, 1, 1]
 
 
 def test_sync_and_bulk_write_reach_those_named(bus: VirtualBus) -> None:
@@ -80,7 +80,7 @@ def test_sync_and_bulk_write_reach_those_named(bus: VirtualBus) -> None:
         )
     )
     got = {
-        s.id: (s.memory.get("goal_position"), s.memory.get("profile_velocity"), s.memory.get("led"))
+        s.id: (s.memory.values["goal_position"], s.memory.values["profile_velocity"], s.memory.values["led"])
         for s in bus.servos
     }
     assert got == {1: (150, 0, 1), 2: (170, 0, 0), 3: (300, 7, 0)}
@@ -88,7 +88,7 @@ def test_sync_and_bulk_write_reach_those_named(bus: VirtualBus) -> None:
 
 def test_a_sync_write_with_lengths_that_do_not_add_up_is_ignored(bus: VirtualBus) -> None:
     bus.handle(build(254, I.SYNC_WRITE, _word(116) + _word(4) + b"\x01" + _int(150) + b"\x02\x01"))
-    assert bus.servo(1).memory.get("goal_position") == 100
+    assert bus.servo(1).memory.values["goal_position"] == 100
 
 
 def test_bulk_read_may_ask_each_for_something_else(
@@ -146,7 +146,7 @@ def test_status_return_level(bus: VirtualBus, level: int, answered: list[Instruc
     assert [i for i in params if bus.handle(build(1, i, params[i]))] == answered
     fast = [build(254, i, _word(132) + _word(4) + b"\x01") for i in (I.SYNC_READ, I.FAST_SYNC_READ)]
     assert all(bool(bus.handle(f)) == (level > 0) for f in fast)
-    assert bus.servo(1).memory.get("led") == 1  # obeyed, answered or not
+    assert bus.servo(1).memory.values["led"] == 1  # obeyed, answered or not
 
 
 def test_unknown_instruction_and_bad_checksum_are_answered_with_their_error(bus: VirtualBus) -> None:
@@ -154,17 +154,17 @@ def test_unknown_instruction_and_bad_checksum_are_answered_with_their_error(bus:
     spoiled = bytearray(build(1, I.WRITE, _word(65) + b"\x01"))
     spoiled[-3] = 0
     assert bus.handle(bytes(spoiled)) == build_status(1, 3)
-    assert bus.servo(1).memory.get("led") == 0
+    assert bus.servo(1).memory.values["led"] == 0
     assert bus.handle(build(1, I.ACTION)) == build_status(1, 2)
 
 
 def test_reg_write_and_action(bus: VirtualBus) -> None:
     params = _word(65) + b"\x01"
     assert bus.handle(build(1, I.REG_WRITE, params)) == build_status(1, 0)
-    assert bus.servo(1).memory.get("registered_instruction") == 1
-    assert bus.servo(1).memory.get("led") == 0
+    assert bus.servo(1).memory.values["registered_instruction"] == 1
+    assert bus.servo(1).memory.values["led"] == 0
     bus.handle(build(254, I.ACTION))
-    assert (bus.servo(1).memory.get("led"), bus.servo(1).memory.get("registered_instruction")) == (1, 0)
+    assert (bus.servo(1).memory.values["led"], bus.servo(1).memory.values["registered_instruction"]) == (1, 0)
 
 
 def test_a_broadcast_factory_reset_of_everything_is_ignored(bus: VirtualBus) -> None:
@@ -185,7 +185,7 @@ def test_a_new_id_is_answered_under_the_old_and_heard_under_the_new(
 def test_a_secondary_id_is_obeyed_in_silence(bus: VirtualBus) -> None:
     bus.servo(1).memory.set("secondary_id", 50)
     assert bus.handle(build(50, I.WRITE, _word(65) + b"\x01")) == b""
-    assert bus.servo(1).memory.get("led") == 1
+    assert bus.servo(1).memory.values["led"] == 1
 
 
 def test_servos_with_one_id_talk_over_each_other(

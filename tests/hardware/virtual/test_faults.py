@@ -21,7 +21,8 @@ PRESENT = CONTROL_TABLES["XM430-W350"]["present_position"]
 
 
 def test_zero_offset_is_seen_by_nobody_on_the_bus(make_bench: Callable[..., Any]) -> None:
-    bench = make_bench(zero_offset_ticks=22.75)
+    bench = make_bench()
+    bench.servo.zero_offset_ticks = 22.75
     assert bench.read("present_position") == 2048
     bench.set(torque_enable=1, goal_position=3000)
     bench.wait(5.0)
@@ -51,7 +52,7 @@ def test_from_config_stands_at_the_start(arm_config: ArmConfig, clock: VirtualCl
     bus = VirtualBus.from_config(arm_config, clock, start)
     for joint, q, servo in zip(arm_config.joints, start, bus.servos, strict=True):
         assert servo.id == joint.id and servo.table.model == joint.model
-        assert servo.memory.get("operating_mode") == joint.mode
+        assert servo.memory.values["operating_mode"] == joint.mode
         assert servo.baud == arm_config.baud
         assert not servo.torque
         assert servo.reading == joint.to_ticks(q)

@@ -152,7 +152,7 @@ def test_a_client_that_never_reads_does_not_stop_the_bus(pty: PtyPort, arm_bus: 
         for _ in range(3000):
             deaf.write(build(1, Instruction.PING))
         deaf.write(build(254, Instruction.WRITE, b"\x41\x00\x01"))  # LED of all
-        wait_for(lambda: arm_bus.servo(1).memory.get("led") == 1)
+        wait_for(lambda: arm_bus.servo(1).memory.values["led"] == 1)
     for port in _open(pty):
         assert SDK.ping(port, 1)[1] == COMM_SUCCESS
 

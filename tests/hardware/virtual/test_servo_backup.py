@@ -33,13 +33,13 @@ def test_the_manual_s_packet_stores_and_its_sibling_restores() -> None:
     memory.set("position_p_gain", 777)
     memory.set("return_delay_time", 3)
     assert bus.handle(STORE) == build_status(1, 0)
-    assert memory.get("backup_ready") == 1
+    assert memory.values["backup_ready"] == 1
     memory.set("return_delay_time", 99)
     memory.set("position_p_gain", 1)
     assert bus.handle(RESTORE) == build_status(1, 0)
-    assert memory.get("return_delay_time") == 3
+    assert memory.values["return_delay_time"] == 3
     # EEPROM only, and then a reboot: gains are at their defaults again, the backup is still there.
-    assert (memory.get("position_p_gain"), memory.get("backup_ready")) == (900, 1)
+    assert (memory.values["position_p_gain"], memory.values["backup_ready"]) == (900, 1)
 
 
 def test_no_backup_with_torque_and_none_to_restore() -> None:
@@ -131,4 +131,4 @@ def test_factory_reset_keeps_what_it_is_told_to(option: int, kept: tuple[int, in
     reply = bus.handle(build(7, Instruction.FACTORY_RESET, bytes([option])))
     assert reply == build_status(7, 0)
     memory = bus.servos[0].memory
-    assert (memory.get("id"), memory.get("baud_rate")) == kept
+    assert (memory.values["id"], memory.values["baud_rate"]) == kept
