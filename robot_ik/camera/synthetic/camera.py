@@ -24,7 +24,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import ClosingSource, Frame
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
-from robot_ik.camera.synthetic.scene import Lights, SceneTable
+from robot_ik.camera.synthetic.scene import Lights, SceneTable, still_picture
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -237,7 +237,7 @@ class SyntheticSource(ClosingSource):
         scene, q = self.scene, np.array(self._true_q(), dtype=float)
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
-        light, painted = self._camera().expose(scene.robot.qpos(q), sheets, self._quality)
+        light, _, painted = self._camera().expose(scene.robot.qpos(q), self._quality, sheets)
         frame = Frame(self._develop(light, noise), now, self._sequence, self._truth(q, poses, painted))
         self._sequence += 1
         return frame
@@ -245,13 +245,12 @@ class SyntheticSource(ClosingSource):
     def _camera(self) -> Photographer:
         if self._photographer is None:
             scene = self.scene
-            pose, robot = scene.pose_world_camera, scene.robot
+            pose, lens = scene.pose_world_camera, scene.intrinsics
             distance = _subject_distance(scene)
             x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
             lights = scene.lights or Lights.beside(pose, distance)
-            self._photographer = Photographer(
-                robot.model, scene.intrinsics, pose, scene.table, lights, (x, y, z)
-            )
+            still = still_picture(lens, pose, scene.table, lights, (x, y, z))
+            self._photographer = Photographer(scene.robot.model, lens, pose, lights, still)
         return self._photographer
 
     def _develop(self, light: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.uint8]:
