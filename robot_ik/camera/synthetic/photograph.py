@@ -144,7 +144,7 @@ class Photographer:
     def expose(
         self, qpos: ArrayLike, quality: Quality, sheets: Sequence[PlacedPrint] = ()
     ) -> tuple[Float32, RobotLayer | None, list[SeenPrint | None]]:
-        """The light on the sensor (h, w, 3), 1 is white; the robot in it; each sheet as it fell on the pixels.
+        """The light on the sensor (h, w, 3), 1 is white; the robot in it; each sheet as it fell on pixels.
 
         ``qpos`` is the true configuration (model.nq,).
         """
