@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -135,32 +133,9 @@ def sphere(size: Array, count: int) -> GeomMesh:
     return _lathe(size[0] * _arc(np.linspace(-np.pi / 2, np.pi / 2, count // 2 + 1), count), count)
 
 
-def _density(long: float, wide: float) -> tuple[Array, Array]:
-    """Latitudes (k,) and how many steps of a ball's outline are needed up to each, of those of one as wide.
-
-    An outline falls short by its distance from the centre times the square of the step: steps are short where
-    that is far.
-    """
-    t = np.linspace(-np.pi / 2, np.pi / 2, 181)
-    distance = 1.0 / np.sqrt(np.cos(t) ** 2 + (np.sin(t) * wide / long) ** 2)
-    need = np.sqrt(distance)
-    return t, np.concatenate([[0.0], np.cumsum(0.5 * (need[1:] + need[:-1])) / 180.0])
-
-
-def lathe_axis(size: Array) -> int:
-    """Axis about which an ellipsoid is turned with the fewest faces."""
-    wide = [max(size[(k + 1) % 3], size[(k + 2) % 3]) for k in range(3)]
-    return int(np.argmin([w * _density(size[k], w)[1][-1] for k, w in enumerate(wide)]))
-
-
 def _ellipsoid(size: Array, count: int) -> GeomMesh:
-    axis = lathe_axis(size)
-    rolled = np.roll(size, -1 - axis)
-    t, need = _density(rolled[2], max(rolled[0], rolled[1]))
-    rings = 2 * max(2, int(np.ceil(count / 4 * need[-1] - 1e-9)))
-    angles = np.interp(np.linspace(0.0, need[-1], rings + 1), need, t)
-    unit = _lathe(_arc(angles, count), count)
-    return GeomMesh(np.roll(unit.vertices * rolled, 1 + axis, axis=1), unit.faces)
+    unit = sphere(np.ones(1), count)
+    return GeomMesh(unit.vertices * size, unit.faces)
 
 
 def _capsule(size: Array, count: int) -> GeomMesh:
@@ -240,13 +215,11 @@ _ROUND: dict[int, Callable[[Array, int], GeomMesh]] = {
 
 
 def round_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Radius in metres of a round primitive across the axis about which it is turned; 0 for all else."""
-    kind, size = int(model.geom_type[geom]), np.array(model.geom_size[geom], dtype=float)
+    """Radius in metres of a round primitive, the largest of an ellipsoid; 0 for all else."""
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
     if kind not in _ROUND:
         return 0.0
-    if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
-        return float(np.delete(size, lathe_axis(size)).max())
-    return float(size[0])
+    return float(size.max() if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID) else size[0])
 
 
 def outline_error(model: mujoco.MjModel, geom: int) -> float:
@@ -370,7 +343,9 @@ def _corner_normals(faces: Index, normals: Array) -> Array:
 _NOTHING = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
 
 
-def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
+# Of several models, with several levels of detail.
+@lru_cache(maxsize=64)
+def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
     """Stacks the faces of all visible geoms of ``model``; see ``ModelMesh``.
 
     ``segments``: of each geom of the model, faces round a round one; usual numbers when not given.
@@ -402,54 +377,30 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is kept of a model; the model too, so that its id stays its own as long as this lives."""
+    """What is kept of a model for drawing."""
 
-    model: Any
     data: mujoco.MjData
     # segments of each geom where a metre is a pixel, its extents across its z axis and along it
     needed: Array
     radius: Array
     reach: Array
     parts: dict[tuple[int, int], GeomMesh]
-    meshes: OrderedDict[tuple[bool, Segments], ModelMesh]
 
 
-_CACHE: OrderedDict[int, _Kept] = OrderedDict()
-# Models, and levels of detail of each.
-_MODELS, _LEVELS = 8, 24
-
-
+@lru_cache(maxsize=8)
 def _kept(model: mujoco.MjModel) -> _Kept:
-    if id(model) not in _CACHE:
-        geoms = range(model.ngeom)
-        error = np.array([round_radius(model, g) * outline_error(model, g) for g in geoms])
-        needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
-        size, kind = np.asarray(model.geom_size).reshape(-1, 3), np.asarray(model.geom_type)
-        long = np.isin(kind, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
-        ball = kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-        radius = np.where(ball, size.max(axis=1), size[:, 0]) * (error > 0)
-        reach = np.where(long, size[:, 1], 0.0)
-        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), needed, radius, reach, {}, OrderedDict())
-        while len(_CACHE) > _MODELS:
-            _CACHE.popitem(last=False)
-    _CACHE.move_to_end(id(model))
-    return _CACHE[id(model)]
+    geoms = range(model.ngeom)
+    radius = np.array([round_radius(model, g) for g in geoms])
+    error = radius * [outline_error(model, g) for g in geoms]
+    needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
+    long = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
+    reach = np.where(long, np.asarray(model.geom_size).reshape(-1, 3)[:, 1], 0.0)
+    return _Kept(mujoco.MjData(model), needed, radius, reach, {})
 
 
 def scratch_data(model: mujoco.MjModel) -> mujoco.MjData:
     """A ``MjData`` kept with the model for drawing."""
     return _kept(model).data
-
-
-def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
-    """``build_mesh``, kept for the last few models and levels of detail."""
-    meshes, key = _kept(model).meshes, (planes, segments)
-    if key not in meshes:
-        meshes[key] = build_mesh(model, planes=planes, segments=segments)
-        while len(meshes) > _LEVELS:
-            meshes.popitem(last=False)
-    meshes.move_to_end(key)
-    return meshes[key]
 
 
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:
