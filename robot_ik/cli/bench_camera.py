@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from rich.text import Text
 from tyro.conf import arg
 
-from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Quantity, Row
+from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import several, wrong
 from robot_ik.environment import import_mujoco
@@ -100,11 +99,11 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
                 one.quantity,
                 one.measured_text,
                 one.wanted_text,
-                _verdict(one),
+                console.verdict_mark(one.passed),
             )
         if row.name in found.unmeasured:
             why = f"not measured: {found.unmeasured[row.name]}"
-            shown.add_row(row.name, why, "", "", Text("FAIL", style="bold red"))
+            shown.add_row(row.name, why, "", "", console.verdict_mark(False))
     console.out().print(shown)
     missed = sum(one.passed is False for figures in found.figures.values() for one in figures)
     every = sum(one.passed is not None for figures in found.figures.values() for one in figures)
@@ -113,12 +112,6 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
         + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
         + ("" if found.complete else "; not all measured")
     )
-
-
-def _verdict(one: Quantity) -> Text:
-    if one.passed is None:
-        return Text("")
-    return Text("pass", style="green") if one.passed else Text("FAIL", style="bold red")
 
 
 def _write(path: Path, found: MeasuredRows, effort: Effort) -> None:

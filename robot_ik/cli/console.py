@@ -232,9 +232,11 @@ def facts(*rows: tuple[object, object]) -> Table:
     return made
 
 
-def verdict_mark(passed: bool) -> Text:
-    """Of a row that is as wanted, or not."""
-    return Text("yes", style="green") if passed else Text("NO", style="bold red")
+def verdict_mark(passed: bool | None) -> Text:
+    """Of a row that is as wanted, or not; empty where nothing is."""
+    if passed is None:
+        return Text("")
+    return Text("pass", style="green") if passed else Text("FAIL", style="bold red")
 
 
 class _ClockColumn(BarColumn):

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
+from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body
@@ -513,7 +514,7 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
         yield Quantity(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
         yield Quantity(f"{name}: optical centre, off by", max(centre), "px", 2.0)
         yield Quantity(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
-        yield Quantity(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
+        yield Quantity(f"{name}: views in which the board was found", min(counted), "", least=_VIEWS)
 
 
 def handeye(effort: Effort) -> Iterator[Quantity]:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.bench.camera import Effort, Quantity
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.camera.accuracy import factor, frame_of, rms
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
@@ -92,7 +93,7 @@ def offsets(effort: Effort) -> Iterator[Quantity]:
         every = np.degrees(np.concatenate(off))
         yield Quantity(f"{case.text}: joint zeros, RMS", rms(every), "°", 0.1)
         yield Quantity(f"{case.text}: joint zeros, worst", float(every.max()), "°", 0.1)
-        yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", case.joints, at_least=True)
+        yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", least=case.joints)
     yield Quantity(
         "stated uncertainty of joint zeros off by a factor of", factor(rms(np.concatenate(ratios))), "", 2.0
     )
@@ -231,7 +232,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         ("camera by a sheet", "camera by the arm's views", "joint zeros"), nees, strict=True
     ):
         yield Quantity(f"{what}, squared error over the stated", value, "", _NEES_RANGE[1])
-        yield Quantity(f"{what}, the same, at least", value, "", _NEES_RANGE[0], at_least=True)
+        yield Quantity(f"{what}, the same, at least", value, "", least=_NEES_RANGE[0])
     off = np.degrees(np.concatenate([one for _, one in found]))
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")

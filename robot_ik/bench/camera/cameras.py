@@ -12,8 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Quantity
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.camera.accuracy import frame_of, rms
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.datasets import (
@@ -167,7 +168,7 @@ def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quan
         yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
     nees = float(np.mean(errors.nees))
     yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES[1])
-    yield Quantity(f"{what}, the same, at least", nees, "", _NEES[0], at_least=True)
+    yield Quantity(f"{what}, the same, at least", nees, "", least=_NEES[0])
     yield Quantity(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
         yield Quantity(

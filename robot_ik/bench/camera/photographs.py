@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
+from robot_ik.bench.camera import Effort, NotMeasuredError
 from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.detection import largest_dictionaries, to_gray
