@@ -16,8 +16,8 @@ from robot_ik.bench.methods.problems import (
     Judge,
     ProblemSet,
     make_set,
-    plain_mjcf,
 )
+from robot_ik.bench.peers.tasks import plain_mjcf
 from robot_ik.chain import make_chain, robot_from_model
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.robot import Robot, load_robot
