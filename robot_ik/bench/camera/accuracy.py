@@ -461,10 +461,44 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
+@dataclass(frozen=True)
+class JudgedMisses:
+    """How far drawings lie off; ``limits`` of RMS and worst, None: they are reported, not judged."""
+
+    what: str
+    misses: Misses
+    limits: tuple[float, float] | None
+
+    @property
+    def good(self) -> bool:
+        return all(one.passed is not False for one in self.quantities())
+
+    def quantities(self) -> tuple[Quantity, Quantity]:
+        """RMS and worst."""
+        rms_limit, worst_limit = self.limits or (None, None)
+        return (
+            Quantity(f"{self.what}, RMS", self.misses.rms, "px", rms_limit),
+            Quantity(f"{self.what}, worst", self.misses.worst, "px", worst_limit),
+        )
+
+
+def _spheres(artist: Artist, seed: int) -> Iterator[JudgedMisses]:
+    for kind, (lens, *limits) in _WANTED.items():
+        misses = projection_identity(artist, lens, seed=seed)
+        yield JudgedMisses(f"{artist.name} against projectPoints, {kind}", misses, (limits[0], limits[1]))
+
+
+def _overlays(count: int, seed: int) -> Iterator[JudgedMisses]:
+    for distance in _OVERLAY_DISTANCES:
+        misses = overlay_error(distance, count, seed=seed)
+        yield JudgedMisses(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+
+
 def projection(effort: Effort) -> Iterator[Quantity]:
     """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
     for name in ("painter", "ray"):
-        yield from _identity(make_artist(name)[0], effort)
+        for row in _spheres(make_artist(name)[0], effort.seed):
+            yield from row.quantities()
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:
@@ -476,24 +510,14 @@ def gl_projection(effort: Effort) -> Iterator[Quantity]:
     artist, notice = make_artist("gl")
     if notice:
         raise NotMeasuredError(notice)
-    yield from _identity(artist, effort)
-
-
-def _identity(artist: Artist, effort: Effort) -> Iterator[Quantity]:
-    for kind, (lens, wanted, worst) in _WANTED.items():
-        misses = projection_identity(artist, lens, seed=effort.seed)
-        what = f"{artist.name} against projectPoints, {kind}"
-        yield Quantity(f"{what}, RMS", misses.rms, "px", wanted)
-        yield Quantity(f"{what}, worst", misses.worst, "px", worst)
+    for row in _spheres(artist, effort.seed):
+        yield from row.quantities()
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for distance in _OVERLAY_DISTANCES:
-        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
-        what = f"overlay on a 2×2 board at {distance} m"
-        yield Quantity(f"{what}, RMS", misses.rms, "px", _OVERLAY_WANTED[0])
-        yield Quantity(f"{what}, worst", misses.worst, "px", _OVERLAY_WANTED[1])
+    for row in _overlays(effort.count(60), effort.seed):
+        yield from row.quantities()
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:
@@ -537,36 +561,19 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
 # ``robot-ik ar --self-test``: the drawings' rows in brief.
 
 
-@dataclass(frozen=True)
-class SelfTestRow:
-    """One figure of the self-test; ``limits`` of RMS and worst, None: it is reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        misses, limits = self.misses, self.limits
-        return limits is None or (misses.rms <= limits[0] and misses.worst <= limits[1])
-
-
-def self_test(progress: Progress) -> tuple[list[SelfTestRow], str]:
+def self_test(progress: Progress) -> tuple[list[JudgedMisses], str]:
     """All figures, and one line where OpenGL is missing; empty: it is there."""
     rows, notice = [], ""
     for k, name in enumerate(("painter", "ray", "gl")):
         progress(name, 2 * k / 9)
         artist, missing = make_artist(name)
         notice = missing or notice
-        for kind, (lens, *limits) in {} if missing else _WANTED.items():
-            misses = projection_identity(artist, lens)
-            rows.append(SelfTestRow(f"{name}: spheres, {kind}", misses, (limits[0], limits[1])))
+        if not missing:
+            rows += _spheres(artist, 3)
         getattr(artist, "close", lambda: None)()
-    for k, distance in enumerate(_OVERLAY_DISTANCES):
-        progress("board", (6 + k) / 9)
-        what = f"robot on a 2 x 2 board at {distance:g} m"
-        rows.append(SelfTestRow(what, overlay_error(distance), _OVERLAY_WANTED))
+    progress("board", 6 / 9)
+    rows += _overlays(20, 0)
     progress("delay", 8 / 9)
     for name, misses in latency_errors().items():
-        rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
+        rows.append(JudgedMisses(f"66 ms behind a moving hand: {name}", misses, None))
     return rows, notice
