@@ -127,7 +127,7 @@ def _boards(
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
     for number in range(effort.count(count)):
-        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
+        pose = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
         placed = {i: (s, pose.compose(on)) for i, (s, on) in layout.items()}
         cover = _half(pose, size, rng) if hidden else None
         image = render_markers(
@@ -339,7 +339,7 @@ def overlay_error(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
     watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
     points, offsets = robot_points(seed), []
     for number in range(count):
-        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
+        pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
         seen = watcher.see(_photograph(pose, rng, number, 0.0))
         if seen is None:
             continue
@@ -563,7 +563,8 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
 
 def self_test(progress: Progress) -> tuple[list[JudgedMisses], str]:
     """All figures, and one line where OpenGL is missing; empty: it is there."""
-    rows, notice = [], ""
+    rows: list[JudgedMisses] = []
+    notice = ""
     for k, name in enumerate(("painter", "ray", "gl")):
         progress(name, 2 * k / 9)
         artist, missing = make_artist(name)

@@ -109,9 +109,7 @@ def measured(
     for distance in distances:
         rng = np.random.default_rng([seed, round(1e3 * distance), board])
         for number in range(count):
-            pose, _ = random_pose(
-                STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
-            )
+            pose = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE)
             placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
             begun, lights = rng.bit_generator.state, {}
             for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall

@@ -11,9 +11,10 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, Protocol
 
 import cv2
+import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -28,7 +29,6 @@ from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Clock
-from robot_ik.robot import Robot
 
 Array = NDArray[np.float64]
 
@@ -66,6 +66,21 @@ _VISIBLE_PART = 0.02
 _MARGIN_CELLS = 1.5
 # Brightness lost in the corners of the picture.
 _VIGNETTE = 0.10
+
+
+class SceneRobot(Protocol):
+    """What of ``robot_ik.robot.Robot`` the camera needs; objects without joints have it, too."""
+
+    @property
+    def model(self) -> mujoco.MjModel: ...
+
+    def qpos(self, q: Array) -> Array:
+        """Full (model.nq,) of the active joints' ``q``."""
+        ...
+
+    def forward(self, q: Array, frame: str | None = None) -> Pose:
+        """Pose of a frame in the world."""
+        ...
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
@@ -119,7 +134,7 @@ class SyntheticMarker:
         cells = len(marker_bits(self.dictionary, self.id))
         return _MARGIN_CELLS * self.size / cells if self.margin is None else self.margin
 
-    def pose_world(self, robot: Robot, q: Array, now: float) -> Pose:
+    def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
         """Where it is when the robot stands at ``q`` and the time is ``now``."""
         pose = self.pose(now) if callable(self.pose) else self.pose
         return pose if self.frame is None else robot.forward(q, self.frame).compose(pose)
@@ -138,7 +153,7 @@ class SyntheticScene:
         lights: Lamp and ceiling; placed beside the camera when not given.
     """
 
-    robot: Robot
+    robot: SceneRobot
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
 from typing import Any
 from urllib.parse import parse_qsl
@@ -51,13 +51,11 @@ class MarkerView:
         image: (height, width) uint8.
         corners: (4, 2) true corners in distorted pixels, in the order of the detector.
         pose: True ``pose_camera_marker``.
-        tilt: Angle in rad between the marker's z axis and the way to the camera.
     """
 
     image: Image
     corners: Array
     pose: Pose
-    tilt: float
 
 
 def render_marker(
@@ -171,8 +169,11 @@ def random_pose(
     *,
     size: float = STANDARD_SIZE,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
-) -> tuple[Pose, float]:
-    """Random ``pose_camera_marker`` at depth ``distance``, all of its paper in view; and its tilt in rad."""
+) -> Pose:
+    """Random ``pose_camera_marker`` at depth ``distance``, all of its paper in view.
+
+    ``tilt_deg`` is the range of angles between the marker's z axis and the way to the camera.
+    """
     margin = 4.0
     while True:
         tilt = np.deg2rad(rng.uniform(*tilt_deg))
@@ -189,7 +190,7 @@ def random_pose(
         pose = Pose(position, rotation.wxyz)
         outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN))))
         if (outline > margin).all() and (outline < np.array(camera.size) - 1 - margin).all():
-            return pose, float(tilt)
+            return pose
 
 
 def standard_set(
@@ -199,7 +200,6 @@ def standard_set(
     seed: int = 0,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 7,
-    size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
     sensor: SensorModel = LINEAR,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
@@ -211,11 +211,9 @@ def standard_set(
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
-        pose, tilt = random_pose(camera, rng, distance, size=size, tilt_deg=tilt_deg)
-        image = render_marker(
-            camera, pose, rng, size=size, dictionary=dictionary, marker_id=marker_id, sensor=sensor
-        )
-        yield MarkerView(image, camera.project(pose.apply(marker_points(size))), pose, tilt)
+        pose = random_pose(camera, rng, distance, tilt_deg=tilt_deg)
+        image = render_marker(camera, pose, rng, dictionary=dictionary, marker_id=marker_id, sensor=sensor)
+        yield MarkerView(image, camera.project(pose.apply(marker_points(STANDARD_SIZE))), pose)
 
 
 # ------------------------------------------------------------------------------------------
@@ -476,7 +474,7 @@ def open_moving(text: str) -> MovingSource:
 
 
 def _moving_options(query: str) -> MovingOptions:
-    known = {field.name: type(field.default) for field in fields(MovingOptions)}
+    known = {name: type(value) for name, value in asdict(MovingOptions()).items()}
     given: dict[str, Any] = {}
     for key, value in parse_qsl(query, keep_blank_values=True):
         if key not in known:
