@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
@@ -18,7 +17,7 @@ from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
-# Who says whether a solve succeeded: MuJoCo's forward pass and the model's own joint ranges.
+# Who says whether a solve succeeded: MuJoCo's forward pass (``Robot.measure``) and the robot's limits.
 
 
 #: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
@@ -30,45 +29,6 @@ def apart(a: Array, b: Array) -> tuple[float, float]:
     # The chord between the rotations: exact near zero, where an arc cosine is not.
     chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), 2.0 * math.asin(min(1.0, chord))
-
-
-class Judge:
-    """Measures solutions for one frame of a robot; nothing of the solvers' own code is asked."""
-
-    def __init__(self, robot: Robot, frame: str | None = None) -> None:
-        self._robot, self._at = robot, robot.frame(frame)
-        self._data = mujoco.MjData(robot.model)
-        self._local = self._at.local.matrix
-
-    def pose(self, q: Array) -> Array:
-        """(4, 4) pose of the frame in the world at ``q`` (nq,)."""
-        self._data.qpos[:] = self._robot.qpos(q)
-        mujoco.mj_kinematics(self._robot.model, self._data)
-        body = np.eye(4)
-        body[:3, :3] = self._data.xmat[self._at.body].reshape(3, 3)
-        body[:3, 3] = self._data.xpos[self._at.body]
-        return np.asarray(body @ self._local)
-
-    def miss(self, q: Array, target: Array) -> tuple[float, float]:
-        """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
-        return apart(self.pose(q), target)
-
-    def inside(self, q: Array) -> bool:
-        """Whether every active joint is inside the range that the model gives it."""
-        model, qpos = self._robot.model, self._robot.qpos(q)
-        for joint in self._robot.tree.joint_ids:
-            if not model.jnt_limited[joint]:
-                continue
-            low, high = model.jnt_range[joint]
-            start = int(model.jnt_qposadr[joint])
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
-                angle = 2.0 * math.atan2(float(np.linalg.norm(qpos[start + 1 : start + 4])), abs(qpos[start]))
-                outside = angle > high + SLACK
-            else:
-                outside = not low - SLACK <= qpos[start] <= high + SLACK
-            if outside:
-                return False
-        return True
 
 
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
@@ -121,8 +81,7 @@ def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
 
 
 def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:
-    judge = Judge(robot, frame)
-    targets = np.array([judge.pose(q) for q in witnesses]).reshape(-1, 4, 4)
+    targets = np.array([robot.measure(q, frame).matrix for q in witnesses]).reshape(-1, 4, 4)
     return ProblemSet(
         name,
         frame,
@@ -165,12 +124,11 @@ def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> Pr
 def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
     """Poses outside the ball that the frame cannot leave: nothing can reach them."""
     ball = robot.reach(frame)
-    judge = Judge(robot, frame)
     targets = []
     for _ in range(count if ball is not None else 0):
         assert ball is not None
         centre, radius = ball
-        pose = judge.pose(robot.sample(rng))
+        pose = robot.measure(robot.sample(rng), frame).matrix
         direction = pose[:3, 3] - centre
         pose[:3, 3] = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(*BEYOND)
         targets.append(pose)
@@ -238,14 +196,14 @@ def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
 
 def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
     """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
-    path, judge = _path(robot, rng), Judge(robot, frame)
+    path = _path(robot, rng)
     t, dt = 0.0, 0.02
-    pose, first = judge.pose(path(0.0)), path(0.0)
+    pose, first = robot.measure(path(0.0), frame).matrix, path(0.0)
     targets: list[Array] = []
     witnesses: list[Array] = []
     while len(targets) < count:
         for _ in range(60):  # until the step is just as long as it may be
-            there = judge.pose(path(t + dt))
+            there = robot.measure(path(t + dt), frame).matrix
             ratio = _step(pose, there)
             if 0.98 < ratio <= 1.0:
                 break

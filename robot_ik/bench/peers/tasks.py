@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set
+from robot_ik.bench.methods.problems import ProblemSet, make_set
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.files import make_folder, plain, write_atomically
 from robot_ik.geometry import Pose
@@ -82,8 +82,7 @@ def _poses(robot: Robot, count: int, seed: int) -> dict[str, Array]:
         angles = np.array([robot.sample(rng) for _ in range(max(count // 10, _PROBES))])
         for joint, angle in fixed.items():
             angles[:, robot.joints.index(joint)] = angle
-        judge = Judge(robot)
-        found[f"{kind}_targets"] = np.array([judge.pose(q) for q in angles])
+        found[f"{kind}_targets"] = np.array([robot.measure(q).matrix for q in angles])
         found[f"{kind}_starts"] = np.repeat(robot.home[None], len(angles), axis=0)
     return found
 
