@@ -16,7 +16,6 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.camera.detection import Image, to_gray
 from robot_ik.camera.edge_fit import (
     ALONG,
     BAND,
@@ -51,7 +50,7 @@ from robot_ik.camera.edge_fit import (
     fit_edge,
     take_pixels,
 )
-from robot_ik.camera.image import from_reduced, reduced, to_reduced
+from robot_ik.camera.image import Image, from_reduced, reduced, to_gray, to_reduced
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
@@ -378,7 +377,7 @@ def refine_markers(
     if not len(markers):
         return []
     announce(refine_corners_of, "the refinement of marker corners")
-    gray = np.ascontiguousarray(to_gray(image))
+    gray = to_gray(image)
     corners = np.array(markers, dtype=float).reshape(-1, 4, 2)
     normalized, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
     good, blurs = np.zeros(len(corners), np.int64), np.empty(len(corners))

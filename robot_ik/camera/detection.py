@@ -24,6 +24,7 @@ from robot_ik.camera.image import (
     marker_dictionary,
     reduced,
     times_smaller,
+    to_gray,
 )
 from robot_ik.errors import CameraError
 
@@ -81,13 +82,6 @@ class Detection:
 
     id: int
     corners: Array
-
-
-def to_gray(image: Image) -> Image:
-    """Grey (h, w) of a BGR (h, w, 3) or grey (h, w) picture."""
-    if image.ndim == 2:
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 class MarkerDetector:

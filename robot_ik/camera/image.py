@@ -147,6 +147,13 @@ LARGE = 3000
 _WANTED = 2000
 
 
+def to_gray(image: Image) -> Image:
+    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture."""
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
+
+
 def times_smaller(image: Image) -> int:
     """How many times smaller a picture (h, w, …) is to be searched; 1: as it is."""
     longer = max(image.shape[:2])

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
-from robot_ik.camera.detection import Image, correctable, to_gray
-from robot_ik.camera.image import marker_bits
+from robot_ik.camera.detection import correctable
+from robot_ik.camera.image import Image, marker_bits, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, lens_vector
 from robot_ik.camera.photometric_equations import (
@@ -138,7 +138,7 @@ def refine_prints(
     if not len(sides):
         return []
     announce(fit_photometric, "the fit of the markers' prints")
-    gray, expected = np.ascontiguousarray(to_gray(image)), expected or EdgeShift.of(intrinsics)
+    gray, expected = to_gray(image), expected or EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[CX] -= origin[0]
     lens[CY] -= origin[1]

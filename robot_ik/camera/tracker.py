@@ -17,8 +17,8 @@ import numpy as np
 
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
-from robot_ik.camera.detection import Detection, Image, MarkerDetector, SearchWindow, to_gray
-from robot_ik.camera.image import dictionary_size
+from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
+from robot_ik.camera.image import Image, dictionary_size, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import (
     BodyObservation,

@@ -21,8 +21,8 @@ from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
-from robot_ik.camera.detection import largest_dictionaries, to_gray
-from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image
+from robot_ik.camera.detection import largest_dictionaries
+from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
 from robot_ik.errors import CalibrationError

@@ -27,6 +27,7 @@ from robot_ik.camera.image import (
     quiet,
     reduced,
     times_smaller,
+    to_gray,
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
@@ -164,7 +165,7 @@ class ChessboardPattern(Pattern):
         return -self.square, -self.square
 
     def find(self, image: Image) -> FoundPattern | None:
-        gray = _gray(image)
+        gray = to_gray(image)
         times = times_smaller(gray)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
         with quiet():
@@ -234,7 +235,7 @@ class CharucoPattern(Pattern):
         return min(_PLAIN, (self.square - self.marker) / 2 / self.square)
 
     def find(self, image: Image) -> FoundPattern | None:
-        gray = _gray(image)
+        gray = to_gray(image)
         times = times_smaller(gray)
         found = self._find(gray, times)
         if times > 1 and (found is None or len(found.ids) < self.corners[0] * self.corners[1]):
@@ -292,12 +293,6 @@ def _black_squares(
     squares = [(c, r) for r in range(rows) for c in range(columns) if (c + r) % 2 == first]
     corner = np.array(origin) + square * np.array(squares, dtype=float)
     return np.hstack([corner, np.full((len(squares), 2), square)])
-
-
-def _gray(image: Image) -> Image:
-    if image.ndim == 2:
-        return np.ascontiguousarray(image)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def _check_count(what: str, of: str, columns: int, rows: int, least: int) -> None:

@@ -21,7 +21,8 @@ from robot_ik.camera.boards.patterns import (
 from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.calibration.intrinsic import CalibrationView
-from robot_ik.camera.detection import guess_dictionary, to_gray
+from robot_ik.camera.detection import guess_dictionary
+from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
 
