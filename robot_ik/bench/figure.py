@@ -81,10 +81,10 @@ class MotionMeasure:
 class _Soles:
     """Lowest points of both feet's shapes in every frame, in the world, and all that may touch the floor."""
 
-    height: tuple[Array, Array]  # (n, g) of each side
-    point: tuple[Array, Array]  # (n, g, 3)
-    body: tuple[NDArray[np.int64], NDArray[np.int64]]  # (g,)
-    ends: tuple[Array, Array]  # (n, k, 3)
+    height: list[Array]  # (n, g) of each side
+    point: list[Array]  # (n, g, 3)
+    body: list[NDArray[np.int64]]  # (g,)
+    ends: list[Array]  # (n, k, 3)
 
 
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
@@ -109,21 +109,17 @@ def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
         bodies.append(np.array(b))
-    return (
-        _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1]), (ends[0], ends[1])),
-        position,
-        matrix,
-    )
+    return _Soles(heights, points, bodies, ends), position, matrix
 
 
 def measure_motion(
-    figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
+    figure: Figure, q: Array, contact: NDArray[np.int64], speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
     soles, position, matrix = _soles(figure, q)
-    zmp, force = zero_moment_points(figure, q, dt)
+    zmp, force = zero_moment_points(figure, q, 1.0 / RATE)
     weight = force / (figure.mass * GRAVITY)
-    _, _, forward = derivatives(figure, q, dt)
+    _, _, forward = derivatives(figure, q, 1.0 / RATE)
     margins: list[float] = []
     for i in range(1, len(q) - 1):
         near = [
@@ -219,13 +215,13 @@ class GaitMeasure:
     clearance: float
 
 
-def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeasure:
+def measure_gait(figure: Figure, walk: Walk) -> GaitMeasure:
     """Joint curves over the middle strides and the numbers of the steps.
 
     A straight walk along x of 4 m or more.
     """
     q, strikes = walk.frames.q, walk.strikes
-    times = np.arange(1, len(q) + 1, dtype=np.float64) * dt
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * (1.0 / RATE)
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):

@@ -222,11 +222,6 @@ def round_radius(model: mujoco.MjModel, geom: int) -> float:
     return float(size.max() if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID) else size[0])
 
 
-def outline_error(model: mujoco.MjModel, geom: int) -> float:
-    """Greatest error of a round outline, as part of the radius, over the square of the step in radians."""
-    return 1.0 / 16.0 if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER) else 1.0 / 8.0
-
-
 def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh | None:
     """Faces of one geom in its own frame; ``None`` for kinds without a surface here (height field, SDF).
 
@@ -391,8 +386,9 @@ class _Kept:
 def _kept(model: mujoco.MjModel) -> _Kept:
     geoms = range(model.ngeom)
     radius = np.array([round_radius(model, g) for g in geoms])
-    error = radius * [outline_error(model, g) for g in geoms]
-    needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
+    # An outline is off by so much of the radius times the square of the step in radians.
+    share = np.where(np.asarray(model.geom_type) == int(mujoco.mjtGeom.mjGEOM_CYLINDER), 1 / 16, 1 / 8)
+    needed = 2.0 * np.pi * np.sqrt(radius * share / ROUND_PX)
     long = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
     reach = np.where(long, np.asarray(model.geom_size).reshape(-1, 3)[:, 1], 0.0)
     return _Kept(mujoco.MjData(model), needed, radius, reach, {})

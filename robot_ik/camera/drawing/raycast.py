@@ -195,12 +195,6 @@ class Caster:
         depth[geom < 0] = np.inf
         return Hits(depth, geom, normal)
 
-    def top(self, geom: int) -> float:
-        """World height of the upper face of a level box geom; -inf when there is no such geom."""
-        if geom >= self.model.ngeom:
-            return -np.inf
-        return float(self._data.geom_xpos[geom, 2] + self.model.geom_size[geom, 2])
-
     def lit(self, light: Array, points: Array) -> NDArray[np.bool_]:
         """Which ``points`` (n, 3) nothing shades from a light at ``light`` (3,)."""
         from_light = points - light

@@ -149,7 +149,7 @@ def _shadow(view: RobotView) -> tuple[Layer, float]:
         whole = np.logical_and.reduce(good[faces.faces], axis=1)
     # what is beside the lens is projected anywhere
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
-    soft = max(1.0, _SOFT * _extent(rows) / _COARSE)
+    soft = max(1.0, _SOFT * float(np.ptp(rows)) / _COARSE)
     flat = replace(
         faces,
         pixels=(pixels + 0.5) / _COARSE - 0.5,
@@ -174,10 +174,6 @@ def _shadow(view: RobotView) -> tuple[Layer, float]:
         hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
     return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
-
-
-def _extent(values: Array) -> float:
-    return float(values.max() - values.min()) if len(values) else 0.0
 
 
 def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Pose) -> Array:
