@@ -1,4 +1,4 @@
-"""Seeded problem sets: poses of a robot's frame, each made from joint angles that meet it.
+"""Seeded problem sets: poses of a robot's tool, each made from joint angles that meet it.
 
 The same robot, count and seed give the same numbers.  ``cold`` and ``warm`` are made as the well-known
 comparisons of libraries make them: uniform joint samples from home, and a smooth path in small steps.
@@ -48,7 +48,7 @@ _GIVE_UP = 6  # … and in a row at the beginning: such a robot is hardly ever s
 
 @dataclass(frozen=True, eq=False)
 class ProblemSet:
-    """Targets for one frame, with the joint angles they were made from.
+    """Targets for the tool, with the joint angles they were made from.
 
     Attributes:
         targets: (n, 4, 4) poses in the world.
@@ -59,7 +59,6 @@ class ProblemSet:
     """
 
     name: str
-    frame: str
     targets: Array
     witnesses: Array
     first: Array
@@ -77,14 +76,13 @@ def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
     """
     # A stream of its own for each kind: asking for one set more changes no other.
     rng = np.random.default_rng([seed, *name.encode()])
-    return SETS[name](robot, count, rng, robot.tool)
+    return SETS[name](robot, count, rng)
 
 
-def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:
-    targets = np.array([robot.measure(q, frame).matrix for q in witnesses]).reshape(-1, 4, 4)
+def _reachable(name: str, robot: Robot, witnesses: list[Array], reason: str = "") -> ProblemSet:
+    targets = np.array([robot.measure(q).matrix for q in witnesses]).reshape(-1, 4, 4)
     return ProblemSet(
         name,
-        frame,
         targets,
         np.array(witnesses).reshape(-1, robot.nq),
         robot.home,
@@ -92,17 +90,17 @@ def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reas
     )
 
 
-def cold(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def cold(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """Poses of uniform joint samples; every solve starts at home."""
-    return _reachable("cold", robot, frame, [robot.sample(rng) for _ in range(count)])
+    return _reachable("cold", robot, [robot.sample(rng) for _ in range(count)])
 
 
-def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def limits(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """As ``cold``, but half of the limited joints, or one, stand within 1 % of their range from its end."""
     tree = robot.tree
     limited = [k for k in range(tree.size) if tree.kind[k] != FREE and np.isfinite(robot.upper[tree.vadr[k]])]
     if not limited:
-        return _reachable("limits", robot, frame, [], "no joint has limits")
+        return _reachable("limits", robot, [], "no joint has limits")
     found = []
     for _ in range(count):
         q = robot.sample(rng)
@@ -118,57 +116,51 @@ def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> Pr
                 inward = share * (high - low)
                 q[a] = low + inward if rng.random() < 0.5 else high - inward
         found.append(q)
-    return _reachable("limits", robot, frame, found)
+    return _reachable("limits", robot, found)
 
 
-def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
-    """Poses outside the ball that the frame cannot leave: nothing can reach them."""
-    ball = robot.reach(frame)
+def unreachable(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
+    """Poses outside the ball that the tool cannot leave: nothing can reach them."""
+    ball = robot.reach()
     targets = []
     for _ in range(count if ball is not None else 0):
         assert ball is not None
         centre, radius = ball
-        pose = robot.measure(robot.sample(rng), frame).matrix
+        pose = robot.measure(robot.sample(rng)).matrix
         direction = pose[:3, 3] - centre
         pose[:3, 3] = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(*BEYOND)
         targets.append(pose)
     reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
     empty = np.empty((0, robot.nq))
-    return ProblemSet(
-        "unreachable", frame, np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason
-    )
+    return ProblemSet("unreachable", np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason)
 
 
 # ------------------------------------------------------------------------------------- singular
 
 
-def singular(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
-    """Poses whose joint angles make the Jacobian of the frame lose a rank; every solve starts at home."""
-    chain = robot.tree.ancestors(robot.attachment(frame)[0])
+def singular(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
+    """Poses whose joint angles make the Jacobian of the tool lose a rank; every solve starts at home."""
+    chain = robot.tree.ancestors(robot.attachment()[0])
     if robot.tree.kind[chain[0]] == FREE:
-        return _reachable("singular", robot, frame, [], "a floating base is never singular")
-    rank = max(
-        int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng), frame), tol=1e-6)) for _ in range(5)
-    )
+        return _reachable("singular", robot, [], "a floating base is never singular")
+    rank = max(int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng)), tol=1e-6)) for _ in range(5))
     found: list[Array] = []
     for tried in range(_TRIES * count):
         if len(found) == count or (tried == _GIVE_UP and not found):
             break
-        q = _to_singular(robot, robot.sample(rng), frame, rank)
+        q = _to_singular(robot, robot.sample(rng), rank)
         if q is not None:
             found.append(q)
-    return _reachable(
-        "singular", robot, frame, found, "no singular joint angles were found inside the limits"
-    )
+    return _reachable("singular", robot, found, "no singular joint angles were found inside the limits")
 
 
-def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
+def _to_singular(robot: Robot, q: Array, rank: int) -> Array | None:
     """The singular joint angles near ``q``, by Newton's method on the smallest singular value, or None."""
     for _ in range(_NEWTON_STEPS):
-        left, sigma, right = np.linalg.svd(robot.jacobian(q, frame), full_matrices=False)
+        left, sigma, right = np.linalg.svd(robot.jacobian(q), full_matrices=False)
         if sigma[rank - 1] < SINGULAR * sigma[0]:
             return q if not robot.outside(q) else None
-        slope = _slope(robot, q, frame, left[:, rank - 1], right[rank - 1])
+        slope = _slope(robot, q, left[:, rank - 1], right[rank - 1])
         length = float(slope @ slope)
         if length < 1e-12:
             return None
@@ -179,14 +171,14 @@ def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
     return None
 
 
-def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
+def _slope(robot: Robot, q: Array, u: Array, v: Array) -> Array:
     """(nv,) change of the singular value u·J·v per unit of each dof, by central differences."""
     h, slope = 1e-5, np.zeros(robot.nv)
     for i in range(robot.nv):
         dq = np.zeros(robot.nv)
         dq[i] = h
-        forward = robot.jacobian(robot.integrate(q, dq), frame)
-        back = robot.jacobian(robot.integrate(q, -dq), frame)
+        forward = robot.jacobian(robot.integrate(q, dq))
+        back = robot.jacobian(robot.integrate(q, -dq))
         slope[i] = u @ (forward - back) @ v / (2.0 * h)
     return slope
 
@@ -194,16 +186,16 @@ def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
 # ----------------------------------------------------------------------------------------- warm
 
 
-def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def warm(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
     path = _path(robot, rng)
     t, dt = 0.0, 0.02
-    pose, first = robot.measure(path(0.0), frame).matrix, path(0.0)
+    pose, first = robot.measure(path(0.0)).matrix, path(0.0)
     targets: list[Array] = []
     witnesses: list[Array] = []
     while len(targets) < count:
         for _ in range(60):  # until the step is just as long as it may be
-            there = robot.measure(path(t + dt), frame).matrix
+            there = robot.measure(path(t + dt)).matrix
             ratio = _step(pose, there)
             if 0.98 < ratio <= 1.0:
                 break
@@ -211,9 +203,7 @@ def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> Prob
         t, pose = t + dt, there
         targets.append(there)
         witnesses.append(path(t))
-    return ProblemSet(
-        "warm", frame, np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True
-    )
+    return ProblemSet("warm", np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True)
 
 
 def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
@@ -239,7 +229,7 @@ def _step(a: Array, b: Array) -> float:
 
 
 #: Every kind of problem set, by name.
-SETS: dict[str, Callable[[Robot, int, np.random.Generator, str], ProblemSet]] = {
+SETS: dict[str, Callable[[Robot, int, np.random.Generator], ProblemSet]] = {
     "cold": cold,
     "warm": warm,
     "singular": singular,

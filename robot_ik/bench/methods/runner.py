@@ -68,7 +68,7 @@ class Bench:
                     break
 
     def _keep(self, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
-        metres, radians = apart(self.robot.measure(solution.q, self.problems.frame).matrix, target)
+        metres, radians = apart(self.robot.measure(solution.q).matrix, target)
         if self.cell.goal == "position":
             radians = 0.0
         slack = 1.0 + SLACK
@@ -111,7 +111,7 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
     if not len(problems):
         cell.skipped = problems.reason
         return bench
-    goals: Sequence[Goal] = (PoseGoal(problems.frame, _ORIGIN), PositionGoal(problems.frame, _ORIGIN))
+    goals: Sequence[Goal] = (PoseGoal(robot.tool, _ORIGIN), PositionGoal(robot.tool, _ORIGIN))
     goal = next((g for g in goals if solver.supports(g)), goals[0])
     cell.goal = goal.name.removesuffix(" goal")
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)
