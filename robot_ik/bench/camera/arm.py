@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.bench.camera import Effort
-from robot_ik.bench.camera.accuracy import factor, frame_of, rms
+from robot_ik.bench.camera.accuracy import DICTIONARY, board_frame, factor, rms
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
@@ -23,8 +23,7 @@ from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose,
 from robot_ik.camera.motion_filter import MotionFilter, OneEuro, moved
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic.sensor import WEBCAM
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
@@ -182,14 +181,11 @@ def _view(
 _SEEDS, _CHAIN_VIEWS = 20, 20
 # Mean squared error over the stated one.
 _NEES_RANGE = (0.3, 3.0)
-_PRINTED = "DICT_4X4_50"
 
 
 def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView | None:
-    """A board at ``pose`` (camera frame) in a picture of a webcam."""
-    placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
-    image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=_PRINTED, margin=0.12, sensor=WEBCAM)
-    return MarkerBoard(layout, _PRINTED).see(frame_of(image), STANDARD_CAMERA)
+    """A board at ``pose`` (camera frame) as it is seen in a picture of a webcam."""
+    return MarkerBoard(layout, DICTIONARY).see(board_frame(pose, layout, rng), STANDARD_CAMERA)
 
 
 def _chain(robot: Robot, eye: Pose, rng: np.random.Generator) -> tuple[tuple[float, float, float], Array]:
