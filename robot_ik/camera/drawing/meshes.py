@@ -26,6 +26,8 @@ SEGMENTS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 80, 96)
 _USUAL = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Longest face edge, metres.  Short faces follow the lens' curvature and sort well by depth.
 MAX_EDGE = 0.13
+# Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
+CREASE = np.radians(30.0)
 # Faces of a mesh geom above which its vertices are clustered: the painter pays by the face.
 MAX_MESH_FACES = 1500
 
@@ -52,13 +54,41 @@ class GeomMesh:
 
     @cached_property
     def corner_normals(self) -> Array:
-        """(f, 4, 3) the same smoothed over round surfaces."""
-        return _corner_normals(self.faces, self.normals)
+        """(f, 4, 3) at the corners: the mean over the faces there that bend by less than ``CREASE``."""
+        corner = self.faces.reshape(-1)
+        face = np.repeat(np.arange(len(self.faces)), 4)
+        real = np.ones(self.faces.shape, dtype=bool)
+        real[:, 3] = self.faces[:, 2] != self.faces[:, 3]
+        there = np.flatnonzero(real.reshape(-1))
+        there = there[np.argsort(corner[there], kind="stable")]
+        starts = np.searchsorted(corner[there], corner)
+        counts = np.searchsorted(corner[there], corner, side="right") - starts
+        asking = np.repeat(np.arange(len(corner)), counts)
+        step = np.arange(len(asking)) - np.repeat(np.cumsum(counts) - counts, counts)
+        other = face[there[np.repeat(starts, counts) + step]]
+        own = face[asking]
+        smooth = np.einsum("ij,ij->i", self.normals[own], self.normals[other]) > np.cos(CREASE)
+        total = np.stack(
+            [np.bincount(asking[smooth], self.normals[other[smooth], k], len(corner)) for k in range(3)],
+            axis=1,
+        )
+        length = np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+        return np.asarray(total / length).reshape(-1, 4, 3)
 
     @cached_property
     def edges(self) -> tuple[Index, Index, NDArray[np.bool_]]:
-        """(e, 2) into ``vertices``; (e, 2) the two faces of each; (e,) which are sharp."""
-        return _edges(self.faces, self.normals)
+        """(e, 2) into ``vertices``; (e, 2) the faces at each, one twice at a border; (e,) which are sharp."""
+        pairs = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+        owner = np.repeat(np.arange(len(self.faces)), 4)
+        real = pairs[:, 0] != pairs[:, 1]
+        pairs, owner = np.sort(pairs[real], axis=1), owner[real]
+        edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+        order = np.argsort(inverse.reshape(-1), kind="stable")
+        counts = np.bincount(inverse.reshape(-1), minlength=len(edges))
+        first = np.cumsum(counts) - counts
+        edge_faces = np.stack([owner[order][first], owner[order][first + counts - 1]], axis=1)
+        cosine = np.einsum("ij,ij->i", self.normals[edge_faces[:, 0]], self.normals[edge_faces[:, 1]])
+        return edges, edge_faces, cosine < np.cos(CREASE)
 
 
 def _weld(vertices: Array, faces: Index) -> GeomMesh:
@@ -243,8 +273,6 @@ def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | 
     return _ROUND[kind](np.array(size), segments) if kind in _ROUND else None
 
 
-# Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
-CREASE = np.radians(30.0)
 # Round outlines are drawn true to this, pixels.
 ROUND_PX = 0.25
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
@@ -296,43 +324,6 @@ def visible_geoms(model: mujoco.MjModel, *, planes: bool = False) -> list[int]:
         and rgba[g, 3] > 0.0
         and (planes or model.geom_type[g] != flat)
     ]
-
-
-def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_]]:
-    """Edges (e, 2), the two faces at each (e, 2; the same one twice at a border), and which are sharp."""
-    pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), 4)
-    real = pairs[:, 0] != pairs[:, 1]
-    pairs, owner = np.sort(pairs[real], axis=1), owner[real]
-    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    order = np.argsort(inverse.reshape(-1), kind="stable")
-    counts = np.bincount(inverse.reshape(-1), minlength=len(edges))
-    first = np.cumsum(counts) - counts
-    edge_faces = np.stack([owner[order][first], owner[order][first + counts - 1]], axis=1)
-    cosine = np.einsum("ij,ij->i", normals[edge_faces[:, 0]], normals[edge_faces[:, 1]])
-    return edges, edge_faces, cosine < np.cos(CREASE)
-
-
-def _corner_normals(faces: Index, normals: Array) -> Array:
-    """Normals (f, 4, 3) at the corners: the mean over the faces there that bend by less than ``CREASE``."""
-    corner = faces.reshape(-1)
-    face = np.repeat(np.arange(len(faces)), 4)
-    real = np.ones(faces.shape, dtype=bool)
-    real[:, 3] = faces[:, 2] != faces[:, 3]
-    there = np.flatnonzero(real.reshape(-1))
-    there = there[np.argsort(corner[there], kind="stable")]
-    starts = np.searchsorted(corner[there], corner)
-    counts = np.searchsorted(corner[there], corner, side="right") - starts
-    asking = np.repeat(np.arange(len(corner)), counts)
-    step = np.arange(len(asking)) - np.repeat(np.cumsum(counts) - counts, counts)
-    other = face[there[np.repeat(starts, counts) + step]]
-    own = face[asking]
-    smooth = np.einsum("ij,ij->i", normals[own], normals[other]) > np.cos(CREASE)
-    total = np.stack(
-        [np.bincount(asking[smooth], normals[other[smooth], k], len(corner)) for k in range(3)], axis=1
-    )
-    length = np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-    return np.asarray(total / length).reshape(-1, 4, 3)
 
 
 _NOTHING = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
