@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from robot_ik.bench.camera import Effort, NotMeasuredError
 from robot_ik.bench.quantity import Quantity
@@ -257,9 +257,9 @@ class Misses:
     count: int
 
     @classmethod
-    def of(cls, offsets: ArrayLike) -> Misses:
-        """From offsets (n, 2)."""
-        off = np.asarray(offsets, dtype=float).reshape(-1, 2)
+    def of(cls, offsets: Sequence[Array]) -> Misses:
+        """From offsets, each (2,) or (n, 2)."""
+        off = np.vstack([np.zeros((0, 2)), *offsets])
         if not len(off):
             return cls(float("nan"), float("nan"), float("nan"), 0)
         length = np.linalg.norm(off, axis=1)
@@ -359,7 +359,7 @@ def overlay_error(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
             continue
         true, drawn = (STANDARD_CAMERA.project(p.apply(points)) for p in (pose, seen.pose_camera_board))
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+    return Misses.of(offsets)
 
 
 def _in_view(pixels: Array) -> NDArray[np.bool_]:
@@ -438,7 +438,7 @@ def _latency_error(
         if motion is not None:
             drawn = drawn @ motion[:, :2].T + motion[:, 2]
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+    return Misses.of(offsets)
 
 
 class _RecordedWatcher(BoardWatcher):
