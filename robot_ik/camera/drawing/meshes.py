@@ -163,9 +163,32 @@ def sphere(size: Array, count: int) -> GeomMesh:
     return _lathe(size[0] * _arc(np.linspace(-np.pi / 2, np.pi / 2, count // 2 + 1), count), count)
 
 
+def _density(long: float, wide: float) -> tuple[Array, Array]:
+    """Latitudes (k,) and how many steps of a ball's outline are needed up to each, of those of one as wide.
+
+    An outline falls short by its distance from the centre times the square of the step: steps are short where
+    that is far.
+    """
+    t = np.linspace(-np.pi / 2, np.pi / 2, 181)
+    distance = 1.0 / np.sqrt(np.cos(t) ** 2 + (np.sin(t) * wide / long) ** 2)
+    need = np.sqrt(distance)
+    return t, np.concatenate([[0.0], np.cumsum(0.5 * (need[1:] + need[:-1])) / 180.0])
+
+
+def lathe_axis(size: Array) -> int:
+    """Axis about which an ellipsoid is turned with the fewest faces."""
+    wide = [max(size[(k + 1) % 3], size[(k + 2) % 3]) for k in range(3)]
+    return int(np.argmin([w * _density(size[k], w)[1][-1] for k, w in enumerate(wide)]))
+
+
 def _ellipsoid(size: Array, count: int) -> GeomMesh:
-    unit = sphere(np.ones(1), count)
-    return GeomMesh(unit.vertices * size, unit.faces)
+    axis = lathe_axis(size)
+    rolled = np.roll(size, -1 - axis)
+    t, need = _density(rolled[2], max(rolled[0], rolled[1]))
+    rings = 2 * max(2, int(np.ceil(count / 4 * need[-1] - 1e-9)))
+    angles = np.interp(np.linspace(0.0, need[-1], rings + 1), need, t)
+    unit = _lathe(_arc(angles, count), count)
+    return GeomMesh(np.roll(unit.vertices * rolled, 1 + axis, axis=1), unit.faces)
 
 
 def _capsule(size: Array, count: int) -> GeomMesh:
@@ -245,11 +268,13 @@ _ROUND: dict[int, Callable[[Array, int], GeomMesh]] = {
 
 
 def round_radius(model: mujoco.MjModel, geom: int) -> float:
-    """Radius in metres of a round primitive, the largest of an ellipsoid; 0 for all else."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    """Radius in metres of a round primitive across the axis about which it is turned; 0 for all else."""
+    kind, size = int(model.geom_type[geom]), np.array(model.geom_size[geom], dtype=float)
     if kind not in _ROUND:
         return 0.0
-    return float(size.max() if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID) else size[0])
+    if kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID):
+        return float(np.delete(size, lathe_axis(size)).max())
+    return float(size[0])
 
 
 def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh | None:
@@ -376,12 +401,15 @@ class _Kept:
 @lru_cache(maxsize=8)
 def _kept(model: mujoco.MjModel) -> _Kept:
     geoms = range(model.ngeom)
-    radius = np.array([round_radius(model, g) for g in geoms])
+    size, kind = np.asarray(model.geom_size).reshape(-1, 3), np.asarray(model.geom_type)
     # An outline is off by so much of the radius times the square of the step in radians.
-    share = np.where(np.asarray(model.geom_type) == int(mujoco.mjtGeom.mjGEOM_CYLINDER), 1 / 16, 1 / 8)
-    needed = 2.0 * np.pi * np.sqrt(radius * share / ROUND_PX)
-    long = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
-    reach = np.where(long, np.asarray(model.geom_size).reshape(-1, 3)[:, 1], 0.0)
+    share = np.where(kind == int(mujoco.mjtGeom.mjGEOM_CYLINDER), 1 / 16, 1 / 8)
+    error = share * [round_radius(model, g) for g in geoms]
+    needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
+    long = np.isin(kind, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
+    ball = kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+    radius = np.where(ball, size.max(axis=1), size[:, 0]) * (error > 0)
+    reach = np.where(long, size[:, 1], 0.0)
     return _Kept(mujoco.MjData(model), needed, radius, reach, {})
 
 
