@@ -109,7 +109,7 @@ def test_the_api_page_lists_every_public_name() -> None:
     ("contract_id", "package", "first"),
     [
         ("layers", "", "cli"),
-        ("camera-layers", "robot_ik.camera.", "synthetic.moving"),
+        ("camera-layers", "robot_ik.camera.", "synthetic.datasets"),
         ("hardware-layers", "robot_ik.hardware.", "health"),
     ],
 )

@@ -17,9 +17,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from robot_ik.bench.camera import ROWS, Quantity
+from robot_ik.bench.camera import ROWS
 from robot_ik.bench.camera.accuracy import latency_errors
 from robot_ik.bench.camera.arm import compare_filters
+from robot_ik.bench.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
 DATA, OTHERS = DOCS / "camera.json", DOCS / "performance.json"
@@ -60,7 +61,13 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
 
 def figures(row: Data) -> list[Quantity]:
     """Of a row of the data."""
-    return [Quantity(**{k: v for k, v in facts.items() if k != "passed"}) for facts in row["figures"]]
+    return [
+        Quantity(
+            one["quantity"], one["value"], one["unit"],
+            **{"least" if one["at_least"] else "most": one["wanted"]},
+        )
+        for one in row["figures"]
+    ]  # fmt: skip
 
 
 def camera(data: Data, others: Data) -> str:

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_ik.bench.quantity import Quantity
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
@@ -80,10 +81,10 @@ class MotionMeasure:
 class _Soles:
     """Lowest points of both feet's shapes in every frame, in the world, and all that may touch the floor."""
 
-    height: tuple[Array, Array]  # (n, g) of each side
-    point: tuple[Array, Array]  # (n, g, 3)
-    body: tuple[NDArray[np.int64], NDArray[np.int64]]  # (g,)
-    ends: tuple[Array, Array]  # (n, k, 3)
+    height: list[Array]  # (n, g) of each side
+    point: list[Array]  # (n, g, 3)
+    body: list[NDArray[np.int64]]  # (g,)
+    ends: list[Array]  # (n, k, 3)
 
 
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
@@ -108,21 +109,17 @@ def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
         bodies.append(np.array(b))
-    return (
-        _Soles((heights[0], heights[1]), (points[0], points[1]), (bodies[0], bodies[1]), (ends[0], ends[1])),
-        position,
-        matrix,
-    )
+    return _Soles(heights, points, bodies, ends), position, matrix
 
 
 def measure_motion(
-    figure: Figure, q: Array, contact: NDArray[np.int64], dt: float = 1.0 / RATE, speeds: str = "daily"
+    figure: Figure, q: Array, contact: NDArray[np.int64], speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
     soles, position, matrix = _soles(figure, q)
-    zmp, force = zero_moment_points(figure, q, dt)
+    zmp, force = zero_moment_points(figure, q, 1.0 / RATE)
     weight = force / (figure.mass * GRAVITY)
-    _, _, forward = derivatives(figure, q, dt)
+    _, _, forward = derivatives(figure, q, 1.0 / RATE)
     margins: list[float] = []
     for i in range(1, len(q) - 1):
         near = [
@@ -218,13 +215,13 @@ class GaitMeasure:
     clearance: float
 
 
-def measure_gait(figure: Figure, walk: Walk, dt: float = 1.0 / RATE) -> GaitMeasure:
+def measure_gait(figure: Figure, walk: Walk) -> GaitMeasure:
     """Joint curves over the middle strides and the numbers of the steps.
 
     A straight walk along x of 4 m or more.
     """
     q, strikes = walk.frames.q, walk.strikes
-    times = np.arange(1, len(q) + 1, dtype=np.float64) * dt
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * (1.0 / RATE)
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):
@@ -272,60 +269,45 @@ def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
     return low
 
 
-@dataclass(frozen=True)
-class FigureRow:
-    """One figure beside its target, infinite on an open side; ``missing``: why it was not measured."""
-
-    motion: str
-    what: str
-    value: float
-    unit: str = ""
-    least: float = -np.inf
-    most: float = np.inf
-    missing: str = ""
-
-    @property
-    def passed(self) -> bool:
-        """Whether it is within its target, or could not be measured."""
-        return bool(self.missing) or self.least <= self.value <= self.most
+MotionRow = tuple[str, Quantity]
+"""What was measured of a motion, and the motion."""
 
 
-def _motion_rows(name: str, m: MotionMeasure, inside: float, close: float, worst: float) -> list[FigureRow]:
+def _motion_rows(name: str, m: MotionMeasure) -> list[MotionRow]:
+    touching = 0.01 * m.frames if name == "bend" else 0
     return [
-        FigureRow(name, "slip of the touching point per frame", m.slip, "mm", most=0.1),
-        FigureRow(name, "drift of a flat foot", m.drift, "mm", most=0.1),
-        FigureRow(name, "penetration of shapes", m.penetration, "mm", most=0.5),
-        FigureRow(name, "zero-moment point inside", 100 * m.inside, "%", least=inside),
-        FigureRow(name, "zero-moment point within 10 mm", 100 * m.close, "%", least=close),
-        FigureRow(name, "zero-moment point, worst", m.worst, "mm", least=worst),
-        FigureRow(name, "frames beyond joint limits", m.outside_limits, most=0),
-        FigureRow(name, "frames beyond speed limits", m.too_fast, most=0),
-        FigureRow(
-            name, "frames with self-contact", m.self_contact, most=0.01 * m.frames if name == "bend" else 0
-        ),
+        (name, Quantity("slip of the touching point per frame", m.slip, "mm", most=0.1)),
+        (name, Quantity("drift of a flat foot", m.drift, "mm", most=0.1)),
+        (name, Quantity("penetration of shapes", m.penetration, "mm", most=0.5)),
+        (name, Quantity("zero-moment point inside", 100 * m.inside, "%", least=95)),
+        (name, Quantity("zero-moment point within 10 mm", 100 * m.close, "%", least=98)),
+        (name, Quantity("zero-moment point, worst", m.worst, "mm", least=-60)),
+        (name, Quantity("frames beyond joint limits", m.outside_limits, most=0)),
+        (name, Quantity("frames beyond speed limits", m.too_fast, most=0)),
+        (name, Quantity("frames with self-contact", m.self_contact, most=touching)),
     ]
 
 
-def measure_walks(figure: Figure) -> Iterator[FigureRow]:
+def measure_walks(figure: Figure) -> Iterator[MotionRow]:
     """Straight on, along a curve, to the side, and on the spot."""
     start = prints_of(figure, figure.home)
     straight = walk(figure, figure.home, walk_prints(figure, start, np.array([5.0, 0.0, 0.0])))
     m = measure_motion(figure, straight.frames.q, straight.contact)
-    yield from _motion_rows("walk", m, 95, 98, -60)
-    yield FigureRow("walk", "least vertical force", m.force[0], "body weights", least=0.7)
-    yield FigureRow("walk", "largest vertical force", m.force[1], "body weights", most=1.3)
-    yield FigureRow("walk", "fastest knee", m.speed["knee"], "rad/s", most=7.0)
+    yield from _motion_rows("walk", m)
+    yield "walk", Quantity("least vertical force", m.force[0], "body weights", least=0.7)
+    yield "walk", Quantity("largest vertical force", m.force[1], "body weights", most=1.3)
+    yield "walk", Quantity("fastest knee", m.speed["knee"], "rad/s", most=7.0)
     g = measure_gait(figure, straight)
     for joint, least, most in (("hip", 0.97, 6.0), ("knee", 0.96, 8.0), ("ankle", 0.94, 7.0)):
-        yield FigureRow("walk", f"{joint}: correlation with the norm", g.correlation[joint], least=least)
-        yield FigureRow("walk", f"{joint}: RMS from the norm", g.rms_deg[joint], "deg", most=most)
-    yield FigureRow("walk", "speed", g.speed, "m/s", 1.1, 1.25)
-    yield FigureRow("walk", "step", g.step, "m", 0.62, 0.72)
-    yield FigureRow("walk", "cadence", g.cadence, "1/min", 100, 113)
-    yield FigureRow("walk", "stance", 100 * g.stance, "%", 58, 65)
-    yield FigureRow("walk", "pelvis up and down", g.vertical, "mm", 25, 50)
-    yield FigureRow("walk", "pelvis to the sides", g.lateral, "mm", 30, 65)
-    yield FigureRow("walk", "least height of the sole in mid swing", g.clearance, "mm", 10, 25)
+        yield "walk", Quantity(f"{joint}: correlation with the norm", g.correlation[joint], least=least)
+        yield "walk", Quantity(f"{joint}: RMS from the norm", g.rms_deg[joint], "deg", most=most)
+    yield "walk", Quantity("speed", g.speed, "m/s", least=1.1, most=1.25)
+    yield "walk", Quantity("step", g.step, "m", least=0.62, most=0.72)
+    yield "walk", Quantity("cadence", g.cadence, "1/min", least=100, most=113)
+    yield "walk", Quantity("stance", 100 * g.stance, "%", least=58, most=65)
+    yield "walk", Quantity("pelvis up and down", g.vertical, "mm", least=25, most=50)
+    yield "walk", Quantity("pelvis to the sides", g.lateral, "mm", least=30, most=65)
+    yield "walk", Quantity("least height of the sole in mid swing", g.clearance, "mm", least=10, most=25)
     curve = walk(figure, figure.home, walk_prints(figure, start, np.array([3.0, 2.0, np.pi / 3])))
     small = {"side steps": (0.0, 0.6, 0.0), "turn on the spot": (0.0, 0.0, np.pi)}
     walks = {"curve": curve} | {
@@ -333,10 +315,10 @@ def measure_walks(figure: Figure) -> Iterator[FigureRow]:
         for name, goal in small.items()
     }
     for name, found in walks.items():
-        yield from _motion_rows(name, measure_motion(figure, found.frames.q, found.contact), 95, 98, -60)
+        yield from _motion_rows(name, measure_motion(figure, found.frames.q, found.contact))
 
 
-def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[FigureRow]:
+def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[MotionRow]:
     """Seeded balls that are reached, bent or jumped for; the worst of each."""
     figure, decider, rng = abilities.figure, Decider(abilities), np.random.default_rng(seed)
     found: dict[str, list[tuple[MotionMeasure, float]]] = {"reach": [], "bend": [], "jump": []}
@@ -359,41 +341,38 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Figur
         found[decision.action].append((measure, min(miss) if decision.action == "jump" else miss[-1]))
     for name, rows in found.items():
         ms = [m for m, _ in rows]
-        yield FigureRow(name, "balls", len(ms), least=count)
-        yield FigureRow(
-            name, "hand from the ball, worst", 1e3 * max(miss for _, miss in rows), "mm", most=5.0
-        )
+        yield name, Quantity("balls", len(ms), least=count)
+        yield name, Quantity("hand from the ball, worst", 1e3 * max(miss for _, miss in rows), "mm", most=5.0)
         least = 90.0 if name == "jump" else 100.0
         inside = 100 * float(np.mean([m.inside for m in ms]))
-        yield FigureRow(name, "zero-moment point inside", inside, "%", least=least)
-        yield FigureRow(name, "slip of the touching point per frame", max(m.slip for m in ms), "mm", most=0.1)
-        yield FigureRow(name, "penetration of shapes", max(m.penetration for m in ms), "mm", most=0.5)
+        yield name, Quantity("zero-moment point inside", inside, "%", least=least)
+        yield name, Quantity("slip of the touching point per frame", max(m.slip for m in ms), "mm", most=0.1)
+        yield name, Quantity("penetration of shapes", max(m.penetration for m in ms), "mm", most=0.5)
         beyond = sum(m.outside_limits + m.too_fast for m in ms)
-        yield FigureRow(name, "frames beyond joint or speed limits", beyond, most=0)
+        yield name, Quantity("frames beyond joint or speed limits", beyond, most=0)
         share = 100 * sum(m.self_contact for m in ms) / sum(m.frames for m in ms)
-        yield FigureRow(name, "frames with self-contact", share, "%", most=1.0 if name == "bend" else 0.0)
+        yield name, Quantity("frames with self-contact", share, "%", most=1.0 if name == "bend" else 0.0)
 
 
-def measure_times(abilities: Abilities) -> Iterator[FigureRow]:
+def measure_times(abilities: Abilities) -> Iterator[MotionRow]:
     """Processor time of a frame of the walk's rows, of a decision, and of a frame of a session."""
     figure = abilities.figure
     prints = walk_prints(figure, prints_of(figure, figure.home), np.array([4.0, 0.0, 0.0]))
     walk(figure, figure.home, prints)
     began = time.thread_time()
     frames = solve_walk_once(figure, prints)
-    yield FigureRow(
-        "time", "a frame of a walk, with posture", 1e6 * (time.thread_time() - began) / frames, "us", most=200
-    )
+    each = 1e6 * (time.thread_time() - began) / frames
+    yield "time", Quantity("a frame of a walk, with posture", each, "us", most=200)
     yield from _peer_rows(figure)
     rng = np.random.default_rng(0)
     near = rng.uniform([0.3, -0.4, 0.9], [0.5, 0.4, 1.5], (40, 3))
     # The box of the judged balls: most are at an edge of what it reaches, or beyond.
     around = rng.uniform([-0.3, -0.9, 0.05], [1.0, 0.9, 2.9], (60, 3))
     spent = _decision_times(abilities, near)
-    yield FigureRow("time", "a decision, balls before the chest", float(spent.mean()), "ms", most=3.0)
+    yield "time", Quantity("a decision, balls before the chest", float(spent.mean()), "ms", most=3.0)
     spent = _decision_times(abilities, around)
-    yield FigureRow("time", "a decision, balls anywhere around it", float(spent.mean()), "ms", most=3.0)
-    yield FigureRow("time", "a decision, longest", float(spent.max()), "ms", most=1000.0 / RATE)
+    yield "time", Quantity("a decision, balls anywhere around it", float(spent.mean()), "ms", most=3.0)
+    yield "time", Quantity("a decision, longest", float(spent.max()), "ms", most=1000.0 / RATE)
     yield from _session_times(abilities)
 
 
@@ -408,7 +387,7 @@ def _decision_times(abilities: Abilities, balls: Array) -> Array:
     return np.array(spent)
 
 
-def _peer_rows(figure: Figure) -> Iterator[FigureRow]:
+def _peer_rows(figure: Figure) -> Iterator[MotionRow]:
     """Frames of a walk with the same goals by the figure's solver and by mink, where that is installed."""
     if figure.gaze is None:
         return
@@ -416,20 +395,20 @@ def _peer_rows(figure: Figure) -> Iterator[FigureRow]:
     goals = walk_goals(figure, walk(figure, figure.home, prints))
     ours = by_figure(figure, goals)
     what = "the same goals, feet and centre of mass within"
-    yield FigureRow("peer", f"{what}, this solver", 1e3 * ours.miss, "mm", most=1e3 * PEER_MISS)
-    yield FigureRow("peer", "a frame, this solver", 1e6 * ours.seconds, "us", most=200)
+    yield "peer", Quantity(f"{what}, this solver", 1e3 * ours.miss, "mm", most=1e3 * PEER_MISS)
+    yield "peer", Quantity("a frame, this solver", 1e6 * ours.seconds, "us", most=200)
     if not has_mink():
         absent = "mink is not installed: pip install mink daqp"
-        yield FigureRow("peer", "times as fast as mink", np.nan, least=5.0, missing=absent)
+        yield "peer", Quantity("times as fast as mink", np.nan, least=5.0, missing=absent)
         return
     mink = by_mink(figure, goals)
-    yield FigureRow("peer", f"{what}, mink", 1e3 * mink.miss, "mm")
-    yield FigureRow("peer", f"a frame, mink ({PEER_SOLVER}), steps", mink.steps)
-    yield FigureRow("peer", "a frame, mink", 1e6 * mink.seconds, "us")
-    yield FigureRow("peer", "times as fast as mink", mink.seconds / ours.seconds, least=5.0)
+    yield "peer", Quantity(f"{what}, mink", 1e3 * mink.miss, "mm")
+    yield "peer", Quantity(f"a frame, mink ({PEER_SOLVER}), steps", mink.steps)
+    yield "peer", Quantity("a frame, mink", 1e6 * mink.seconds, "us")
+    yield "peer", Quantity("times as fast as mink", mink.seconds / ours.seconds, least=5.0)
 
 
-def _session_times(abilities: Abilities) -> Iterator[FigureRow]:
+def _session_times(abilities: Abilities) -> Iterator[MotionRow]:
     """Of a walk to a ball 5 m away and the reach there: frames that plan, and those that do not."""
     session = FigureSession(abilities)
     session.send(SetBall((5.0, 0.5, 1.2)))
@@ -442,11 +421,11 @@ def _session_times(abilities: Abilities) -> Iterator[FigureRow]:
         spent = 1e3 * (time.thread_time() - began)
         plans = planning or session.planning or frame.phase < 2.0 / 60.0
         (planned if plans else played).append(spent)
-    yield FigureRow("time", "a frame that is played, p99", float(np.quantile(played, 0.99)), "ms", most=1.0)
-    yield FigureRow("time", "a frame that plans, longest", max(planned), "ms", most=1000.0 / RATE)
+    yield "time", Quantity("a frame that is played, p99", float(np.quantile(played, 0.99)), "ms", most=1.0)
+    yield "time", Quantity("a frame that plans, longest", max(planned), "ms", most=1000.0 / RATE)
 
 
-def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[FigureRow]:
+def measure_figure(abilities: Abilities, count: int = 20, seed: int = 0) -> Iterator[MotionRow]:
     """All rows, one after the other."""
     yield from measure_walks(abilities.figure)
     yield from measure_hands(abilities, count, seed)

@@ -19,7 +19,6 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any, Self
 from urllib.parse import urlsplit
@@ -31,6 +30,7 @@ import zstandard
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
+from robot_ik.bench.quantity import Quantity
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, View, run
@@ -56,22 +56,7 @@ _PATIENCE = 180.0  # seconds for a kernel cache that is empty, on a slow machine
 _PLACES = (-0.45, -0.3, 0.9), (-0.45, -0.27, 0.88)  # of the ball, in the PUMA's reach, metres
 
 
-@dataclass(frozen=True)
-class PageRow:
-    """One figure beside its target; NaN: not measured, because of ``note``."""
-
-    what: str
-    value: float
-    unit: str
-    most: float
-    note: str = ""
-
-    @property
-    def passed(self) -> bool:
-        return self.value <= self.most
-
-
-def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text: None) -> Iterator[PageRow]:
+def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text: None) -> Iterator[Quantity]:
     """All rows, one after the other; ``seconds``: for which processor time and bytes are counted."""
     say("running four arms")
     with Session(Start(count=COUNT)) as session:
@@ -83,20 +68,20 @@ def measure_page(seconds: float = 10.0, say: Callable[[str], None] = lambda text
     yield from _starts(say)
 
 
-def _tick_and_view(session: Session) -> PageRow:
+def _tick_and_view(session: Session) -> Quantity:
     times = []
     for _ in range(_TICKS):
         begin = time.perf_counter()
         session.tick()
         session.view()
         times.append(time.perf_counter() - begin)
-    return PageRow("tick and view, four arms, tight loop", 1e3 * float(np.median(times)), "ms", 1.0)
+    return Quantity("tick and view, four arms, tight loop", 1e3 * float(np.median(times)), "ms", 1.0)
 
 
 # ------------------------------------------------------------------------------------- a running page
 
 
-def _running(session: Session, seconds: float, say: Callable[[str], None]) -> Iterator[PageRow]:
+def _running(session: Session, seconds: float, say: Callable[[str], None]) -> Iterator[Quantity]:
     """Costs with one client and with two; the delay of a ball that is dragged."""
     draws: list[float] = []
     stop = threading.Event()
@@ -135,7 +120,7 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
         ("from a goal message to the packet with the moved arm: p90", np.percentile(delays, 90), "ms", 60.0),
     )
     for what, value, unit, most in rows:
-        yield PageRow(what, float(value), unit, most)
+        yield Quantity(what, float(value), unit, most)
 
 
 def _costs(watcher: Watcher, seconds: float) -> tuple[float, float]:
@@ -279,7 +264,7 @@ class PageClient:
 # ------------------------------------------------------------------------------------------ the start
 
 
-def _starts(say: Callable[[str], None]) -> Iterator[PageRow]:
+def _starts(say: Callable[[str], None]) -> Iterator[Quantity]:
     """Warm and cold: seconds from the command to the robot in a running browser, and to the first answer."""
     with _browser() as (browser, why):
         say("starting the command")
@@ -294,7 +279,7 @@ def _starts(say: Callable[[str], None]) -> Iterator[PageRow]:
         ("command to first answer, with no kernel compiled", cold[2], 45.0, ""),
     )
     for what, value, most, note in rows:
-        yield PageRow(what, value, "s", most, note)
+        yield Quantity(what, value, "s", most, missing=note)
 
 
 @contextlib.contextmanager
@@ -306,7 +291,7 @@ def _browser() -> Iterator[tuple[Any, str]]:
     except ImportError:
         path = None
     if path is None:
-        yield None, "not measured: needs Chromium and playwright (extra dev)"
+        yield None, "it needs Chromium and playwright (extra dev)"
         return
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM))

@@ -357,7 +357,7 @@ def refine_markers(
     if not len(markers):
         return []
     announce(refine_corners_of, "the refinement of marker corners")
-    gray = np.ascontiguousarray(to_gray(image))
+    gray = to_gray(image)
     corners = np.array(markers, dtype=float).reshape(-1, 4, 2)
     normalized, covariance = np.empty_like(corners), np.empty((len(corners), 8, 8))
     good, blurs = np.zeros(len(corners), np.int64), np.empty(len(corners))

@@ -127,13 +127,6 @@ def square_poses(points: Array, normalized: Array) -> list[tuple[list[float], li
     return poses
 
 
-def to_gray(image: Image) -> Image:
-    """Grey (h, w) of a BGR (h, w, 3) or grey (h, w) picture."""
-    if image.ndim == 2:
-        return image
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-
-
 # ------------------------------------------------------------------------------------------
 # Pictures in a whole part of their size: a large or soft picture is searched there, and loses nothing.
 #
@@ -143,6 +136,13 @@ def to_gray(image: Image) -> Image:
 # Detectors look at so many pixels round a pixel as suits pictures of up to this longer side, px.
 LARGE = 3000
 _WANTED = 2000
+
+
+def to_gray(image: Image) -> Image:
+    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture."""
+    if image.ndim == 2:
+        return np.ascontiguousarray(image)
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
 
 
 def times_smaller(image: Image) -> int:

@@ -121,7 +121,7 @@ def refine_prints(
     if not len(sides):
         return []
     announce(fit_photometric, "the fit of the markers' prints")
-    gray, expected = np.ascontiguousarray(to_gray(image)), EdgeShift.of(intrinsics)
+    gray, expected = to_gray(image), EdgeShift.of(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[CX] -= origin[0]
     lens[CY] -= origin[1]

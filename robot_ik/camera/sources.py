@@ -36,7 +36,7 @@ from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutErr
 #: Sources that other modules know how to open: the module, and its function or class.
 _OPENERS = {
     "device": ("robot_ik.camera.device", "DeviceSource"),
-    "synthetic": ("robot_ik.camera.synthetic.moving", "open_moving"),
+    "synthetic": ("robot_ik.camera.synthetic.datasets", "open_moving"),
 }
 
 _DEFAULT_RATE_HZ = 30.0  # of folders, and of films that do not state theirs

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,10 +22,9 @@ from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
 
 if TYPE_CHECKING:
-    from robot_ik.bench.figure import FigureRow
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
-    from robot_ik.bench.page import PageRow
+    from robot_ik.bench.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 
@@ -242,28 +240,23 @@ def run_figure(options: BenchFigureOptions) -> int:
         abilities = load_abilities(load_figure(options.model))
         rows = list(measure_figure(abilities, options.count, options.seed))
     if options.json:
-        _print_rows_json(rows)
+        facts = [
+            {
+                "motion": motion, "what": one.quantity, "value": one.value, "unit": one.unit,
+                "least": one.least, "most": one.most, "missing": one.missing,
+                "passed": one.passed is not False,
+            }
+            for motion, one in rows
+        ]  # fmt: skip
+        console.print_json({"schema": 1, "rows": facts})
     else:
-        cells = [(row.motion, row.what, *_figure_cells(row)) for row in rows]
+        cells = [(motion, *_quantity_cells(one)) for motion, one in rows]
         console.show(console.table("motion", "what", "measured", "wanted", "", rows=cells))
-    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
+    return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
 
 
-def _figure_cells(row: FigureRow) -> tuple[str, str, Text]:
-    """What was measured, what is wanted, and whether it is so."""
-    bounded_below, bounded_above = math.isfinite(row.least), math.isfinite(row.most)
-    value = row.missing or f"{row.value:.4g} {row.unit}".strip()
-    if not bounded_below and not bounded_above:
-        return value, "", Text("")
-    target = f"≥ {row.least:g}" if not bounded_above else f"≤ {row.most:g}"
-    if bounded_below and bounded_above:
-        target = f"{row.least:g} … {row.most:g}"
-    missing = Text("not measured", style="yellow")
-    return value, target, missing if row.missing else console.verdict_mark(row.passed)
-
-
-def _print_rows_json(rows: Sequence[FigureRow | PageRow]) -> None:
-    console.print_json({"schema": 1, "rows": [asdict(row) | {"passed": row.passed} for row in rows]})
+def _quantity_cells(row: Quantity) -> tuple[object, ...]:
+    return row.quantity, row.measured_text, row.wanted_text, console.verdict_mark(row.passed)
 
 
 # ------------------------------------------------------------------------------------------
@@ -293,7 +286,7 @@ def run_page(options: BenchPageOptions) -> int:
         raise MissingExtraError("viser", "web", "the page in the browser")
     from robot_ik.bench.page import measure_page
 
-    rows: list[PageRow] = []
+    rows: list[Quantity] = []
     try:
         with console.progress() as bar:
             task = bar.add_task("measuring", total=None, note="")
@@ -301,17 +294,18 @@ def run_page(options: BenchPageOptions) -> int:
                 rows.append(row)  # one by one: an interrupt keeps what is done
     finally:
         if options.json:
-            _print_rows_json(rows)
+            facts = [
+                {
+                    "what": row.quantity, "value": row.value, "unit": row.unit, "most": row.most,
+                    "note": row.missing, "passed": bool(row.passed),
+                }
+                for row in rows
+            ]  # fmt: skip
+            console.print_json({"schema": 1, "rows": facts})
         else:
-            console.show(console.table("what", "measured", "wanted", "", "", rows=_page_cells(rows)))
+            cells = [_quantity_cells(row) for row in rows]
+            console.show(console.table("what", "measured", "wanted", "", rows=cells))
     return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
-
-
-def _page_cells(rows: list[PageRow]) -> Iterator[tuple[object, ...]]:
-    for row in rows:
-        value = "–" if math.isnan(row.value) else f"{row.value:.3g} {row.unit}"
-        mark = console.verdict_mark(row.passed)
-        yield row.what, value, f"≤ {row.most:g}", mark, Text(row.note, style="dim")
 
 
 # ------------------------------------------------------------------------------------------

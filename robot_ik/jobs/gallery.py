@@ -14,15 +14,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
 from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field
+from robot_ik.camera.drawing.raycast import RayField, ray_field
 from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.photograph import (
-    Quality,
-    RobotRenderer,
-    SyntheticView,
-)
+from robot_ik.camera.synthetic.photograph import Photographer, Quality
 from robot_ik.camera.synthetic.scene import Lights, StillPicture
 from robot_ik.errors import ModelError
 from robot_ik.geometry import Pose
@@ -100,21 +96,15 @@ def photograph(
     model: mujoco.MjModel, qpos: ArrayLike, camera: Pose, intrinsics: CameraIntrinsics, floor: float
 ) -> Photo:
     """Takes one picture of any MuJoCo model without floor planes, above a floor at that height, m."""
-    field = ray_field(intrinsics)
     subject = np.asarray(surface_points(model, qpos).mean(axis=0))
     distance = float(np.linalg.norm(subject - camera.position))
     lights = replace(Lights.beside(camera, distance), strength=_STRENGTH)
-    view = SyntheticView(field, camera, lights, Caster(model), _seamless(field, camera, floor))
-    view.robot.place(qpos)
-    lit = view.ground_light(_QUALITY)
-    picture = view.still.ambient + view.still.lamp * lit[..., :1] + view.still.ceiling * lit[..., 1:]
+    still = _seamless(ray_field(intrinsics), camera, floor)
+    picture, robot, _ = Photographer(model, intrinsics, camera, lights, still).expose(qpos, _QUALITY)
     coverage = np.zeros(picture.shape[:2], dtype=np.float32)
-    layer = RobotRenderer(view, model).render(qpos, _QUALITY)
-    if layer is not None:
-        x0, y0, x1, y1 = layer.box
-        coverage[y0:y1, x0:x1] = layer.coverage
-        picture *= 1.0 - coverage[..., None]
-        picture[y0:y1, x0:x1] += layer.colour
+    if robot is not None:
+        x0, y0, x1, y1 = robot.box
+        coverage[y0:y1, x0:x1] = robot.coverage
     image = np.clip(np.rint(255.0 * picture), 0, 255).astype(np.uint8)
     return Photo(image, coverage, intrinsics, camera)
 

@@ -201,7 +201,7 @@ class Vision:
     def find_gripper(self) -> BodyObservation | None:
         """The gripper's markers in a new picture; None when none is in view."""
         if self.cover_gripper and self.synthetic is not None:
-            self.synthetic.scene = self.synthetic.scene.cover(*self.scene.cube)
+            self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
         return self._cubes.observe_body(self._source.read(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
@@ -330,7 +330,7 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
         return None  # a goal was given, and nothing can be seen: the read-back must do
     synthetic = scene.synthetic(setup.robot)
     if request.rehearsal.blank_marker:
-        synthetic = synthetic.blank(scene.marker_id)
+        synthetic = synthetic.with_marker(scene.marker_id, condition="blank")
     source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
     stack.enter_context(source)
     metal = setup.arm is not None and setup.arm.virtual_bus is None

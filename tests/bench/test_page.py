@@ -10,6 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from robot_ik.bench.quantity import Quantity
 from robot_ik.cli.main import main
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session, run
@@ -24,17 +25,20 @@ def test_what_misses_its_target_or_was_not_measured_is_said(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rows = [
-        bench.PageRow("good", 0.5, "ms", 1.0),
-        bench.PageRow("missed", float("nan"), "s", 8.0, "no browser"),
+        Quantity("good", 0.5, "ms", 1.0),
+        Quantity("missed", 9.0, "s", 8.0),
+        Quantity("not there", float("nan"), "s", 8.0, missing="no browser"),
     ]
 
-    def measure(seconds: float, say: object) -> Iterator[bench.PageRow]:
+    def measure(seconds: float, say: object) -> Iterator[Quantity]:
         yield from rows
 
     monkeypatch.setattr(bench, "measure_page", measure)
     assert main(["bench", "page"]) == 1
     text = capsys.readouterr().out
     assert "0.5 ms" in text and "FAIL" in text and "no browser" in text
+    rows.pop(1)
+    assert main(["bench", "page"]) == 1 and "FAIL" not in capsys.readouterr().out
     rows.pop()
     assert main(["bench", "page", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rows"][0]["passed"] is True

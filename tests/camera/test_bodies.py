@@ -30,7 +30,7 @@ def seen_boards(
     tracker = MarkerTracker(CAMERA, DICTIONARY, body.sizes)
     half = max(np.abs(p.position[:2]).max() + size / 2 for size, p in body.markers.values())
     for k in range(count):
-        pose, _ = random_pose(CAMERA, rng, distance, size=2.1 * half)
+        pose = random_pose(CAMERA, rng, distance, size=2.1 * half)
         markers = {i: (size, pose.compose(p)) for i, (size, p) in body.markers.items()}
         cover = None
         if hidden:

@@ -97,7 +97,7 @@ def test_one_wrong_picture_among_right_ones_changes_nothing() -> None:
 def test_the_first_picture_speaks_for_itself_and_so_does_one_after_a_pause() -> None:
     memory, rng = BranchMemory(), np.random.default_rng(3)
     for k, time in enumerate((0.0, 10.0, 3.0, float("nan"))):
-        branches = seen(random_pose(CAMERA, np.random.default_rng(k), 1.0)[0], 0.1, rng)
+        branches = seen(random_pose(CAMERA, np.random.default_rng(k), 1.0), 0.1, rng)
         choice = (BranchMemory() if np.isnan(time) else memory).choose(branches, time)
         assert choice.index == 0
         assert choice.ambiguity == pytest.approx(branches.ambiguity)
@@ -119,7 +119,7 @@ def test_pictures_of_a_resting_marker_make_it_less_ambiguous() -> None:
 @given(st.integers(0, 1000))
 def test_the_mirror_image_turns_depths_round(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    pose, _ = random_pose(CAMERA, rng, 0.8, tilt_deg=(5, 60))
+    pose = random_pose(CAMERA, rng, 0.8, tilt_deg=(5, 60))
     turn = Pose(
         rng.normal(0, 0.1, 3), rotation_exp(rng.normal(0, 1, 3))
     )  # the plane lies anywhere in the body

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.camera import accuracy
-from robot_ik.bench.camera.accuracy import Misses, SelfTestRow
+from robot_ik.bench.camera.accuracy import JudgedMisses, Misses
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
@@ -106,7 +106,7 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
 def test_the_self_test_judges(
     rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [SelfTestRow("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
+    rows = [JudgedMisses("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
     monkeypatch.setattr(accuracy, "self_test", lambda progress: (rows, "no OpenGL here"))
     assert main(["ar", "--self-test"]) == code
     said = capsys.readouterr()

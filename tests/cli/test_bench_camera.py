@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.camera import Effort, Quantity, Row
+from robot_ik.bench.camera import Effort, Row
+from robot_ik.bench.quantity import Quantity
 from robot_ik.cli import bench
 from robot_ik.cli.main import main
 from robot_ik.errors import CameraError

@@ -40,7 +40,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source = SyntheticSource(synthetic, lambda: robot.home, quality="fast")
     scene.intrinsics.save(folder / "camera.yaml")
     cv2.imwrite(str(folder / "photo.png"), source.read().image)
-    source.scene = synthetic.blank(scene.marker_id)
+    source.scene = synthetic.with_marker(scene.marker_id, condition="blank")
     cv2.imwrite(str(folder / "blank.png"), source.read().image)
     (folder / "pictures").mkdir()
     cv2.imwrite(str(folder / "pictures" / "a1.png"), cv2.imread(str(folder / "blank.png")))

@@ -5,46 +5,12 @@ from __future__ import annotations
 import importlib
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any
 
+from robot_ik.bench.quantity import Quantity
 from robot_ik.errors import RobotIkError
 from robot_ik.jobs import Progress
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One measured number, and what is ``wanted`` of it: the most, or the least; None where nothing is.
-
-    ``timed``: it depends on the machine and what else it does.
-    """
-
-    quantity: str
-    value: float
-    unit: str
-    wanted: float | None = None
-    at_least: bool = False
-    timed: bool = False
-
-    @property
-    def passed(self) -> bool | None:
-        """Whether the value meets what is wanted; None where nothing is."""
-        if self.wanted is None:
-            return None
-        return self.value >= self.wanted if self.at_least else self.value <= self.wanted
-
-    @property
-    def measured_text(self) -> str:
-        """Value and unit: whole numbers as they are, others with three figures."""
-        whole = not self.unit and self.value == round(self.value)
-        return f"{self.value:.0f}" if whole else f"{self.value:.3g} {self.unit}".strip()
-
-    @property
-    def wanted_text(self) -> str:
-        """The bound with its sign and unit; empty where there is none."""
-        if self.wanted is None:
-            return ""
-        return f"{'≥' if self.at_least else '≤'} {self.wanted:g} {self.unit}".strip()
 
 
 @dataclass(frozen=True)
@@ -162,8 +128,17 @@ class MeasuredRows:
                 name: {
                     "seconds": round(self.seconds.get(name, 0.0), 1),
                     "unmeasured": self.unmeasured.get(name),
-                    "figures": [asdict(one) | {"passed": one.passed} for one in figures],
+                    "figures": [_facts(one) for one in figures],
                 }
                 for name, figures in self.figures.items()
             },
         }
+
+
+def _facts(one: Quantity) -> dict[str, Any]:
+    """For JSON."""
+    return {
+        "quantity": one.quantity, "value": one.value, "unit": one.unit,
+        "wanted": one.most if one.least is None else one.least, "at_least": one.least is not None,
+        "timed": one.timed, "passed": one.passed,
+    }  # fmt: skip

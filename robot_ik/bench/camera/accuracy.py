@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
+from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body
@@ -35,7 +36,7 @@ from robot_ik.camera.synthetic.datasets import (
     standard_set,
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
-from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import Progress
 from robot_ik.ports import Array
@@ -43,9 +44,10 @@ from robot_ik.ports import Array
 Image = NDArray[np.uint8]
 
 DICTIONARY = "DICT_4X4_50"
-_MARKER = 7
+MARKER = 7
 # The board of 2×2: 112 mm; of 3×3: 174 mm.
-_GAP = 0.012
+GAP = 0.012
+BOARD = grid_body(2, 2, STANDARD_SIZE, GAP).markers
 # A pose farther off than this took the wrong one of the two that a square allows, rad.
 _FLIPPED = np.deg2rad(5.0)
 # Position and orientation of one 50 mm marker, by distance: mm, degrees.
@@ -70,13 +72,37 @@ def factor(ratio: float) -> float:
     return max(ratio, 1.0 / ratio)
 
 
+def outward(error: Array, corners: Array) -> Array:
+    """How far corners (4, 2) that are off by ``error`` (4, 2) lie outwards, along the diagonals: (4,)."""
+    direction = corners - corners.mean(axis=0)
+    return np.asarray((error * direction).sum(axis=1) / np.linalg.norm(direction, axis=1))
+
+
+def board_frame(
+    pose: Pose,
+    layout: Layout,
+    rng: np.random.Generator,
+    *,
+    margin: float = 0.12,
+    cover: Array | None = None,
+    number: int = 0,
+    time: float = 0.0,
+) -> Frame:
+    """A board of markers at ``pose`` (camera frame) in a picture of a webcam."""
+    placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
+    image = render_markers(
+        STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=margin, cover=cover, sensor=WEBCAM
+    )
+    return frame_of(image, number, time)
+
+
 def _seen(
     effort: Effort, distance: float, count: int
 ) -> Iterator[tuple[MarkerView, MarkerObservation | None]]:
     # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
-    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {_MARKER: STANDARD_SIZE})
+    tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {MARKER: STANDARD_SIZE})
     for number, view in enumerate(
-        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=_MARKER, sensor=WEBCAM)
+        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
     ):
         seen = tracker.observe(frame_of(view.image, number))
         yield view, seen[0] if len(seen) == 1 else None
@@ -84,17 +110,16 @@ def _seen(
 
 def corners(effort: Effort) -> Iterator[Quantity]:
     """RMS error and bias of the corners, all distances together; the bias outwards is what becomes depth."""
-    errors, outward = [], []
+    errors, outwards = [], []
     for distance in STANDARD_DISTANCES:
         for view, seen in _seen(effort, distance, 60):
             if seen is None:
                 continue
             error = seen.corners - view.corners
-            direction = view.corners - view.corners.mean(axis=0)
             errors.append(error)
-            outward.append((error * direction).sum(axis=1) / np.linalg.norm(direction, axis=1))
+            outwards.append(outward(error, view.corners))
     every = np.array(errors)
-    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outward))))
+    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outwards))))
     yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
     yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
 
@@ -121,24 +146,15 @@ def _boards(
     effort: Effort, side: int, distance: float, count: int, *, hidden: bool = False
 ) -> Iterator[tuple[Pose, BodyObservation | None]]:
     """True pose and observation of a board of side × side markers, tilted by up to 60 degrees."""
-    layout = grid_body(side, side, STANDARD_SIZE, _GAP).markers
-    size = side * STANDARD_SIZE + (side - 1) * _GAP
+    layout = grid_body(side, side, STANDARD_SIZE, GAP).markers
+    size = side * STANDARD_SIZE + (side - 1) * GAP
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: s for i, (s, _) in layout.items()})
     rng = np.random.default_rng([effort.seed, side, round(1000 * distance), hidden])
     for number in range(effort.count(count)):
-        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
-        placed = {i: (s, pose.compose(on)) for i, (s, on) in layout.items()}
+        pose = random_pose(STANDARD_CAMERA, rng, distance, size=size, tilt_deg=(0.0, 60.0))
         cover = _half(pose, size, rng) if hidden else None
-        image = render_markers(
-            STANDARD_CAMERA,
-            placed,
-            rng,
-            dictionary=DICTIONARY,
-            margin=_GAP / STANDARD_SIZE,
-            cover=cover,
-            sensor=WEBCAM,
-        )
-        yield pose, tracker.observe_body(frame_of(image, number), layout)
+        frame = board_frame(pose, layout, rng, margin=GAP / STANDARD_SIZE, cover=cover, number=number)
+        yield pose, tracker.observe_body(frame, layout)
 
 
 def _half(pose: Pose, size: float, rng: np.random.Generator) -> Array:
@@ -229,7 +245,6 @@ STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
 _RADIUS_PX, _ROOM_PX = 8.0, 44
 # Where a robot on the board may be: metres beside it and above it.
 _BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
-_BOARD = MarkerBoard(grid_body(2, 2, STANDARD_SIZE, _GAP).markers, DICTIONARY)
 
 
 @dataclass(frozen=True)
@@ -242,9 +257,9 @@ class Misses:
     count: int
 
     @classmethod
-    def of(cls, offsets: ArrayLike) -> Misses:
-        """From offsets (n, 2)."""
-        off = np.asarray(offsets, dtype=float).reshape(-1, 2)
+    def of(cls, offsets: Sequence[Array]) -> Misses:
+        """From offsets, each (2,) or (n, 2)."""
+        off = np.vstack([np.zeros((0, 2)), *offsets])
         if not len(off):
             return cls(float("nan"), float("nan"), float("nan"), 0)
         length = np.linalg.norm(off, axis=1)
@@ -335,26 +350,20 @@ def overlay_error(distance: float, count: int = 20, *, seed: int = 0) -> Misses:
     The pictures are those of the standard set (blur, noise, uneven light, tilts up to 60 degrees).
     """
     rng = np.random.default_rng([seed, round(1e3 * distance)])
-    watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
+    watcher = BoardWatcher(MarkerBoard(BOARD, DICTIONARY), STANDARD_CAMERA, window=False)
     points, offsets = robot_points(seed), []
     for number in range(count):
-        pose, _ = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
-        seen = watcher.see(_photograph(pose, rng, number, 0.0))
+        pose = random_pose(STANDARD_CAMERA, rng, distance, size=0.112)
+        seen = watcher.see(board_frame(pose, BOARD, rng, number=number))
         if seen is None:
             continue
         true, drawn = (STANDARD_CAMERA.project(p.apply(points)) for p in (pose, seen.pose_camera_board))
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+    return Misses.of(offsets)
 
 
 def _in_view(pixels: Array) -> NDArray[np.bool_]:
     return np.asarray(((pixels > 0) & (pixels < np.array(STANDARD_CAMERA.size) - 1)).all(axis=1))
-
-
-def _photograph(pose: Pose, rng: np.random.Generator, number: int, at: float) -> Frame:
-    markers = {id: (side, pose.compose(local)) for id, (side, local) in _BOARD.layout.items()}
-    image = render_markers(STANDARD_CAMERA, markers, rng, dictionary=DICTIONARY, margin=0.12, sensor=WEBCAM)
-    return frame_of(image, number, at)
 
 
 def hand_motion(t: float) -> Pose:
@@ -392,8 +401,8 @@ def latency_errors(delay: float = 0.066, seconds: float = 4.0) -> dict[str, Miss
     rng = np.random.default_rng([0, 5])
     steps = max(1, round(delay * _RATE_HZ))
     times = np.arange(round(seconds * _RATE_HZ)) / _RATE_HZ
-    frames = [_photograph(hand_motion(t), rng, k, float(t)) for k, t in enumerate(times)]
-    watcher = BoardWatcher(_BOARD, STANDARD_CAMERA, window=False)
+    frames = [board_frame(hand_motion(t), BOARD, rng, number=k, time=float(t)) for k, t in enumerate(times)]
+    watcher = BoardWatcher(MarkerBoard(BOARD, DICTIONARY), STANDARD_CAMERA, window=False)
     observations = [watcher.see(frame) for frame in frames]
     return {
         name: _latency_error(latency_options, round(share * steps), frames, observations, robot_points(0))
@@ -429,7 +438,7 @@ def _latency_error(
         if motion is not None:
             drawn = drawn @ motion[:, :2].T + motion[:, 2]
         offsets.append((drawn - true)[_in_view(true)])
-    return Misses.of(np.concatenate(offsets) if offsets else np.zeros((0, 2)))
+    return Misses.of(offsets)
 
 
 class _RecordedWatcher(BoardWatcher):
@@ -460,10 +469,44 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
+@dataclass(frozen=True)
+class JudgedMisses:
+    """How far drawings lie off; ``limits`` of RMS and worst, None: they are reported, not judged."""
+
+    what: str
+    misses: Misses
+    limits: tuple[float, float] | None
+
+    @property
+    def good(self) -> bool:
+        return all(one.passed is not False for one in self.quantities())
+
+    def quantities(self) -> tuple[Quantity, Quantity]:
+        """RMS and worst."""
+        rms_limit, worst_limit = self.limits or (None, None)
+        return (
+            Quantity(f"{self.what}, RMS", self.misses.rms, "px", rms_limit),
+            Quantity(f"{self.what}, worst", self.misses.worst, "px", worst_limit),
+        )
+
+
+def _spheres(artist: Artist, seed: int) -> Iterator[JudgedMisses]:
+    for kind, (lens, *limits) in _WANTED.items():
+        misses = projection_identity(artist, lens, seed=seed)
+        yield JudgedMisses(f"{artist.name} against projectPoints, {kind}", misses, (limits[0], limits[1]))
+
+
+def _overlays(count: int, seed: int) -> Iterator[JudgedMisses]:
+    for distance in _OVERLAY_DISTANCES:
+        misses = overlay_error(distance, count, seed=seed)
+        yield JudgedMisses(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+
+
 def projection(effort: Effort) -> Iterator[Quantity]:
     """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
     for name in ("painter", "ray"):
-        yield from _identity(make_artist(name)[0], effort)
+        for row in _spheres(make_artist(name)[0], effort.seed):
+            yield from row.quantities()
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:
@@ -475,24 +518,14 @@ def gl_projection(effort: Effort) -> Iterator[Quantity]:
     artist, notice = make_artist("gl")
     if notice:
         raise NotMeasuredError(notice)
-    yield from _identity(artist, effort)
-
-
-def _identity(artist: Artist, effort: Effort) -> Iterator[Quantity]:
-    for kind, (lens, wanted, worst) in _WANTED.items():
-        misses = projection_identity(artist, lens, seed=effort.seed)
-        what = f"{artist.name} against projectPoints, {kind}"
-        yield Quantity(f"{what}, RMS", misses.rms, "px", wanted)
-        yield Quantity(f"{what}, worst", misses.worst, "px", worst)
+    for row in _spheres(artist, effort.seed):
+        yield from row.quantities()
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for distance in _OVERLAY_DISTANCES:
-        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
-        what = f"overlay on a 2×2 board at {distance} m"
-        yield Quantity(f"{what}, RMS", misses.rms, "px", _OVERLAY_WANTED[0])
-        yield Quantity(f"{what}, worst", misses.worst, "px", _OVERLAY_WANTED[1])
+    for row in _overlays(effort.count(60), effort.seed):
+        yield from row.quantities()
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:
@@ -513,7 +546,7 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
         yield Quantity(f"{name}: focal length, off by", 100.0 * max(focal), "%", 0.15)
         yield Quantity(f"{name}: optical centre, off by", max(centre), "px", 2.0)
         yield Quantity(f"{name}: reprojection error, RMS", max(error), "px", 0.2)
-        yield Quantity(f"{name}: views in which the board was found", min(counted), "", _VIEWS, at_least=True)
+        yield Quantity(f"{name}: views in which the board was found", min(counted), "", least=_VIEWS)
 
 
 def handeye(effort: Effort) -> Iterator[Quantity]:
@@ -536,36 +569,20 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
 # ``robot-ik ar --self-test``: the drawings' rows in brief.
 
 
-@dataclass(frozen=True)
-class SelfTestRow:
-    """One figure of the self-test; ``limits`` of RMS and worst, None: it is reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        misses, limits = self.misses, self.limits
-        return limits is None or (misses.rms <= limits[0] and misses.worst <= limits[1])
-
-
-def self_test(progress: Progress) -> tuple[list[SelfTestRow], str]:
+def self_test(progress: Progress) -> tuple[list[JudgedMisses], str]:
     """All figures, and one line where OpenGL is missing; empty: it is there."""
-    rows, notice = [], ""
+    rows: list[JudgedMisses] = []
+    notice = ""
     for k, name in enumerate(("painter", "ray", "gl")):
         progress(name, 2 * k / 9)
         artist, missing = make_artist(name)
         notice = missing or notice
-        for kind, (lens, *limits) in {} if missing else _WANTED.items():
-            misses = projection_identity(artist, lens)
-            rows.append(SelfTestRow(f"{name}: spheres, {kind}", misses, (limits[0], limits[1])))
+        if not missing:
+            rows += _spheres(artist, 3)
         getattr(artist, "close", lambda: None)()
-    for k, distance in enumerate(_OVERLAY_DISTANCES):
-        progress("board", (6 + k) / 9)
-        what = f"robot on a 2 x 2 board at {distance:g} m"
-        rows.append(SelfTestRow(what, overlay_error(distance), _OVERLAY_WANTED))
+    progress("board", 6 / 9)
+    rows += _overlays(20, 0)
     progress("delay", 8 / 9)
     for name, misses in latency_errors().items():
-        rows.append(SelfTestRow(f"66 ms behind a moving hand: {name}", misses, None))
+        rows.append(JudgedMisses(f"66 ms behind a moving hand: {name}", misses, None))
     return rows, notice

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_ik.bench.camera import Effort, Quantity
-from robot_ik.bench.camera.accuracy import factor, frame_of, rms
+from robot_ik.bench.camera import Effort
+from robot_ik.bench.camera.accuracy import DICTIONARY, board_frame, factor, rms
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
@@ -22,8 +23,7 @@ from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose,
 from robot_ik.camera.motion_filter import MotionFilter, OneEuro, moved
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
-from robot_ik.camera.synthetic.sensor import WEBCAM
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
@@ -93,7 +93,7 @@ def offsets(effort: Effort) -> Iterator[Quantity]:
         every = np.degrees(np.concatenate(off))
         yield Quantity(f"{case.text}: joint zeros, RMS", rms(every), "°", 0.1)
         yield Quantity(f"{case.text}: joint zeros, worst", float(every.max()), "°", 0.1)
-        yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", case.joints, at_least=True)
+        yield Quantity(f"{case.text}: joints of 6 observable", min(counted), "", least=case.joints)
     yield Quantity(
         "stated uncertainty of joint zeros off by a factor of", factor(rms(np.concatenate(ratios))), "", 2.0
     )
@@ -182,14 +182,11 @@ def _view(
 _SEEDS, _CHAIN_VIEWS = 20, 20
 # Mean squared error over the stated one.
 _NEES_RANGE = (0.3, 3.0)
-_PRINTED = "DICT_4X4_50"
 
 
 def _photographed(pose: Pose, layout: Layout, rng: np.random.Generator) -> BoardView | None:
-    """A board at ``pose`` (camera frame) in a picture of a webcam."""
-    placed = {id: (side, pose.compose(on)) for id, (side, on) in layout.items()}
-    image = render_markers(STANDARD_CAMERA, placed, rng, dictionary=_PRINTED, margin=0.12, sensor=WEBCAM)
-    return MarkerBoard(layout, _PRINTED).see(frame_of(image), STANDARD_CAMERA)
+    """A board at ``pose`` (camera frame) as it is seen in a picture of a webcam."""
+    return MarkerBoard(layout, DICTIONARY).see(board_frame(pose, layout, rng), STANDARD_CAMERA)
 
 
 def _chain(robot: Robot, eye: Pose, rng: np.random.Generator) -> tuple[tuple[float, float, float], Array]:
@@ -232,7 +229,7 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
         ("camera by a sheet", "camera by the arm's views", "joint zeros"), nees, strict=True
     ):
         yield Quantity(f"{what}, squared error over the stated", value, "", _NEES_RANGE[1])
-        yield Quantity(f"{what}, the same, at least", value, "", _NEES_RANGE[0], at_least=True)
+        yield Quantity(f"{what}, the same, at least", value, "", least=_NEES_RANGE[0])
     off = np.degrees(np.concatenate([one for _, one in found]))
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")

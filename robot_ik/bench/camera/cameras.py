@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, Quantity
-from robot_ik.bench.camera.accuracy import frame_of, rms
-from robot_ik.camera.bodies import grid_body
+from robot_ik.bench.camera import Effort
+from robot_ik.bench.camera.accuracy import BOARD, DICTIONARY, GAP, MARKER, frame_of, outward, rms
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
@@ -30,9 +30,7 @@ from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 
-DICTIONARY, _MARKER, _GAP = "DICT_4X4_50", 7, 0.012
-_BOARD = grid_body(2, 2, STANDARD_SIZE, _GAP).markers
-_BOARD_SIZE = 2 * STANDARD_SIZE + _GAP
+_BOARD_SIZE = 2 * STANDARD_SIZE + GAP
 # Scenes at each distance.
 _SINGLES, _BOARDS = 40, 20
 # Corner bias along the diagonals, px: of a usual camera, of a bad picture.  Mean squared error over the
@@ -102,21 +100,19 @@ def measured(
     conditions: tuple[Condition, ...], count: int, seed: int, *, board: bool, distances: tuple[float, ...]
 ) -> dict[str, Errors]:
     """Errors by the name of the camera, of markers or boards in ``count`` scenes at each distance."""
-    layout = _BOARD if board else {_MARKER: (STANDARD_SIZE, Pose())}
+    layout = BOARD if board else {MARKER: (STANDARD_SIZE, Pose())}
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {i: side for i, (side, _) in layout.items()})
     result = {condition.name: Errors() for condition in conditions}
     for distance in distances:
         rng = np.random.default_rng([seed, round(1e3 * distance), board])
         for number in range(count):
-            pose, _ = random_pose(
-                STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE
-            )
+            pose = random_pose(STANDARD_CAMERA, rng, distance, size=_BOARD_SIZE if board else STANDARD_SIZE)
             placed = {i: (side, pose.compose(on)) for i, (side, on) in layout.items()}
             begun, lights = rng.bit_generator.state, {}
             for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
                 rng.bit_generator.state = begun
                 lights[bleed] = marker_light(
-                    STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=_GAP / STANDARD_SIZE,
+                    STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=GAP / STANDARD_SIZE,
                     sensor=replace(LINEAR, bleed=bleed),
                 )  # fmt: skip
             centre = markers_centre(STANDARD_CAMERA, placed)
@@ -132,7 +128,7 @@ def _see(
 ) -> None:
     frame = frame_of(image)
     if board:
-        body = tracker.observe_body(frame, _BOARD)
+        body = tracker.observe_body(frame, BOARD)
         if body is None:
             errors.missed += 1
             return
@@ -145,9 +141,7 @@ def _see(
         return
     errors.add(distance, seen[0].pose.position - pose.position, seen[0].covariance[:3, :3])
     true = STANDARD_CAMERA.project(pose.apply(marker_points(STANDARD_SIZE)))
-    direction = true - true.mean(axis=0)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    errors.outward.append(float(np.mean(np.sum((seen[0].corners - true) * direction, axis=1))))
+    errors.outward.append(float(outward(seen[0].corners - true, true).mean()))
 
 
 def cameras(effort: Effort) -> Iterator[Quantity]:
@@ -167,7 +161,7 @@ def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quan
         yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
     nees = float(np.mean(errors.nees))
     yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES[1])
-    yield Quantity(f"{what}, the same, at least", nees, "", _NEES[0], at_least=True)
+    yield Quantity(f"{what}, the same, at least", nees, "", least=_NEES[0])
     yield Quantity(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
         yield Quantity(

@@ -16,8 +16,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError, Quantity
-from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.camera.accuracy import frame_of, outward
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.detection import largest_dictionaries
@@ -138,9 +139,7 @@ def outward_of_saddles(
         if number not in seen or not 0 < row < board.rows - 1:
             continue
         expected = lens.distort(_predicted(homography, board, column, row))
-        direction = expected - expected.mean(axis=0)
-        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        off.append(float(np.mean(np.sum((seen[number] - expected) * direction, axis=1))))
+        off.append(float(outward(seen[number] - expected, expected).mean()))
     return off
 
 

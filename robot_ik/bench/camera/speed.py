@@ -17,8 +17,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from robot_ik.bench.camera import Effort, Quantity
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.camera.accuracy import frame_of
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.device import DeviceSource
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -189,7 +190,7 @@ def loop(effort: Effort) -> Iterator[Quantity]:
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
         wanted = _LOOP_WANTED[camera.width]
-        yield Quantity(what, 1e3 / took.processor, "frames/s", wanted, at_least=True, timed=True)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted, timed=True)
         yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
 
 

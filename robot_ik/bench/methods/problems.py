@@ -1,4 +1,4 @@
-"""Seeded problem sets: poses of a robot's frame, each made from joint angles that meet it.
+"""Seeded problem sets: poses of a robot's tool, each made from joint angles that meet it.
 
 The same robot, count and seed give the same numbers.  ``cold`` and ``warm`` are made as the well-known
 comparisons of libraries make them: uniform joint samples from home, and a smooth path in small steps.
@@ -7,105 +7,17 @@ comparisons of libraries make them: uniform joint samples from home, and a smoot
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 
-from robot_ik.errors import UnsupportedJointError
-from robot_ik.geometry import Pose
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
-# A robot written out in the plainest MJCF: one hinge a body, rotating about the body's own origin.
-#
-# Other libraries' readers and converters ask for that form; a body of ours may carry several hinges with
-# anchors of their own.  The kinematics are the same, which a test holds to MuJoCo.
-
-
-_HINGE, _FREE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
-
-
-def plain_mjcf(robot: Robot, sites: Mapping[str, str]) -> str:
-    """MJCF text of a robot of hinges, on a free base or none, without geometry.
-
-    Args:
-        robot: Whose model; all of its joints stay active, in their order, so ``qpos`` means the same.
-        sites: New name -> frame of the robot; only these are written.
-
-    Raises:
-        UnsupportedJointError: A joint that is neither a hinge nor the base's free joint.
-    """
-    return _Writer(robot, sites).text()
-
-
-class _Writer:
-    def __init__(self, robot: Robot, sites: Mapping[str, str]) -> None:
-        self.robot, self.sites, self.model = robot, sites, robot.model
-        self.root = ElementTree.Element("mujoco", model=robot.name)
-        ElementTree.SubElement(self.root, "compiler", angle="radian", autolimits="true")
-        world = ElementTree.SubElement(self.root, "worldbody")
-        # For each body of the model: the written body that carries it, and where it sits on that one.
-        self.carriers: list[tuple[ElementTree.Element, Pose]] = [(world, Pose())]
-
-    def text(self) -> str:
-        for body in range(1, self.model.nbody):
-            self.carriers.append(self.body(body))
-        for name, frame in self.sites.items():
-            at = self.robot.frame(frame)
-            carrier, local = self.carriers[at.body]
-            ElementTree.SubElement(carrier, "site", {"name": name} | _pos_and_quat(local.compose(at.local)))
-        keys = ElementTree.SubElement(self.root, "keyframe")
-        ElementTree.SubElement(keys, "key", name="home", qpos=numbers(self.robot.qpos(self.robot.home)))
-        ElementTree.indent(self.root)
-        return ElementTree.tostring(self.root, encoding="unicode") + "\n"
-
-    def body(self, body: int) -> tuple[ElementTree.Element, Pose]:
-        model = self.model
-        carrier, at = self.carriers[int(model.body_parentid[body])]
-        at = at.compose(Pose(model.body_pos[body], model.body_quat[body]))
-        first = int(model.body_jntadr[body])
-        for joint in range(first, first + int(model.body_jntnum[body])):
-            name, kind = model.joint(joint).name, int(model.jnt_type[joint])
-            if kind not in (_HINGE, _FREE) or (kind == _HINGE and model.qpos0[model.jnt_qposadr[joint]]):
-                raise UnsupportedJointError(
-                    f"joint {name!r} of {self.robot.name} is no hinge with its zero at its reference",
-                    path=self.robot.path,
-                )
-            anchor = Pose(model.jnt_pos[joint] if kind == _HINGE else np.zeros(3))
-            carrier = ElementTree.SubElement(
-                carrier, "body", {"name": f"at_{name}"} | _pos_and_quat(at.compose(anchor))
-            )
-            ElementTree.SubElement(carrier, "inertial", pos="0 0 0", mass="1", diaginertia="0.01 0.01 0.01")
-            if kind == _FREE:
-                ElementTree.SubElement(carrier, "freejoint", name=name)
-            else:
-                about = {"name": name, "type": "hinge", "axis": numbers(model.jnt_axis[joint])}
-                if model.jnt_limited[joint]:
-                    about["range"] = numbers(model.jnt_range[joint])
-                ElementTree.SubElement(carrier, "joint", about)
-            at = anchor.inverse()
-        return carrier, at
-
-
-def _pos_and_quat(pose: Pose) -> dict[str, str]:
-    attributes = {"pos": numbers(pose.position)}
-    if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
-        attributes["quat"] = numbers(pose.wxyz)
-    return attributes
-
-
-def numbers(values: Iterable[float]) -> str:
-    """As XML has them."""
-    return " ".join(repr(float(v)) for v in values)
-
-
-# ------------------------------------------------------------------------------------------
-# Who says whether a solve succeeded: MuJoCo's forward pass and the model's own joint ranges.
+# Who says whether a solve succeeded: MuJoCo's forward pass (``Robot.measure``) and the robot's limits.
 
 
 #: Beyond a limit or a tolerance by so little is rounding, not a miss (rad, m, or share of the tolerance).
@@ -117,45 +29,6 @@ def apart(a: Array, b: Array) -> tuple[float, float]:
     # The chord between the rotations: exact near zero, where an arc cosine is not.
     chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
     return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), 2.0 * math.asin(min(1.0, chord))
-
-
-class Judge:
-    """Measures solutions for one frame of a robot; nothing of the solvers' own code is asked."""
-
-    def __init__(self, robot: Robot, frame: str | None = None) -> None:
-        self._robot, self._at = robot, robot.frame(frame)
-        self._data = mujoco.MjData(robot.model)
-        self._local = self._at.local.matrix
-
-    def pose(self, q: Array) -> Array:
-        """(4, 4) pose of the frame in the world at ``q`` (nq,)."""
-        self._data.qpos[:] = self._robot.qpos(q)
-        mujoco.mj_kinematics(self._robot.model, self._data)
-        body = np.eye(4)
-        body[:3, :3] = self._data.xmat[self._at.body].reshape(3, 3)
-        body[:3, 3] = self._data.xpos[self._at.body]
-        return np.asarray(body @ self._local)
-
-    def miss(self, q: Array, target: Array) -> tuple[float, float]:
-        """Metres and radians between the frame at ``q`` (nq,) and a target (4, 4)."""
-        return apart(self.pose(q), target)
-
-    def inside(self, q: Array) -> bool:
-        """Whether every active joint is inside the range that the model gives it."""
-        model, qpos = self._robot.model, self._robot.qpos(q)
-        for joint in self._robot.tree.joint_ids:
-            if not model.jnt_limited[joint]:
-                continue
-            low, high = model.jnt_range[joint]
-            start = int(model.jnt_qposadr[joint])
-            if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL:
-                angle = 2.0 * math.atan2(float(np.linalg.norm(qpos[start + 1 : start + 4])), abs(qpos[start]))
-                outside = angle > high + SLACK
-            else:
-                outside = not low - SLACK <= qpos[start] <= high + SLACK
-            if outside:
-                return False
-        return True
 
 
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
@@ -175,7 +48,7 @@ _GIVE_UP = 6  # … and in a row at the beginning: such a robot is hardly ever s
 
 @dataclass(frozen=True, eq=False)
 class ProblemSet:
-    """Targets for one frame, with the joint angles they were made from.
+    """Targets for the tool, with the joint angles they were made from.
 
     Attributes:
         targets: (n, 4, 4) poses in the world.
@@ -186,7 +59,6 @@ class ProblemSet:
     """
 
     name: str
-    frame: str
     targets: Array
     witnesses: Array
     first: Array
@@ -204,15 +76,13 @@ def make_set(name: str, robot: Robot, count: int, seed: int = 0) -> ProblemSet:
     """
     # A stream of its own for each kind: asking for one set more changes no other.
     rng = np.random.default_rng([seed, *name.encode()])
-    return SETS[name](robot, count, rng, robot.tool)
+    return SETS[name](robot, count, rng)
 
 
-def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reason: str = "") -> ProblemSet:
-    judge = Judge(robot, frame)
-    targets = np.array([judge.pose(q) for q in witnesses]).reshape(-1, 4, 4)
+def _reachable(name: str, robot: Robot, witnesses: list[Array], reason: str = "") -> ProblemSet:
+    targets = np.array([robot.measure(q).matrix for q in witnesses]).reshape(-1, 4, 4)
     return ProblemSet(
         name,
-        frame,
         targets,
         np.array(witnesses).reshape(-1, robot.nq),
         robot.home,
@@ -220,17 +90,17 @@ def _reachable(name: str, robot: Robot, frame: str, witnesses: list[Array], reas
     )
 
 
-def cold(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def cold(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """Poses of uniform joint samples; every solve starts at home."""
-    return _reachable("cold", robot, frame, [robot.sample(rng) for _ in range(count)])
+    return _reachable("cold", robot, [robot.sample(rng) for _ in range(count)])
 
 
-def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def limits(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """As ``cold``, but half of the limited joints, or one, stand within 1 % of their range from its end."""
     tree = robot.tree
     limited = [k for k in range(tree.size) if tree.kind[k] != FREE and np.isfinite(robot.upper[tree.vadr[k]])]
     if not limited:
-        return _reachable("limits", robot, frame, [], "no joint has limits")
+        return _reachable("limits", robot, [], "no joint has limits")
     found = []
     for _ in range(count):
         q = robot.sample(rng)
@@ -246,58 +116,51 @@ def limits(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> Pr
                 inward = share * (high - low)
                 q[a] = low + inward if rng.random() < 0.5 else high - inward
         found.append(q)
-    return _reachable("limits", robot, frame, found)
+    return _reachable("limits", robot, found)
 
 
-def unreachable(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
-    """Poses outside the ball that the frame cannot leave: nothing can reach them."""
-    ball = robot.reach(frame)
-    judge = Judge(robot, frame)
+def unreachable(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
+    """Poses outside the ball that the tool cannot leave: nothing can reach them."""
+    ball = robot.reach()
     targets = []
     for _ in range(count if ball is not None else 0):
         assert ball is not None
         centre, radius = ball
-        pose = judge.pose(robot.sample(rng))
+        pose = robot.measure(robot.sample(rng)).matrix
         direction = pose[:3, 3] - centre
         pose[:3, 3] = centre + direction / np.linalg.norm(direction) * radius * rng.uniform(*BEYOND)
         targets.append(pose)
     reason = "" if targets else "nothing is out of its reach: the base floats, or a slide has no end"
     empty = np.empty((0, robot.nq))
-    return ProblemSet(
-        "unreachable", frame, np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason
-    )
+    return ProblemSet("unreachable", np.array(targets).reshape(-1, 4, 4), empty, robot.home, reason=reason)
 
 
 # ------------------------------------------------------------------------------------- singular
 
 
-def singular(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
-    """Poses whose joint angles make the Jacobian of the frame lose a rank; every solve starts at home."""
-    chain = robot.tree.ancestors(robot.attachment(frame)[0])
+def singular(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
+    """Poses whose joint angles make the Jacobian of the tool lose a rank; every solve starts at home."""
+    chain = robot.tree.ancestors(robot.attachment()[0])
     if robot.tree.kind[chain[0]] == FREE:
-        return _reachable("singular", robot, frame, [], "a floating base is never singular")
-    rank = max(
-        int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng), frame), tol=1e-6)) for _ in range(5)
-    )
+        return _reachable("singular", robot, [], "a floating base is never singular")
+    rank = max(int(np.linalg.matrix_rank(robot.jacobian(robot.sample(rng)), tol=1e-6)) for _ in range(5))
     found: list[Array] = []
     for tried in range(_TRIES * count):
         if len(found) == count or (tried == _GIVE_UP and not found):
             break
-        q = _to_singular(robot, robot.sample(rng), frame, rank)
+        q = _to_singular(robot, robot.sample(rng), rank)
         if q is not None:
             found.append(q)
-    return _reachable(
-        "singular", robot, frame, found, "no singular joint angles were found inside the limits"
-    )
+    return _reachable("singular", robot, found, "no singular joint angles were found inside the limits")
 
 
-def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
+def _to_singular(robot: Robot, q: Array, rank: int) -> Array | None:
     """The singular joint angles near ``q``, by Newton's method on the smallest singular value, or None."""
     for _ in range(_NEWTON_STEPS):
-        left, sigma, right = np.linalg.svd(robot.jacobian(q, frame), full_matrices=False)
+        left, sigma, right = np.linalg.svd(robot.jacobian(q), full_matrices=False)
         if sigma[rank - 1] < SINGULAR * sigma[0]:
             return q if not robot.outside(q) else None
-        slope = _slope(robot, q, frame, left[:, rank - 1], right[rank - 1])
+        slope = _slope(robot, q, left[:, rank - 1], right[rank - 1])
         length = float(slope @ slope)
         if length < 1e-12:
             return None
@@ -308,14 +171,14 @@ def _to_singular(robot: Robot, q: Array, frame: str, rank: int) -> Array | None:
     return None
 
 
-def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
+def _slope(robot: Robot, q: Array, u: Array, v: Array) -> Array:
     """(nv,) change of the singular value u·J·v per unit of each dof, by central differences."""
     h, slope = 1e-5, np.zeros(robot.nv)
     for i in range(robot.nv):
         dq = np.zeros(robot.nv)
         dq[i] = h
-        forward = robot.jacobian(robot.integrate(q, dq), frame)
-        back = robot.jacobian(robot.integrate(q, -dq), frame)
+        forward = robot.jacobian(robot.integrate(q, dq))
+        back = robot.jacobian(robot.integrate(q, -dq))
         slope[i] = u @ (forward - back) @ v / (2.0 * h)
     return slope
 
@@ -323,16 +186,16 @@ def _slope(robot: Robot, q: Array, frame: str, u: Array, v: Array) -> Array:
 # ----------------------------------------------------------------------------------------- warm
 
 
-def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> ProblemSet:
+def warm(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
-    path, judge = _path(robot, rng), Judge(robot, frame)
+    path = _path(robot, rng)
     t, dt = 0.0, 0.02
-    pose, first = judge.pose(path(0.0)), path(0.0)
+    pose, first = robot.measure(path(0.0)).matrix, path(0.0)
     targets: list[Array] = []
     witnesses: list[Array] = []
     while len(targets) < count:
         for _ in range(60):  # until the step is just as long as it may be
-            there = judge.pose(path(t + dt))
+            there = robot.measure(path(t + dt)).matrix
             ratio = _step(pose, there)
             if 0.98 < ratio <= 1.0:
                 break
@@ -340,9 +203,7 @@ def warm(robot: Robot, count: int, rng: np.random.Generator, frame: str) -> Prob
         t, pose = t + dt, there
         targets.append(there)
         witnesses.append(path(t))
-    return ProblemSet(
-        "warm", frame, np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True
-    )
+    return ProblemSet("warm", np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True)
 
 
 def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
@@ -368,7 +229,7 @@ def _step(a: Array, b: Array) -> float:
 
 
 #: Every kind of problem set, by name.
-SETS: dict[str, Callable[[Robot, int, np.random.Generator, str], ProblemSet]] = {
+SETS: dict[str, Callable[[Robot, int, np.random.Generator], ProblemSet]] = {
     "cold": cold,
     "warm": warm,
     "singular": singular,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.bench.methods import growth
-from robot_ik.bench.methods.problems import SLACK, Judge, ProblemSet, make_set
+from robot_ik.bench.methods.problems import SLACK, ProblemSet, apart, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -45,7 +45,6 @@ class Bench:
         problem = self.problem
         if problem is None:
             return
-        judge = Judge(self.robot, self.problems.frame)
         previous, deadline = self.problems.first, time.perf_counter() + settings.seconds
         with _no_garbage():
             for index, target in enumerate(self.problems.targets):
@@ -56,7 +55,7 @@ class Bench:
                 solution = self.solver.solve(problem, start)
                 q = solution.q
                 took = (time.perf_counter_ns() - began) / 1e3
-                good = self._keep(judge, settings, took, solution, target)
+                good = self._keep(settings, took, solution, target)
                 if self.problems.tracking:
                     step = float(np.abs(q - previous).max())
                     if good:
@@ -68,15 +67,15 @@ class Bench:
                 if time.perf_counter() > deadline and index >= 9:
                     break
 
-    def _keep(self, judge: Judge, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
-        metres, radians = judge.miss(solution.q, target)
+    def _keep(self, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
+        metres, radians = apart(self.robot.measure(solution.q).matrix, target)
         if self.cell.goal == "position":
             radians = 0.0
         slack = 1.0 + SLACK
         good = (
             metres <= settings.position_tolerance * slack
             and radians <= settings.angle_tolerance * slack
-            and judge.inside(solution.q)
+            and not self.robot.outside(solution.q, SLACK)
         )
         cell = self.cell
         cell.position_miss.append(metres)
@@ -112,7 +111,7 @@ def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settin
     if not len(problems):
         cell.skipped = problems.reason
         return bench
-    goals: Sequence[Goal] = (PoseGoal(problems.frame, _ORIGIN), PositionGoal(problems.frame, _ORIGIN))
+    goals: Sequence[Goal] = (PoseGoal(robot.tool, _ORIGIN), PositionGoal(robot.tool, _ORIGIN))
     goal = next((g for g in goals if solver.supports(g)), goals[0])
     cell.goal = goal.name.removesuffix(" goal")
     tolerance = Tolerance(settings.position_tolerance, settings.angle_tolerance)

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
-from robot_ik.bench.methods.problems import Judge, ProblemSet, make_set, numbers, plain_mjcf
+from robot_ik.bench.methods.problems import ProblemSet, make_set
+from robot_ik.errors import UnsupportedJointError
 from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -31,6 +33,7 @@ FIGURE_SITES = {
 _AWAY, _BASE_M, _POINTS_TOLERANCE = 0.5, 0.1, 1e-4
 _FAR, _PROBES = 30, 20
 _BASE = 7  # numbers of a free base in qpos
+_HINGE, _FREE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_FREE)
 
 
 def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
@@ -44,7 +47,7 @@ def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
     write_atomically(folder / "model.xml", written)
     write_atomically(folder / "model.urdf", urdf_of(model))
     base = _BASE if model.nq > model.njnt else 0
-    hinges = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_HINGE]
+    hinges = [j for j in range(model.njnt) if model.jnt_type[j] == _HINGE]
     limits = np.where(
         model.jnt_limited[hinges][:, None], model.jnt_range[hinges], (-2 * math.pi, 2 * math.pi)
     )
@@ -79,8 +82,7 @@ def _poses(robot: Robot, count: int, seed: int) -> dict[str, Array]:
         angles = np.array([robot.sample(rng) for _ in range(max(count // 10, _PROBES))])
         for joint, angle in fixed.items():
             angles[:, robot.joints.index(joint)] = angle
-        judge = Judge(robot)
-        found[f"{kind}_targets"] = np.array([judge.pose(q) for q in angles])
+        found[f"{kind}_targets"] = np.array([robot.measure(q).matrix for q in angles])
         found[f"{kind}_starts"] = np.repeat(robot.home[None], len(angles), axis=0)
     return found
 
@@ -133,41 +135,103 @@ def _four_goals(robot: Robot, model: mujoco.MjModel, count: int, seed: int) -> d
     }
 
 
-@dataclass(frozen=True, eq=False)
 class Sites:
-    """Where MuJoCo has the sites of a plain model, and the limits of its hinges."""
+    """Where MuJoCo has the sites of a plain model.
 
-    model: mujoco.MjModel
+    Attributes:
+        lower, upper: (n,) limits of its hinges, rad.
+    """
 
-    @property
-    def lower(self) -> Array:
-        """(n,) of the hinges, rad."""
-        return np.array(self.model.jnt_range[self.model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE, 0])
-
-    @property
-    def upper(self) -> Array:
-        """(n,) likewise."""
-        return np.array(self.model.jnt_range[self.model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE, 1])
-
-    def positions(self, q: Array) -> Array:
-        """(sites, 3) at ``q`` (nq,)."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = q
-        mujoco.mj_kinematics(self.model, data)
-        return np.array(data.site_xpos)
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model, self._data = model, mujoco.MjData(model)
+        self.lower, self.upper = model.jnt_range[model.jnt_type == _HINGE].T
 
     def poses(self, q: Array) -> Array:
         """(sites, 4, 4) at ``q`` (nq,)."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = q
-        mujoco.mj_kinematics(self.model, data)
-        found = np.tile(np.eye(4), (self.model.nsite, 1, 1))
-        found[:, :3, :3] = data.site_xmat.reshape(-1, 3, 3)
-        found[:, :3, 3] = data.site_xpos
+        self._data.qpos[:] = q
+        mujoco.mj_kinematics(self._model, self._data)
+        found = np.tile(np.eye(4), (self._model.nsite, 1, 1))
+        found[:, :3, :3] = self._data.site_xmat.reshape(-1, 3, 3)
+        found[:, :3, 3] = self._data.site_xpos
         return found
+
+    def positions(self, q: Array) -> Array:
+        """(sites, 3) at ``q`` (nq,)."""
+        return self.poses(q)[:, :3, 3]
 
 
 # ------------------------------------------------------------------------------------- descriptions
+#
+# Other libraries' readers and converters ask for the plainest form: one hinge a body, rotating about the
+# body's own origin; a body of ours may carry several hinges with anchors of their own.
+
+
+def plain_mjcf(robot: Robot, sites: Mapping[str, str]) -> str:
+    """MJCF text of a robot of hinges, on a free base or none, without geometry; its kinematics are the same.
+
+    Args:
+        robot: Whose model; all of its joints stay active, in their order, so ``qpos`` means the same.
+        sites: New name -> frame of the robot; only these are written.
+
+    Raises:
+        UnsupportedJointError: A joint that is neither a hinge nor the base's free joint.
+    """
+    model = robot.model
+    root = ElementTree.Element("mujoco", model=robot.name)
+    ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    # For each body of the model: the written body that carries it, and where it sits on that one.
+    carriers = [(ElementTree.SubElement(root, "worldbody"), Pose())]
+    for body in range(1, model.nbody):
+        carrier, at = carriers[int(model.body_parentid[body])]
+        at = at.compose(Pose(model.body_pos[body], model.body_quat[body]))
+        first = int(model.body_jntadr[body])
+        for joint in range(first, first + int(model.body_jntnum[body])):
+            carrier, anchor = _plain_joint(robot, joint, carrier, at)
+            at = anchor.inverse()
+        carriers.append((carrier, at))
+    for name, frame in sites.items():
+        place = robot.frame(frame)
+        carrier, local = carriers[place.body]
+        ElementTree.SubElement(carrier, "site", {"name": name} | _pos_and_quat(local.compose(place.local)))
+    keys = ElementTree.SubElement(root, "keyframe")
+    ElementTree.SubElement(keys, "key", name="home", qpos=_numbers(robot.qpos(robot.home)))
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _plain_joint(
+    robot: Robot, joint: int, carrier: ElementTree.Element, at: Pose
+) -> tuple[ElementTree.Element, Pose]:
+    """A joint on a body of its own at its anchor, which hangs on ``carrier``; and that anchor."""
+    model = robot.model
+    name, kind = model.joint(joint).name, int(model.jnt_type[joint])
+    if kind not in (_HINGE, _FREE) or (kind == _HINGE and model.qpos0[model.jnt_qposadr[joint]]):
+        raise UnsupportedJointError(
+            f"joint {name!r} of {robot.name} is no hinge with its zero at its reference", path=robot.path
+        )
+    anchor = Pose(model.jnt_pos[joint] if kind == _HINGE else np.zeros(3))
+    made = ElementTree.SubElement(carrier, "body", {"name": f"at_{name}"} | _pos_and_quat(at.compose(anchor)))
+    ElementTree.SubElement(made, "inertial", pos="0 0 0", mass="1", diaginertia="0.01 0.01 0.01")
+    if kind == _FREE:
+        ElementTree.SubElement(made, "freejoint", name=name)
+        return made, anchor
+    about = {"name": name, "type": "hinge", "axis": _numbers(model.jnt_axis[joint])}
+    if model.jnt_limited[joint]:
+        about["range"] = _numbers(model.jnt_range[joint])
+    ElementTree.SubElement(made, "joint", about)
+    return made, anchor
+
+
+def _pos_and_quat(pose: Pose) -> dict[str, str]:
+    attributes = {"pos": _numbers(pose.position)}
+    if not np.array_equal(np.abs(pose.wxyz), (1.0, 0.0, 0.0, 0.0)):
+        attributes["quat"] = _numbers(pose.wxyz)
+    return attributes
+
+
+def _numbers(values: Iterable[float]) -> str:
+    """As XML has them."""
+    return " ".join(repr(float(v)) for v in values)
 
 
 def frames_of(model: mujoco.MjModel) -> Array:
@@ -198,7 +262,7 @@ def urdf_of(model: mujoco.MjModel) -> str:
     A robot on the ground starts at a link ``base``, one that floats at its floating body.
     """
     robot = ElementTree.Element("robot", name="plain")
-    floating = int(model.jnt_type[0]) == mujoco.mjtJoint.mjJNT_FREE
+    floating = int(model.jnt_type[0]) == _FREE
     if not floating:
         ElementTree.SubElement(robot, "link", name="base")
 
@@ -215,7 +279,7 @@ def urdf_of(model: mujoco.MjModel) -> str:
             robot, model.joint(joint).name, "revolute", name_of(int(model.body_parentid[body])),
             name_of(body), model.body_pos[body], model.body_quat[body],
         )  # fmt: skip
-        ElementTree.SubElement(made, "axis", xyz=numbers(model.jnt_axis[joint]))
+        ElementTree.SubElement(made, "axis", xyz=_numbers(model.jnt_axis[joint]))
         ElementTree.SubElement(
             made, "limit", lower=repr(float(lower)), upper=repr(float(upper)), effort="100", velocity="100"
         )
@@ -242,7 +306,7 @@ def _joint(
     made = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(made, "parent", link=parent)
     ElementTree.SubElement(made, "child", link=child)
-    ElementTree.SubElement(made, "origin", xyz=numbers(position), rpy=numbers(roll_pitch_yaw(wxyz)))
+    ElementTree.SubElement(made, "origin", xyz=_numbers(position), rpy=_numbers(roll_pitch_yaw(wxyz)))
     return made
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import mujoco
 import numpy as np
 
 from robot_ik.bench.theses.tracking import Track, track
@@ -88,11 +89,9 @@ def arc_joint_angle(links: int, chord: float) -> float:
 
 def _rotation_up_to(direction: Array) -> Array:
     """Shortest rotation, wxyz, of the z axis to a unit vector (3,)."""
-    w = 1.0 + float(direction[2])
-    if w < 1e-12:
-        return np.array([0.0, 1.0, 0.0, 0.0])
-    rotation = np.array([w, -direction[1], direction[0], 0.0])
-    return np.asarray(rotation / np.linalg.norm(rotation))
+    rotation = np.empty(4)
+    mujoco.mju_quatZ2Vec(rotation, direction)
+    return rotation
 
 
 # ------------------------------------------------------------------------------------------

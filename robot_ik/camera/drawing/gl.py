@@ -147,12 +147,12 @@ class GlArtist(Artist):
 
     def __init__(self, backend: str) -> None:
         self._backend = backend
-        self._renderers: dict[tuple[int, int, int], tuple[Any, mujoco.MjModel, mujoco.MjData]] = {}
+        self._renderers: dict[tuple[mujoco.MjModel, int, int], tuple[Any, mujoco.MjData]] = {}
         self._maps: dict[CameraIntrinsics, tuple[CameraIntrinsics, Any]] = {}
 
     def close(self) -> None:
         """Lets go of the contexts."""
-        for renderer, _, _ in self._renderers.values():
+        for renderer, _ in self._renderers.values():
             renderer.close()
         self._renderers.clear()
 
@@ -224,12 +224,11 @@ class GlArtist(Artist):
         return colour, geom.astype(np.int32), depth
 
     def _renderer(self, model: mujoco.MjModel, width: int, height: int) -> tuple[Any, mujoco.MjData]:
-        key = (id(model), width, height)
+        key = (model, width, height)
         if key not in self._renderers:
             model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
             model.vis.global_.offheight = max(model.vis.global_.offheight, height)
             with _context_of(self._backend):
                 renderer = mujoco.Renderer(model, height, width)
-            self._renderers[key] = renderer, model, mujoco.MjData(model)
-        renderer, _, data = self._renderers[key]
-        return renderer, data
+            self._renderers[key] = renderer, mujoco.MjData(model)
+        return self._renderers[key]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,6 +26,8 @@ SEGMENTS = (8, 12, 16, 20, 24, 28, 32, 36, 40, 48, 56, 64, 80, 96)
 _USUAL = ((0.015, 12), (0.04, 16), (np.inf, 24))
 # Longest face edge, metres.  Short faces follow the lens' curvature and sort well by depth.
 MAX_EDGE = 0.13
+# Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
+CREASE = np.radians(30.0)
 # Faces of a mesh geom above which its vertices are clustered: the painter pays by the face.
 MAX_MESH_FACES = 1500
 
@@ -54,13 +54,41 @@ class GeomMesh:
 
     @cached_property
     def corner_normals(self) -> Array:
-        """(f, 4, 3) the same smoothed over round surfaces."""
-        return _corner_normals(self.faces, self.normals)
+        """(f, 4, 3) at the corners: the mean over the faces there that bend by less than ``CREASE``."""
+        corner = self.faces.reshape(-1)
+        face = np.repeat(np.arange(len(self.faces)), 4)
+        real = np.ones(self.faces.shape, dtype=bool)
+        real[:, 3] = self.faces[:, 2] != self.faces[:, 3]
+        there = np.flatnonzero(real.reshape(-1))
+        there = there[np.argsort(corner[there], kind="stable")]
+        starts = np.searchsorted(corner[there], corner)
+        counts = np.searchsorted(corner[there], corner, side="right") - starts
+        asking = np.repeat(np.arange(len(corner)), counts)
+        step = np.arange(len(asking)) - np.repeat(np.cumsum(counts) - counts, counts)
+        other = face[there[np.repeat(starts, counts) + step]]
+        own = face[asking]
+        smooth = np.einsum("ij,ij->i", self.normals[own], self.normals[other]) > np.cos(CREASE)
+        total = np.stack(
+            [np.bincount(asking[smooth], self.normals[other[smooth], k], len(corner)) for k in range(3)],
+            axis=1,
+        )
+        length = np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+        return np.asarray(total / length).reshape(-1, 4, 3)
 
     @cached_property
     def edges(self) -> tuple[Index, Index, NDArray[np.bool_]]:
-        """(e, 2) into ``vertices``; (e, 2) the two faces of each; (e,) which are sharp."""
-        return _edges(self.faces, self.normals)
+        """(e, 2) into ``vertices``; (e, 2) the faces at each, one twice at a border; (e,) which are sharp."""
+        pairs = np.stack([self.faces, np.roll(self.faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+        owner = np.repeat(np.arange(len(self.faces)), 4)
+        real = pairs[:, 0] != pairs[:, 1]
+        pairs, owner = np.sort(pairs[real], axis=1), owner[real]
+        edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+        order = np.argsort(inverse.reshape(-1), kind="stable")
+        counts = np.bincount(inverse.reshape(-1), minlength=len(edges))
+        first = np.cumsum(counts) - counts
+        edge_faces = np.stack([owner[order][first], owner[order][first + counts - 1]], axis=1)
+        cosine = np.einsum("ij,ij->i", self.normals[edge_faces[:, 0]], self.normals[edge_faces[:, 1]])
+        return edges, edge_faces, cosine < np.cos(CREASE)
 
 
 def _weld(vertices: Array, faces: Index) -> GeomMesh:
@@ -249,11 +277,6 @@ def round_radius(model: mujoco.MjModel, geom: int) -> float:
     return float(size[0])
 
 
-def outline_error(model: mujoco.MjModel, geom: int) -> float:
-    """Greatest error of a round outline, as part of the radius, over the square of the step in radians."""
-    return 1.0 / 16.0 if int(model.geom_type[geom]) == int(mujoco.mjtGeom.mjGEOM_CYLINDER) else 1.0 / 8.0
-
-
 def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh | None:
     """Faces of one geom in its own frame; ``None`` for kinds without a surface here (height field, SDF).
 
@@ -275,8 +298,6 @@ def _primitive(kind: int, size: tuple[float, ...], segments: int) -> GeomMesh | 
     return _ROUND[kind](np.array(size), segments) if kind in _ROUND else None
 
 
-# Edges whose faces meet at more than this are drawn in outline styles, radians (30 degrees).
-CREASE = np.radians(30.0)
 # Round outlines are drawn true to this, pixels.
 ROUND_PX = 0.25
 # MuJoCo's viewer shows these geom groups unless told otherwise (mjvOption default).
@@ -330,47 +351,12 @@ def visible_geoms(model: mujoco.MjModel, *, planes: bool = False) -> list[int]:
     ]
 
 
-def _edges(faces: Index, normals: Array) -> tuple[Index, Index, NDArray[np.bool_]]:
-    """Edges (e, 2), the two faces at each (e, 2; the same one twice at a border), and which are sharp."""
-    pairs = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    owner = np.repeat(np.arange(len(faces)), 4)
-    real = pairs[:, 0] != pairs[:, 1]
-    pairs, owner = np.sort(pairs[real], axis=1), owner[real]
-    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    order = np.argsort(inverse.reshape(-1), kind="stable")
-    counts = np.bincount(inverse.reshape(-1), minlength=len(edges))
-    first = np.cumsum(counts) - counts
-    edge_faces = np.stack([owner[order][first], owner[order][first + counts - 1]], axis=1)
-    cosine = np.einsum("ij,ij->i", normals[edge_faces[:, 0]], normals[edge_faces[:, 1]])
-    return edges, edge_faces, cosine < np.cos(CREASE)
-
-
-def _corner_normals(faces: Index, normals: Array) -> Array:
-    """Normals (f, 4, 3) at the corners: the mean over the faces there that bend by less than ``CREASE``."""
-    corner = faces.reshape(-1)
-    face = np.repeat(np.arange(len(faces)), 4)
-    real = np.ones(faces.shape, dtype=bool)
-    real[:, 3] = faces[:, 2] != faces[:, 3]
-    there = np.flatnonzero(real.reshape(-1))
-    there = there[np.argsort(corner[there], kind="stable")]
-    starts = np.searchsorted(corner[there], corner)
-    counts = np.searchsorted(corner[there], corner, side="right") - starts
-    asking = np.repeat(np.arange(len(corner)), counts)
-    step = np.arange(len(asking)) - np.repeat(np.cumsum(counts) - counts, counts)
-    other = face[there[np.repeat(starts, counts) + step]]
-    own = face[asking]
-    smooth = np.einsum("ij,ij->i", normals[own], normals[other]) > np.cos(CREASE)
-    total = np.stack(
-        [np.bincount(asking[smooth], normals[other[smooth], k], len(corner)) for k in range(3)], axis=1
-    )
-    length = np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
-    return np.asarray(total / length).reshape(-1, 4, 3)
-
-
 _NOTHING = GeomMesh(np.zeros((0, 3)), np.zeros((0, 4), dtype=np.int64))
 
 
-def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
+# Of several models, with several levels of detail.
+@lru_cache(maxsize=64)
+def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
     """Stacks the faces of all visible geoms of ``model``; see ``ModelMesh``.
 
     ``segments``: of each geom of the model, faces round a round one; usual numbers when not given.
@@ -402,54 +388,34 @@ def build_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segment
 
 @dataclass(frozen=True)
 class _Kept:
-    """What is kept of a model; the model too, so that its id stays its own as long as this lives."""
+    """What is kept of a model for drawing."""
 
-    model: Any
     data: mujoco.MjData
     # segments of each geom where a metre is a pixel, its extents across its z axis and along it
     needed: Array
     radius: Array
     reach: Array
     parts: dict[tuple[int, int], GeomMesh]
-    meshes: OrderedDict[tuple[bool, Segments], ModelMesh]
 
 
-_CACHE: OrderedDict[int, _Kept] = OrderedDict()
-# Models, and levels of detail of each.
-_MODELS, _LEVELS = 8, 24
-
-
+@lru_cache(maxsize=8)
 def _kept(model: mujoco.MjModel) -> _Kept:
-    if id(model) not in _CACHE:
-        geoms = range(model.ngeom)
-        error = np.array([round_radius(model, g) * outline_error(model, g) for g in geoms])
-        needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
-        size, kind = np.asarray(model.geom_size).reshape(-1, 3), np.asarray(model.geom_type)
-        long = np.isin(kind, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
-        ball = kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
-        radius = np.where(ball, size.max(axis=1), size[:, 0]) * (error > 0)
-        reach = np.where(long, size[:, 1], 0.0)
-        _CACHE[id(model)] = _Kept(model, mujoco.MjData(model), needed, radius, reach, {}, OrderedDict())
-        while len(_CACHE) > _MODELS:
-            _CACHE.popitem(last=False)
-    _CACHE.move_to_end(id(model))
-    return _CACHE[id(model)]
+    geoms = range(model.ngeom)
+    size, kind = np.asarray(model.geom_size).reshape(-1, 3), np.asarray(model.geom_type)
+    # An outline is off by so much of the radius times the square of the step in radians.
+    share = np.where(kind == int(mujoco.mjtGeom.mjGEOM_CYLINDER), 1 / 16, 1 / 8)
+    error = share * [round_radius(model, g) for g in geoms]
+    needed = 2.0 * np.pi * np.sqrt(error / ROUND_PX)
+    long = np.isin(kind, [int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER)])
+    ball = kind == int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+    radius = np.where(ball, size.max(axis=1), size[:, 0]) * (error > 0)
+    reach = np.where(long, size[:, 1], 0.0)
+    return _Kept(mujoco.MjData(model), needed, radius, reach, {})
 
 
 def scratch_data(model: mujoco.MjModel) -> mujoco.MjData:
     """A ``MjData`` kept with the model for drawing."""
     return _kept(model).data
-
-
-def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segments = ()) -> ModelMesh:
-    """``build_mesh``, kept for the last few models and levels of detail."""
-    meshes, key = _kept(model).meshes, (planes, segments)
-    if key not in meshes:
-        meshes[key] = build_mesh(model, planes=planes, segments=segments)
-        while len(meshes) > _LEVELS:
-            meshes.popitem(last=False)
-    meshes.move_to_end(key)
-    return meshes[key]
 
 
 def segments_for(model: mujoco.MjModel, axes: Array, centres: Array, focal: float) -> Segments:

@@ -151,7 +151,6 @@ def draw_robot(
     tint: Colour | None = None,
     style: Style = "solid",
     line_colour: Colour = WHITE,
-    line_width: int = 1,
 ) -> Image:
     """Draws the model where this camera would see it.
 
@@ -165,8 +164,7 @@ def draw_robot(
         tint: One colour for everything instead of the geoms' own.
         style: ``solid`` fills, ``outline`` draws silhouettes and sharp edges, hidden ones left out,
             ``registered`` does both, so that one can see whether the drawing fits the picture.
-        line_colour: Of the lines; ``line_width`` in pixels.
-        line_width: See ``line_colour``.
+        line_colour: Of the lines.
 
     Raises:
         CalibrationError: The calibration is for another picture size.
@@ -178,7 +176,7 @@ def draw_robot(
     intrinsics.require_size(width, height)
     result = image.copy()
     faces = faces_in_picture(model, qpos, intrinsics, pose_world_camera)
-    box = bounding_box(faces, width, height, margin=3 + line_width)
+    box = bounding_box(faces, width, height, margin=4)
     if box == EMPTY:
         return result
     samples = SurfaceSamples(box)
@@ -188,7 +186,7 @@ def draw_robot(
     if style != "solid":
         mask = np.zeros((box[3] - box[1], box[2] - box[0]), dtype=np.uint8)
         lines = _fixed(visible_lines(faces, samples) - box[:2])
-        cv2.polylines(mask, list(lines), False, 255, line_width, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(mask, list(lines), False, 255, 1, cv2.LINE_AA, _SHIFT)
         _stain(result[box[1] : box[3], box[0] : box[2]], mask, line_colour)
     return result
 
@@ -303,15 +301,18 @@ def put_label(
     return result
 
 
+# Width of each of two views on a sheet, pixels.
+_VIEW_WIDTH = 960
+
+
 def before_after(
     before: Image,
     after: Image,
-    captions: Sequence[str] = ("Before", "After"),
+    captions: Sequence[str],
     *,
-    title: str = "",
-    footer: str = "",
-    accents: tuple[Colour, Colour] = (ORANGE, GREEN),
-    width: int = 960,
+    title: str,
+    footer: str,
+    accents: tuple[Colour, Colour],
 ) -> Image:
     """Puts two views side by side on one sheet with captions below.
 
@@ -322,28 +323,25 @@ def before_after(
         title: Headline; ``footer``: one line below all.
         footer: See ``title``.
         accents: Colour of the bar above each caption.
-        width: Of each view on the sheet, pixels.
     """
-    views = [_fitted(view, width) for view in (before, after)]
+    views = [_fitted(view, _VIEW_WIDTH) for view in (before, after)]
     margin, gap = 28, 20
-    top = margin + (48 if title else 0)
+    top = margin + 48
     high = max(len(views[0]), len(views[1]))
     lines = max(text.count("\n") for text in captions)
     below = 58 + 27 * lines
-    total = (top + high + below + (34 if footer else 0) + margin // 2, 2 * margin + 2 * width + gap)
+    total = (top + high + below + 34 + margin // 2, 2 * margin + 2 * _VIEW_WIDTH + gap)
     sheet = np.full((*total, 3), 250, dtype=np.uint8)
-    if title:
-        write(sheet, title, (margin, margin + 22), 28, DARK, bold=True)
+    write(sheet, title, (margin, margin + 22), 28, DARK, bold=True)
     for k, (view, text, accent) in enumerate(zip(views, captions, accents, strict=True)):
-        x = margin + k * (width + gap)
-        sheet[top : top + len(view), x : x + width] = view
-        sheet[top + high : top + high + 6, x : x + width] = accent
+        x = margin + k * (_VIEW_WIDTH + gap)
+        sheet[top : top + len(view), x : x + _VIEW_WIDTH] = view
+        sheet[top + high : top + high + 6, x : x + _VIEW_WIDTH] = accent
         heading, *rest = text.split("\n")
         write(sheet, heading, (x, top + high + 40), 24, DARK, bold=True)
         for j, line in enumerate(rest):
             write(sheet, line, (x, top + high + 69 + 27 * j), 19, (90, 84, 80))
-    if footer:
-        write(sheet, footer, (margin, total[0] - margin // 2 - 8), 17, (120, 114, 110))
+    write(sheet, footer, (margin, total[0] - margin // 2 - 8), 17, (120, 114, 110))
     return sheet
 
 

@@ -58,17 +58,12 @@ class RayField:
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         # a corner beyond the lens model's range sees nothing sensible; straight ahead is harmless
         normalized = np.nan_to_num(intrinsics.undistort(grid.reshape(-1, 2))).reshape(*grid.shape)
-        self._nodes = x, y, normalized
         # (X/Z) + i (Y/Z) of every pixel centre, with one more pixel all round: one gather fetches both
-        self._map = self._interpolated(np.arange(-1.0, w + 1), np.arange(-1.0, h + 1))
-
-    def _interpolated(self, x: Array, y: Array) -> NDArray[np.complex128]:
-        nodes_x, nodes_y, normalized = self._nodes
-        columns, rows = _cubic_weights(nodes_x, x).T, _cubic_weights(nodes_y, y)
-        result = np.empty((len(y), len(x)), dtype=np.complex128)
-        result.real = rows @ (normalized[..., 0] @ columns)
-        result.imag = rows @ (normalized[..., 1] @ columns)
-        return result
+        columns = _cubic_weights(x, np.arange(-1.0, w + 1)).T
+        rows = _cubic_weights(y, np.arange(-1.0, h + 1))
+        self._map = np.empty((h + 2, w + 2), dtype=np.complex128)
+        self._map.real = rows @ (normalized[..., 0] @ columns)
+        self._map.imag = rows @ (normalized[..., 1] @ columns)
 
     def grid(self, x: ArrayLike, y: ArrayLike) -> Array:
         """Normalized coordinates (len(y), len(x), 2) = (X/Z, Y/Z) where pixel columns and rows cross."""
@@ -194,12 +189,6 @@ class Caster:
             )
         depth[geom < 0] = np.inf
         return Hits(depth, geom, normal)
-
-    def top(self, geom: int) -> float:
-        """World height of the upper face of a level box geom; -inf when there is no such geom."""
-        if geom >= self.model.ngeom:
-            return -np.inf
-        return float(self._data.geom_xpos[geom, 2] + self.model.geom_size[geom, 2])
 
     def lit(self, light: Array, points: Array) -> NDArray[np.bool_]:
         """Which ``points`` (n, 3) nothing shades from a light at ``light`` (3,)."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -148,7 +149,7 @@ def _shadow(view: RobotView) -> tuple[Layer, float]:
         whole = np.logical_and.reduce(good[faces.faces], axis=1)
     # what is beside the lens is projected anywhere
     rows = np.clip(faces.pixels[faces.within, 1], 0.0, intrinsics.height)
-    soft = max(1.0, _SOFT * _extent(rows) / _COARSE)
+    soft = max(1.0, _SOFT * float(np.ptp(rows)) / _COARSE)
     flat = replace(
         faces,
         pixels=(pixels + 0.5) / _COARSE - 0.5,
@@ -173,10 +174,6 @@ def _shadow(view: RobotView) -> tuple[Layer, float]:
         hidden = behind.depth[..., 0] > _plane_inverse((x0, y0, x1, y1), intrinsics, inverse) * 1.005
         dark[hidden] = 0
     return Layer((x0, y0, x1, y1), np.zeros((*dark.shape, 3), dtype=np.uint8), dark), _DARK
-
-
-def _extent(values: Array) -> float:
-    return float(values.max() - values.min()) if len(values) else 0.0
 
 
 def _plane_inverse(box: Box, intrinsics: CameraIntrinsics, pose_camera_board: Pose) -> Array:
@@ -206,13 +203,15 @@ class PainterArtist(Artist):
         return samples.layer(painter.base_colours(figure.model, figure.tint))
 
 
+@lru_cache(maxsize=4)
+def _caster(model: mujoco.MjModel) -> Caster:
+    return Caster(model)
+
+
 class RayArtist(Artist):
     """MuJoCo's own rays (``mj_multiRay``), analytic for primitives: exact outlines, slower."""
 
     name = "ray"
-
-    def __init__(self) -> None:
-        self._casters: dict[int, tuple[mujoco.MjModel, Caster]] = {}
 
     def _robot(self, view: RobotView) -> Layer:
         box = view.box
@@ -231,17 +230,12 @@ class RayArtist(Artist):
         sheet[rows, columns] = np.rint(total)
         return Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
 
-    def _caster(self, model: mujoco.MjModel) -> Caster:
-        if id(model) not in self._casters:  # the model is kept, so the id stays its own
-            self._casters[id(model)] = model, Caster(model)
-        return self._casters[id(model)][1]
-
     def _cast(self, view: RobotView, pixels: Array) -> tuple[NDArray[np.int32], Array]:
         """Geoms (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
         figure, pose = view.figure, view.pose_board_camera
         normalized = ray_field(view.intrinsics).points(pixels)
         rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
-        caster = self._caster(figure.model)
+        caster = _caster(figure.model)
         caster.place(view.qpos)
         camera = figure.camera(pose)
         hits = caster.cast(camera.position, rays @ camera.rotation.T)
@@ -249,7 +243,7 @@ class RayArtist(Artist):
         if figure.occluder_geoms is not None:
             geom[(geom >= 0) & figure.occluder_geoms[geom]] = -1
         if figure.occluders is not None:
-            real = self._caster(figure.occluders)
+            real = _caster(figure.occluders)
             real.place(figure.occluders.qpos0)
             before = real.cast(pose.position, rays @ pose.rotation.T, normals=False).depth
             geom[before < hits.depth * figure.scale] = -1

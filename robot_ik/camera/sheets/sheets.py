@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from typing import Literal
 
@@ -89,27 +89,16 @@ class SheetRequest:
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """What is laid out, before it is put on a page; lengths in mm from its upper left corner.
+class Block(PrintedPage):
+    """What is laid out, before it is put on a page: as large as it is with the white that it needs.
 
     Attributes:
-        width, height: Of all of it, with the white that it needs.
-        boxes: (n, 5) as in ``Page``.
-        labels: Lines of text.
-        about: What it is.
         use: The command that uses it.
         board: What other commands call it behind ``--board``; empty where it has no such name.
-        lines: (m, 4) to cut or fold along, as in ``Page``.
     """
 
-    width: float
-    height: float
-    boxes: Array
-    labels: tuple[TextLine, ...]
-    about: str
-    use: str
+    use: str = ""
     board: str = ""
-    lines: Array = field(default_factory=lambda: np.zeros((0, 4)))
 
 
 def _black(boxes: Array, x: float, y: float) -> Array:
@@ -149,7 +138,7 @@ def _markers(request: SheetRequest, area: Area) -> Block:
         f"--dictionary {request.dictionary} --size {request.size / 1e3:g} --ids {' '.join(map(str, ids))}"
     )
     use = f"robot-ik camera detect 0 --intrinsics camera.yaml {options}"
-    return Block(width, height, np.concatenate(boxes), tuple(labels), about, use)
+    return Block(width, height, np.concatenate(boxes), tuple(labels), about, use=use)
 
 
 def _board(request: SheetRequest, area: Area) -> Block:
@@ -170,7 +159,7 @@ def _board(request: SheetRequest, area: Area) -> Block:
     # That name says nothing of the ids: they count from 0.
     board = "" if ids[0] else f"grid:{columns}x{rows}:{request.size:g}:{request.gap:g}"
     size = [n * pitch - request.gap + 2 * quiet for n in (columns, rows)]
-    return Block(size[0], size[1], np.concatenate(boxes), (), about, _BODY_USE, board)
+    return Block(size[0], size[1], np.concatenate(boxes), (), about, use=_BODY_USE, board=board)
 
 
 def _cube(request: SheetRequest, area: Area) -> Block:
@@ -200,7 +189,7 @@ def _cube(request: SheetRequest, area: Area) -> Block:
         "(cut along the lines, fold the dashed ones back, glue the tabs inside)"
     )
     width, height = (float(v) for v in high - low)
-    return Block(width, height, np.concatenate(boxes), (), about, _BODY_USE, lines=lines)
+    return Block(width, height, np.concatenate(boxes), (), about, lines, _BODY_USE)
 
 
 def _pattern(request: SheetRequest, area: Area) -> Block:
@@ -217,7 +206,8 @@ def _pattern(request: SheetRequest, area: Area) -> Block:
         board += f":{1e3 * pattern.marker:g}"
         options += f" --marker-mm {1e3 * pattern.marker:g} --dictionary {pattern.dictionary}"
     width, height = (1e3 * length for length in pattern.size)
-    return Block(width, height, boxes, (), describe(pattern), f"robot-ik camera calibrate 0 {options}", board)
+    use = f"robot-ik camera calibrate 0 {options}"
+    return Block(width, height, boxes, (), describe(pattern), use=use, board=board)
 
 
 Maker = Callable[[SheetRequest, Area], Block]
@@ -316,7 +306,7 @@ def _on_page(block: Block, paper: Area, request: SheetRequest) -> PrintedPage:
     scale += f"  --board {block.board}" if block.board else ""
     beside = _MARGIN + _BAR + 3.0
     labels.append(_line(beside, foot + 0.8, paper[0] - _MARGIN - beside, scale))
-    for k, text in enumerate([block.about, _command(request), *([block.use] if block.use else [])]):
+    for k, text in enumerate((block.about, _command(request), block.use)):
         labels.append(_line(_MARGIN, foot + 4.2 + k * _LINE, paper[0] - 2 * _MARGIN, text))
     lines = block.lines + np.array([x, y, x, y])
     about = f"{block.about} on {request.page}"

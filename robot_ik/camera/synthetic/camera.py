@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache, reduce
+from functools import lru_cache
 from typing import Literal, Protocol
 
 import cv2
@@ -24,7 +24,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.photograph import INK, PAPER, QUALITIES, Photographer, PlacedPrint
-from robot_ik.camera.synthetic.scene import Lights, SceneTable
+from robot_ik.camera.synthetic.scene import Lights, SceneTable, still_picture
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -69,7 +69,7 @@ _VIGNETTE = 0.10
 
 
 class SceneRobot(Protocol):
-    """What of ``robot_ik.robot.Robot`` the camera needs."""
+    """What of ``robot_ik.robot.Robot`` the camera needs; objects without joints have it, too."""
 
     @property
     def model(self) -> mujoco.MjModel: ...
@@ -168,24 +168,17 @@ class SyntheticScene:
                 f"a marker appears twice in the scene: {sorted(names)}", hint="give each its own id"
             )
 
-    def with_marker(self, id: int, **changes: object) -> SyntheticScene:
-        """The scene with some fields of marker ``id`` changed, e.g. ``pose`` or ``condition``.
+    def with_marker(self, *ids: int, **changes: object) -> SyntheticScene:
+        """The scene with some fields of these markers changed, e.g. ``pose`` or ``condition``.
 
         Raises:
             CameraError: The scene has no such marker.
         """
-        if id not in [m.id for m in self.markers]:
-            raise CameraError(f"the scene has no marker {id}", hint=f"it has {[m.id for m in self.markers]}")
-        changed = tuple(replace(m, **changes) if m.id == id else m for m in self.markers)  # type: ignore[arg-type]
+        known = [m.id for m in self.markers]
+        if missing := set(ids) - set(known):
+            raise CameraError(f"the scene has no marker {min(missing)}", hint=f"it has {known}")
+        changed = tuple(replace(m, **changes) if m.id in ids else m for m in self.markers)  # type: ignore[arg-type]
         return replace(self, markers=changed)
-
-    def cover(self, *ids: int) -> SyntheticScene:
-        """The scene with a grey patch over these markers."""
-        return reduce(lambda scene, id: scene.with_marker(id, condition="covered"), ids, self)
-
-    def blank(self, *ids: int) -> SyntheticScene:
-        """The scene with these markers left unprinted: white paper."""
-        return reduce(lambda scene, id: scene.with_marker(id, condition="blank"), ids, self)
 
 
 class SyntheticSource(FrameSource):
@@ -234,24 +227,28 @@ class SyntheticSource(FrameSource):
         if self._sensor.noise > 0:
             noise = _sensor_noise(self.size, self._seed, self._sequence, self._quality.same_noise)
         now = time.monotonic() if self._clock is None else self._clock.now()
-        scene, q = self.scene, np.array(self._true_q(), dtype=float)
+        q = np.array(self._true_q(), dtype=float)
+        self._aim(q)
+        scene = self.scene
         poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
-        light, painted = self._camera().expose(scene.robot.qpos(q), sheets, self._quality)
+        light, _, painted = self._camera().expose(scene.robot.qpos(q), self._quality, sheets)
         frame = Frame(self._develop(light, noise), now, self._sequence, self._truth(q, poses, painted))
         self._sequence += 1
         return frame
 
+    def _aim(self, q: Array) -> None:
+        """Moves the camera to where it is when the robot stands at ``q`` (nq,)."""
+
     def _camera(self) -> Photographer:
         if self._photographer is None:
             scene = self.scene
-            pose, robot = scene.pose_world_camera, scene.robot
+            pose, lens = scene.pose_world_camera, scene.intrinsics
             distance = _subject_distance(scene)
             x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
             lights = scene.lights or Lights.beside(pose, distance)
-            self._photographer = Photographer(
-                robot.model, scene.intrinsics, pose, scene.table, lights, (x, y, z)
-            )
+            still = still_picture(lens, pose, scene.table, lights, (x, y, z))
+            self._photographer = Photographer(scene.robot.model, lens, pose, lights, still)
         return self._photographer
 
     def _develop(self, light: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.uint8]:
@@ -303,21 +300,19 @@ def _subject_distance(scene: SyntheticScene) -> float:
     return float(max(inverse.apply(centre)[2], 0.3))
 
 
-class CarriedSource(FrameSource):
+class CarriedSource(SyntheticSource):
     """Photographs of a ``SyntheticScene`` by a camera that a frame of the robot carries.
 
     Each picture is of a new scene, so it takes longer than with a camera that stands.
 
     Args:
-        scene: What to look at; its ``pose_world_camera`` is not used.
+        scene: What to look at; its ``pose_world_camera`` is that of the last picture.
         frame: Of the robot, which carries the camera.
         pose_frame_camera: Where on it.
         true_q: Where the robot really is, (nq,).
         seed: Of the sensor noise.
         clock: As for ``SyntheticSource``.
     """
-
-    live = True
 
     def __init__(
         self,
@@ -329,19 +324,9 @@ class CarriedSource(FrameSource):
         seed: int = 0,
         clock: Clock | None = None,
     ) -> None:
-        self.scene, self.frame, self.pose_frame_camera = scene, frame, pose_frame_camera
-        self.size = scene.intrinsics.size
-        self._true_q, self._seed, self._clock = true_q, seed, clock
-        self._sequence = 0
+        super().__init__(scene, true_q, seed, clock=clock, quality="fast")
+        self.frame, self.pose_frame_camera = frame, pose_frame_camera
 
-    def read(self) -> Frame:
-        """Takes the next picture, with the truth of ``SyntheticSource``."""
-        q = np.array(self._true_q(), dtype=float)
+    def _aim(self, q: Array) -> None:
         pose = self.scene.robot.forward(q, self.frame).compose(self.pose_frame_camera)
-        source = SyntheticSource(
-            replace(self.scene, pose_world_camera=pose), lambda: q,
-            seed=1000 * self._seed + self._sequence, clock=self._clock, quality="fast",
-        )  # fmt: skip
-        frame = replace(source.read(), sequence=self._sequence)
-        self._sequence += 1
-        return frame
+        self.scene, self._photographer = replace(self.scene, pose_world_camera=pose), None

@@ -1,27 +1,33 @@
-"""The standard marker set: synthetic pictures of one marker with exact truth, to measure accuracy with.
+"""Synthetic pictures with exact truth, to measure with: sets of markers, patterns, hand-eye; moving sources.
 
-A flat printed marker before a blotchy wall, 640x480 px, f = 800 px, lens distortion, blur, noise and a light
-gradient.
+The standard set is a flat printed marker before a blotchy wall: 640x480 px, f = 800 px, distortion, blur,
+noise and a light gradient.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import lru_cache
+import itertools
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache, partial
+from typing import Any
+from urllib.parse import parse_qsl
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.boards.patterns import Pattern
+from robot_ik.camera.boards.patterns import Pattern, PatternRequest
 from robot_ik.camera.calibration.handeye import HandEyeSample, Mount, Mounting
 from robot_ik.camera.drawing.prints import PRINT_MARKER, Print, blank_paper, marker_print, see_print
 from robot_ik.camera.drawing.raycast import ray_field
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import marker_points
+from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
+from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, unknown_name_text
 from robot_ik.geometry import Pose, rotation_exp
 
 Array = NDArray[np.float64]
@@ -45,13 +51,11 @@ class MarkerView:
         image: (height, width) uint8.
         corners: (4, 2) true corners in distorted pixels, in the order of the detector.
         pose: True ``pose_camera_marker``.
-        tilt: Angle in rad between the marker's z axis and the way to the camera.
     """
 
     image: Image
     corners: Array
     pose: Pose
-    tilt: float
 
 
 def render_marker(
@@ -165,8 +169,11 @@ def random_pose(
     *,
     size: float = STANDARD_SIZE,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
-) -> tuple[Pose, float]:
-    """Random ``pose_camera_marker`` at depth ``distance``, all of its paper in view; and its tilt in rad."""
+) -> Pose:
+    """Random ``pose_camera_marker`` at depth ``distance``, all of its paper in view.
+
+    ``tilt_deg`` is the range of angles between the marker's z axis and the way to the camera.
+    """
     margin = 4.0
     while True:
         tilt = np.deg2rad(rng.uniform(*tilt_deg))
@@ -183,7 +190,7 @@ def random_pose(
         pose = Pose(position, rotation.wxyz)
         outline = camera.project(pose.apply(marker_points(size * (1 + 2 * _PAPER_MARGIN))))
         if (outline > margin).all() and (outline < np.array(camera.size) - 1 - margin).all():
-            return pose, float(tilt)
+            return pose
 
 
 def standard_set(
@@ -193,7 +200,6 @@ def standard_set(
     seed: int = 0,
     dictionary: str = "DICT_4X4_50",
     marker_id: int = 7,
-    size: float = STANDARD_SIZE,
     camera: CameraIntrinsics = STANDARD_CAMERA,
     sensor: SensorModel = LINEAR,
     tilt_deg: tuple[float, float] = (0.0, 60.0),
@@ -205,11 +211,9 @@ def standard_set(
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
-        pose, tilt = random_pose(camera, rng, distance, size=size, tilt_deg=tilt_deg)
-        image = render_marker(
-            camera, pose, rng, size=size, dictionary=dictionary, marker_id=marker_id, sensor=sensor
-        )
-        yield MarkerView(image, camera.project(pose.apply(marker_points(size))), pose, tilt)
+        pose = random_pose(camera, rng, distance, tilt_deg=tilt_deg)
+        image = render_marker(camera, pose, rng, dictionary=dictionary, marker_id=marker_id, sensor=sensor)
+        yield MarkerView(image, camera.project(pose.apply(marker_points(STANDARD_SIZE))), pose)
 
 
 # ------------------------------------------------------------------------------------------
@@ -304,9 +308,8 @@ def pattern_set(
 # ------------------------------------------------------------------------------------------
 # The standard set of hand-eye calibration: views of one small marker with exact truth, to measure with.
 #
-# The hardest usual case: a marker of 50 mm, 0.5 to 0.9 m away, whose pose is known to about 0.5 mm
-# across, 1 mm
-# along the view and 0.3 degrees.
+# The hardest usual case: a marker of 50 mm, 0.5 to 0.9 m away, whose pose is known to about 0.5 mm across,
+# 1 mm along the view and 0.3 degrees.
 
 
 #: Standard deviation of corners (px) and of the arm's poses, each axis: metres, rad.
@@ -356,3 +359,130 @@ def handeye_set(
         view = BoardView(points, pixels, seen.compose(rough), max(pixel, 0.01))
         samples.append(HandEyeSample(hand.compose(said), view))
     return truth, samples
+
+
+# ------------------------------------------------------------------------------------------
+# Sources that move something before a synthetic camera: ``synthetic:orbit``, ``synthetic:charuco``, ….
+#
+# They need no robot, camera or display.  Each frame's ``truth`` holds what tracks must not read.
+
+
+_RATE_HZ = 30.0
+# The marker of ``synthetic:orbit``.
+_ORBIT_ID, _ORBIT_DICTIONARY = 7, "DICT_5X5_50"
+# It swings through all tilts once in so many seconds.
+_ORBIT_S = 4.0
+# Pictures for which a board is held in one place: what is still can be told from what moves.
+_HELD = 3
+_FACING = Pose.from_rotation(np.diag([1.0, -1.0, -1.0]))
+
+Pictures = Iterator[tuple[Image, dict[str, object]]]
+"""Pictures (height, width) uint8 without an end, each with its truth."""
+
+
+@dataclass(frozen=True)
+class MovingOptions:
+    """What may follow the name, as in ``synthetic:orbit?frames=60&noise=8``.
+
+    Attributes:
+        frames: Pictures before the source ends.
+        seed: Of noise, light and poses.
+        noise: Standard deviation of the sensor's noise, grey levels.
+        blur: Standard deviation of the optical blur, px.
+    """
+
+    frames: int = 90
+    seed: int = 0
+    noise: float = 4.0
+    blur: float = 0.7
+
+
+class MovingSource(FrameSource):
+    """Something that moves before ``STANDARD_CAMERA``; 640 x 480 px, 30 pictures a second.
+
+    Args:
+        options: Length, seed and noise.
+        show: Gives the pictures.
+    """
+
+    #: It shows no arm and goes on only when it is read, as a film does.
+    live = False
+
+    def __init__(
+        self, options: MovingOptions, show: Callable[[np.random.Generator, SensorModel], Pictures]
+    ) -> None:
+        self.options, self.size = options, STANDARD_CAMERA.size
+        sensor = SensorModel(noise=options.noise, blur=options.blur, gradient=0.2)
+        self._pictures = show(np.random.default_rng(options.seed), sensor)
+        self._start, self._count = time.monotonic(), 0
+
+    @property
+    def exhausted(self) -> bool:
+        return self._count >= self.options.frames
+
+    def read(self) -> Frame:
+        if self.exhausted:
+            raise FrameTimeoutError(f"the synthetic camera's {self.options.frames} pictures have been read")
+        index = self._count
+        gray, truth = next(self._pictures)
+        self._count += 1
+        image = np.asarray(cv2.cvtColor(gray, cv2.COLOR_GRAY2BGR), dtype=np.uint8)
+        return Frame(image, self._start + index / _RATE_HZ, index, truth)
+
+
+def _orbit(rng: np.random.Generator, sensor: SensorModel) -> Pictures:
+    """Marker 7 of DICT_5X5_50, 50 mm, seen from all round: truth ``pose_camera_marker``."""
+    for index in itertools.count():
+        phase = 2 * np.pi * index / _RATE_HZ / _ORBIT_S
+        tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * phase))
+        tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
+        position = (0.04 * np.sin(phase), 0.03 * np.cos(phase), 0.45 + 0.12 * np.sin(0.61 * phase))
+        pose = Pose(position, _FACING.compose(tilt_rotation).wxyz)
+        image = render_marker(
+            STANDARD_CAMERA, pose, rng, dictionary=_ORBIT_DICTIONARY, marker_id=_ORBIT_ID, sensor=sensor
+        )
+        yield image, {"pose_camera_marker": {_ORBIT_ID: pose}}
+
+
+def _held_board(pattern: Pattern, rng: np.random.Generator, sensor: SensorModel) -> Pictures:
+    """A calibration pattern held here and there for a few pictures each: truth ``pose_camera_board``."""
+    while True:
+        pose = pattern_pose(pattern, STANDARD_CAMERA, rng)
+        clean = render_pattern(pattern, STANDARD_CAMERA, pose, rng, replace(sensor, noise=0.0))
+        for _ in range(_HELD):
+            noisy = clean + rng.normal(0.0, sensor.noise, clean.shape)
+            yield np.clip(np.rint(noisy), 0, 255).astype(np.uint8), {"pose_camera_board": pose}
+
+
+_SCENES: dict[str, Callable[[np.random.Generator, SensorModel], Pictures]] = {
+    "orbit": _orbit,
+    "charuco": partial(_held_board, PatternRequest("charuco").pattern()),
+    "chessboard": partial(_held_board, PatternRequest("chessboard").pattern()),
+}
+
+
+def open_moving(text: str) -> MovingSource:
+    """Opens ``synthetic:NAME?option=value&…``.
+
+    Raises:
+        CameraNotFoundError: Unknown name or option, or a value that is no number.
+    """
+    name, _, query = text.removeprefix("synthetic:").partition("?")
+    if name not in _SCENES:
+        raise CameraNotFoundError(unknown_name_text("synthetic scene", name, list(_SCENES)))
+    return MovingSource(_moving_options(query), _SCENES[name])
+
+
+def _moving_options(query: str) -> MovingOptions:
+    known = {name: type(value) for name, value in asdict(MovingOptions()).items()}
+    given: dict[str, Any] = {}
+    for key, value in parse_qsl(query, keep_blank_values=True):
+        if key not in known:
+            raise CameraNotFoundError(unknown_name_text("option of a synthetic source", key, list(known)))
+        try:
+            given[key] = known[key](value)
+        except ValueError:
+            raise CameraNotFoundError(f"{key}={value!r} of a synthetic source must be a number") from None
+        if not 0 <= given[key] < 1e9:
+            raise CameraNotFoundError(f"{key}={value} of a synthetic source cannot be negative or endless")
+    return MovingOptions(**given)

@@ -6,6 +6,7 @@ so an edge between print and paper has its half value exactly on the edge, as ma
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -15,17 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.drawing.prints import Print, SeenPrint, see_print
-from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
+from robot_ik.camera.drawing.raycast import Caster, ray_field, world_directions
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.scene import (
     Box,
     Lights,
-    Point,
-    SceneTable,
     StillPicture,
     enlarged,
     lattice,
-    still_picture,
 )
 from robot_ik.geometry import Pose
 
@@ -58,59 +56,6 @@ class Quality:
 
 
 QUALITIES = {"full": Quality(1, 2, 2, 4, 2), "fast": Quality(3, 6, 1, 8, 1, same_noise=True)}
-
-
-@dataclass(frozen=True)
-class SyntheticView:
-    """What the parts of a picture have in common.
-
-    Attributes:
-        field: Viewing rays of the lens.
-        camera: ``pose_world_camera``.
-        lights: Lamp, ceiling, window.
-        robot: The robot's model, to be asked by rays; placed anew for each picture.
-        still: The empty scene.
-    """
-
-    field: RayField
-    camera: Pose
-    lights: Lights
-    robot: Caster
-    still: StillPicture
-
-    def world(self, normalized: Array) -> Array:
-        """World directions (n, 3), unit along the optical axis, of normalized coordinates (n, 2)."""
-        return world_directions(self.camera, normalized)
-
-    def visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
-        """Part (n, 2) of lamp and ceiling that each point sees past the robot.
-
-        Args:
-            points: (n, 3) world.
-            tile: (n,) place of each point in its tile, 0 .. _TILE**2 - 1: which points of a light it asks.
-            spots: How many it asks.
-        """
-        classes = _TILE * _TILE
-        result = np.zeros((len(points), 2))
-        for c, source in enumerate(("lamp", "ceiling")):
-            for k, spot in enumerate(self.lights.spots(source, classes)):
-                asking = np.flatnonzero((k - tile * 7) % classes < spots)
-                result[asking, c] += self.robot.lit(spot, points[asking]) / spots
-        return result
-
-    def ground_light(self, quality: Quality, reach: float = np.inf) -> Float32:
-        """Part (h, w, 2) of lamp and ceiling that the robot leaves to what is nearer than ``reach``."""
-        w, h = self.field.intrinsics.size
-        normalized, x, y = lattice(self.field, (0, 0, w, h), quality.ground_stride)
-        rays = self.world(normalized.reshape(-1, 2))
-        rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
-        depth = self.still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
-        seen = np.ones((len(rays), 2), dtype=np.float32)
-        near = np.flatnonzero(depth < reach)
-        points = self.camera.position + rays[near] * depth[near, None]
-        tile = tiles((len(y), len(x))).reshape(-1)[near]
-        seen[near] = self.visibility(points, tile, quality.ground_spots)
-        return enlarged(softened(seen.reshape(len(y), len(x), 2)), quality.ground_stride, (h, w))
 
 
 def tiles(shape: tuple[int, int]) -> NDArray[np.int64]:
@@ -151,136 +96,10 @@ class RobotLayer:
     lit: Float32
 
 
-class RobotRenderer:
-    """Renders one model in one view."""
-
-    def __init__(self, view: SyntheticView, model: mujoco.MjModel) -> None:
-        self._view, self._model = view, model
-        # planes and height fields are not bounded by the painter's faces: then look everywhere
-        endless = [int(k) for k in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)]
-        self._bounded = not np.isin(np.asarray(model.geom_type), endless).any()
-
-    def _region(self, qpos: ArrayLike) -> tuple[Box, Mask] | None:
-        """Pixels (box, mask) that the robot can touch."""
-        w, h = self._view.field.intrinsics.size
-        if not self._bounded:
-            return (0, 0, w, h), np.ones((h, w), dtype=bool)
-        faces = faces_in_picture(self._model, qpos, self._view.field.intrinsics, self._view.camera)
-        box = bounding_box(faces, w, h, margin=6)
-        if box[2] <= box[0]:
-            return None
-        mask = paint_mask((box[3] - box[1], box[2] - box[0]), faces, box[:2])
-        return box, cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
-
-    def render(self, qpos: ArrayLike, quality: Quality) -> RobotLayer | None:
-        region = self._region(qpos)
-        if region is None:
-            return None
-        box, mask = region
-        stride = quality.stride
-        normalized, x, y = lattice(self._view.field, box, stride)
-        size = (box[3] - box[1], box[2] - box[0])
-        rows = np.clip(np.rint(y).astype(int) - box[1], 0, size[0] - 1)
-        columns = np.clip(np.rint(x).astype(int) - box[0], 0, size[1] - 1)
-        asked = np.flatnonzero(mask[np.ix_(rows, columns)])
-        rays = self._view.world(normalized.reshape(-1, 2)[asked])
-        hits = self._view.robot.cast(self._view.camera.position, rays)
-        behind = self._view.still.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[
-            asked
-        ]
-        on = np.flatnonzero(hits.depth < behind)
-        points = self._view.camera.position + rays[on] * hits.depth[on, None]
-        shape = (len(y), len(x))
-        geom = np.full(shape, -1)
-        geom.reshape(-1)[asked[on]] = hits.geom[on]
-        normal = np.zeros((*shape, 3))
-        normal.reshape(-1, 3)[asked[on]] = hits.normal[on]
-        seen = self._own_shadows(
-            points, asked[on], shape, max(1, quality.self_stride // stride), quality.self_spots
-        )
-        colour = np.zeros((*shape, 3), dtype=np.float32)
-        visible = seen.reshape(-1, 2)[asked[on]]
-        colour.reshape(-1, 3)[asked[on]] = self._shade(
-            hits.geom[on], points, hits.normal[on], rays[on], visible
-        )
-        coverage = (geom >= 0).astype(np.float32)
-        if stride == 1:
-            self._smooth_edges(box, geom, normal, seen, colour, coverage)
-        else:
-            both = enlarged(np.dstack([colour, coverage, seen]), stride, size)
-            colour, coverage, seen = both[..., :3], both[..., 3], both[..., 4:]
-        return RobotLayer(box, colour, coverage, seen)
-
-    def _own_shadows(
-        self, points: Array, indices: NDArray[np.int64], shape: tuple[int, int], stride: int, spots: int
-    ) -> Float32:
-        """Light (h, w, 2) on the robot: asked on a lattice, smoothed over the robot's pixels only."""
-        row, column = np.unravel_index(indices, shape)
-        chosen = np.flatnonzero((row % stride == 0) & (column % stride == 0))
-        small = (-(-shape[0] // stride), -(-shape[1] // stride))
-        packed = np.zeros((*small, 3), dtype=np.float32)
-        i, j = row[chosen] // stride, column[chosen] // stride
-        packed[i, j, :2] = self._view.visibility(points[chosen], tiles(small)[i, j], spots)
-        packed[i, j, 2] = 1.0
-        # pixels beside the lattice borrow from further away
-        soft = softened(packed) + 1e-3 * cv2.GaussianBlur(packed, (0, 0), 4.0)
-        seen = soft[..., :2] / np.maximum(soft[..., 2:], 1e-9)
-        return np.ascontiguousarray(np.clip(enlarged(seen, stride, shape), 0.0, 1.0))
-
-    def _shade(
-        self, geom: NDArray[np.int32], points: Array, normals: Array, rays: Array, visible: ArrayLike
-    ) -> Array:
-        """Colour (n, 3) of robot surfaces: flat reflectance plus a highlight of the lamp."""
-        seen = np.asarray(visible, dtype=float)
-        lamp, ceiling, ambient = self._view.lights.terms(points, normals)
-        light = ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]
-        to_lamp = self._view.lights.lamp - points
-        half = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True) - rays / np.linalg.norm(
-            rays, axis=1, keepdims=True
-        )
-        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-        shine = np.maximum(np.einsum("ij,ij->i", half, normals), 0.0) ** _SHARPNESS
-        return np.asarray(
-            self._view.robot.colours[geom] * light[:, None] + (_GLOSS * shine * seen[:, 0])[:, None]
-        )
-
-    def _smooth_edges(
-        self,
-        box: Box,
-        geom: NDArray[np.int64],
-        normal: Array,
-        seen: Float32,
-        colour: Float32,
-        coverage: Float32,
-    ) -> None:
-        """Replaces pixels on edges of geoms by the mean of five subrays each, in place."""
-        kernel = np.ones((3, 3), np.uint8)
-        edge = cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, kernel) > 0
-        for k in range(3):
-            edge |= cv2.morphologyEx(normal[..., k].astype(np.float32), cv2.MORPH_GRADIENT, kernel) > 0.35
-        rows, columns = np.nonzero(edge)
-        if not len(rows):
-            return
-        pixels = np.stack([columns + box[0], rows + box[1]], axis=1)[:, None, :] + _ROOKS
-        rays = self._view.world(self._view.field.points(pixels.reshape(-1, 2)))
-        hits = self._view.robot.cast(self._view.camera.position, rays)
-        behind = np.repeat(self._view.still.depth[rows + box[1], columns + box[0]], len(_ROOKS))
-        on = np.flatnonzero(hits.depth < behind)
-        points = self._view.camera.position + rays[on] * hits.depth[on, None]
-        total = np.zeros((len(rays), 4))
-        visible = np.repeat(seen[rows, columns], len(_ROOKS), axis=0)[on]
-        total[on, :3] = self._shade(hits.geom[on], points, hits.normal[on], rays[on], visible)
-        total[on, 3] = 1.0
-        mean = total.reshape(len(rows), len(_ROOKS), 4).mean(axis=1)
-        colour[rows, columns], coverage[rows, columns] = mean[:, :3], mean[:, 3]
-
-
 # Reflectances of print and paper: a laser print in a lit room.
 INK, PAPER = 0.07, 0.93
 # Depth in metres by which something must be nearer than the paper to hide it: paper lies on objects.
 _SLACK = 1.5e-3
-# The robot's shadow is not looked for on objects farther than this, metres.
-_SHADOW_REACH = 8.0
 
 
 def _nearer(depth: Array, than: Array) -> Mask:
@@ -298,37 +117,46 @@ class PlacedPrint:
 
 
 class Photographer:
-    """Takes pictures of one model in one still scene with one camera."""
+    """Takes pictures of one model in one still scene with one camera.
+
+    Args:
+        model: The robot, without what is in the scene.
+        intrinsics: The lens.
+        pose_world_camera: OpenCV camera axes seen from the world.
+        lights: That light the scene.
+        still: The empty scene.
+    """
 
     def __init__(
         self,
         model: mujoco.MjModel,
         intrinsics: CameraIntrinsics,
         pose_world_camera: Pose,
-        table: SceneTable | None,
         lights: Lights,
-        subject: Point,
+        still: StillPicture,
     ) -> None:
-        still = still_picture(intrinsics, pose_world_camera, table, lights, subject)
-        self._view = SyntheticView(ray_field(intrinsics), pose_world_camera, lights, Caster(model), still)
-        self._renderer = RobotRenderer(self._view, model)
+        self._model, self._robot, self._camera = model, Caster(model), pose_world_camera
+        self._field, self._lights, self._still = ray_field(intrinsics), lights, still
+        # planes and height fields are not bounded by the painter's faces: then look everywhere
+        endless = [int(k) for k in (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)]
+        self._bounded = not np.isin(np.asarray(model.geom_type), endless).any()
 
     def expose(
-        self, qpos: ArrayLike, sheets: list[PlacedPrint], quality: Quality
-    ) -> tuple[Float32, list[SeenPrint | None]]:
-        """The light on the sensor (h, w, 3), 1 is white, and each sheet as it fell on the pixels.
+        self, qpos: ArrayLike, quality: Quality, sheets: Sequence[PlacedPrint] = ()
+    ) -> tuple[Float32, RobotLayer | None, list[SeenPrint | None]]:
+        """The light on the sensor (h, w, 3), 1 is white; the robot in it; each sheet as it fell on pixels.
 
         ``qpos`` is the true configuration (model.nq,).
         """
-        self._view.robot.place(qpos)
-        lit = self._view.ground_light(quality, _SHADOW_REACH)
-        still = self._view.still
+        self._robot.place(qpos)
+        lit = self._ground_light(quality)
+        still = self._still
         lamp, ceiling = (cv2.merge([share] * 3) for share in cv2.split(lit))
         picture = np.asarray(cv2.multiply(still.lamp, lamp, dst=lamp), dtype=np.float32)
         picture += still.ambient
         picture += cv2.multiply(still.ceiling, ceiling, dst=ceiling)
         empty = picture.copy() if sheets else picture
-        layer = self._renderer.render(qpos, quality)
+        layer = self._render_robot(qpos, quality)
         if layer is not None:
             x0, y0, x1, y1 = layer.box
             view = picture[y0:y1, x0:x1]
@@ -337,38 +165,38 @@ class Photographer:
             front = layer.coverage > 0.5
             lit[y0:y1, x0:x1][front] = layer.lit[front]
         painted = [self._add_sheet(picture, empty, layer, lit, sheet) for sheet in sheets]
-        return picture, painted
+        return picture, layer, painted
 
     def _add_sheet(
         self, picture: Float32, empty: Float32, layer: RobotLayer | None, lit: Float32, placed: PlacedPrint
     ) -> SeenPrint | None:
         """Paints one sheet over the picture where nothing hides it."""
-        pose = self._view.camera.inverse().compose(placed.pose_world)
+        pose = self._camera.inverse().compose(placed.pose_world)
 
         def blocked(rays: Array, depth: Array) -> Mask:
-            pixels = self._view.field.intrinsics.distort(rays)
-            w, h = self._view.field.intrinsics.size
+            pixels = self._field.intrinsics.distort(rays)
+            w, h = self._field.intrinsics.size
             column = np.clip(np.rint(pixels[:, 0]).astype(int), 0, w - 1)
             row = np.clip(np.rint(pixels[:, 1]).astype(int), 0, h - 1)
-            hidden = _nearer(self._view.still.depth[row, column], depth)
+            hidden = _nearer(self._still.depth[row, column], depth)
             if layer is not None:
                 x0, y0, x1, y1 = layer.box
                 ask = np.flatnonzero((column >= x0) & (column < x1) & (row >= y0) & (row < y1))
-                hits = self._view.robot.cast(
-                    self._view.camera.position, self._view.world(rays[ask]), normals=False
+                hits = self._robot.cast(
+                    self._camera.position, world_directions(self._camera, rays[ask]), normals=False
                 )
                 hidden[ask] |= _nearer(hits.depth, depth[ask])
             return hidden
 
-        painted = see_print(placed.sheet, pose, self._view.field, blocked)
+        painted = see_print(placed.sheet, pose, self._field, blocked)
         if painted is None:
             return None
         x0, y0, x1, y1 = painted.box
-        normalized = self._view.field.box(*painted.box).reshape(-1, 2)
+        normalized = self._field.box(*painted.box).reshape(-1, 2)
         depth = np.nan_to_num(painted.depth.reshape(-1, 1), nan=1.0)
-        points = self._view.camera.position + self._view.world(normalized) * depth
+        points = self._camera.position + world_directions(self._camera, normalized) * depth
         normals = np.broadcast_to(-placed.pose_world.rotation[:, 2], points.shape)
-        lamp, ceiling, ambient = self._view.lights.terms(points, normals)
+        lamp, ceiling, ambient = self._lights.terms(points, normals)
         view, seen = picture[y0:y1, x0:x1], lit[y0:y1, x0:x1].reshape(-1, 2)
         light = (ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]).reshape(painted.ink.shape)
         tone = PAPER + (INK - PAPER) * painted.ink
@@ -404,3 +232,143 @@ class Photographer:
         else:
             behind[mixed] = robot[mixed] / edge[mixed][:, None]
         return behind
+
+    def _visibility(self, points: Array, tile: NDArray[np.int64], spots: int) -> Array:
+        """Part (n, 2) of lamp and ceiling that each point sees past the robot.
+
+        Args:
+            points: (n, 3) world.
+            tile: (n,) place of each point in its tile, 0 .. _TILE**2 - 1: which points of a light it asks.
+            spots: How many it asks.
+        """
+        classes = _TILE * _TILE
+        result = np.zeros((len(points), 2))
+        for c, source in enumerate(("lamp", "ceiling")):
+            for k, spot in enumerate(self._lights.spots(source, classes)):
+                asking = np.flatnonzero((k - tile * 7) % classes < spots)
+                result[asking, c] += self._robot.lit(spot, points[asking]) / spots
+        return result
+
+    def _ground_light(self, quality: Quality) -> Float32:
+        """Part (h, w, 2) of lamp and ceiling that the robot leaves to table and floor."""
+        w, h = self._field.intrinsics.size
+        normalized, x, y = lattice(self._field, (0, 0, w, h), quality.ground_stride)
+        rays = world_directions(self._camera, normalized.reshape(-1, 2))
+        rows, columns = np.minimum(np.rint(y).astype(int), h - 1), np.minimum(np.rint(x).astype(int), w - 1)
+        depth = self._still.depth[np.ix_(rows, columns)].reshape(-1).astype(float)
+        seen = np.ones((len(rays), 2), dtype=np.float32)
+        near = np.flatnonzero(np.isfinite(depth))
+        points = self._camera.position + rays[near] * depth[near, None]
+        tile = tiles((len(y), len(x))).reshape(-1)[near]
+        seen[near] = self._visibility(points, tile, quality.ground_spots)
+        return enlarged(softened(seen.reshape(len(y), len(x), 2)), quality.ground_stride, (h, w))
+
+    def _region(self, qpos: ArrayLike) -> tuple[Box, Mask] | None:
+        """Pixels (box, mask) that the robot can touch."""
+        w, h = self._field.intrinsics.size
+        if not self._bounded:
+            return (0, 0, w, h), np.ones((h, w), dtype=bool)
+        faces = faces_in_picture(self._model, qpos, self._field.intrinsics, self._camera)
+        box = bounding_box(faces, w, h, margin=6)
+        if box[2] <= box[0]:
+            return None
+        mask = paint_mask((box[3] - box[1], box[2] - box[0]), faces, box[:2])
+        return box, cv2.dilate(mask, np.ones((5, 5), np.uint8)) > 0
+
+    def _render_robot(self, qpos: ArrayLike, quality: Quality) -> RobotLayer | None:
+        region = self._region(qpos)
+        if region is None:
+            return None
+        box, mask = region
+        stride = quality.stride
+        normalized, x, y = lattice(self._field, box, stride)
+        size = (box[3] - box[1], box[2] - box[0])
+        rows = np.clip(np.rint(y).astype(int) - box[1], 0, size[0] - 1)
+        columns = np.clip(np.rint(x).astype(int) - box[0], 0, size[1] - 1)
+        asked = np.flatnonzero(mask[np.ix_(rows, columns)])
+        rays = world_directions(self._camera, normalized.reshape(-1, 2)[asked])
+        hits = self._robot.cast(self._camera.position, rays)
+        behind = self._still.depth[box[1] : box[3], box[0] : box[2]][np.ix_(rows, columns)].reshape(-1)[asked]
+        on = np.flatnonzero(hits.depth < behind)
+        points = self._camera.position + rays[on] * hits.depth[on, None]
+        shape = (len(y), len(x))
+        geom = np.full(shape, -1)
+        geom.reshape(-1)[asked[on]] = hits.geom[on]
+        normal = np.zeros((*shape, 3))
+        normal.reshape(-1, 3)[asked[on]] = hits.normal[on]
+        seen = self._own_shadows(
+            points, asked[on], shape, max(1, quality.self_stride // stride), quality.self_spots
+        )
+        colour = np.zeros((*shape, 3), dtype=np.float32)
+        visible = seen.reshape(-1, 2)[asked[on]]
+        colour.reshape(-1, 3)[asked[on]] = self._shade(
+            hits.geom[on], points, hits.normal[on], rays[on], visible
+        )
+        coverage = (geom >= 0).astype(np.float32)
+        if stride == 1:
+            self._smooth_edges(box, geom, normal, seen, colour, coverage)
+        else:
+            both = enlarged(np.dstack([colour, coverage, seen]), stride, size)
+            colour, coverage, seen = both[..., :3], both[..., 3], both[..., 4:]
+        return RobotLayer(box, colour, coverage, seen)
+
+    def _own_shadows(
+        self, points: Array, indices: NDArray[np.int64], shape: tuple[int, int], stride: int, spots: int
+    ) -> Float32:
+        """Light (h, w, 2) on the robot: asked on a lattice, smoothed over the robot's pixels only."""
+        row, column = np.unravel_index(indices, shape)
+        chosen = np.flatnonzero((row % stride == 0) & (column % stride == 0))
+        small = (-(-shape[0] // stride), -(-shape[1] // stride))
+        packed = np.zeros((*small, 3), dtype=np.float32)
+        i, j = row[chosen] // stride, column[chosen] // stride
+        packed[i, j, :2] = self._visibility(points[chosen], tiles(small)[i, j], spots)
+        packed[i, j, 2] = 1.0
+        # pixels beside the lattice borrow from further away
+        soft = softened(packed) + 1e-3 * cv2.GaussianBlur(packed, (0, 0), 4.0)
+        seen = soft[..., :2] / np.maximum(soft[..., 2:], 1e-9)
+        return np.ascontiguousarray(np.clip(enlarged(seen, stride, shape), 0.0, 1.0))
+
+    def _shade(
+        self, geom: NDArray[np.int32], points: Array, normals: Array, rays: Array, visible: ArrayLike
+    ) -> Array:
+        """Colour (n, 3) of robot surfaces: flat reflectance plus a highlight of the lamp."""
+        seen = np.asarray(visible, dtype=float)
+        lamp, ceiling, ambient = self._lights.terms(points, normals)
+        light = ambient + lamp * seen[:, 0] + ceiling * seen[:, 1]
+        to_lamp = self._lights.lamp - points
+        half = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True) - rays / np.linalg.norm(
+            rays, axis=1, keepdims=True
+        )
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        shine = np.maximum(np.einsum("ij,ij->i", half, normals), 0.0) ** _SHARPNESS
+        return np.asarray(self._robot.colours[geom] * light[:, None] + (_GLOSS * shine * seen[:, 0])[:, None])
+
+    def _smooth_edges(
+        self,
+        box: Box,
+        geom: NDArray[np.int64],
+        normal: Array,
+        seen: Float32,
+        colour: Float32,
+        coverage: Float32,
+    ) -> None:
+        """Replaces pixels on edges of geoms by the mean of five subrays each, in place."""
+        kernel = np.ones((3, 3), np.uint8)
+        edge = cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, kernel) > 0
+        for k in range(3):
+            edge |= cv2.morphologyEx(normal[..., k].astype(np.float32), cv2.MORPH_GRADIENT, kernel) > 0.35
+        rows, columns = np.nonzero(edge)
+        if not len(rows):
+            return
+        pixels = np.stack([columns + box[0], rows + box[1]], axis=1)[:, None, :] + _ROOKS
+        rays = world_directions(self._camera, self._field.points(pixels.reshape(-1, 2)))
+        hits = self._robot.cast(self._camera.position, rays)
+        behind = np.repeat(self._still.depth[rows + box[1], columns + box[0]], len(_ROOKS))
+        on = np.flatnonzero(hits.depth < behind)
+        points = self._camera.position + rays[on] * hits.depth[on, None]
+        total = np.zeros((len(rays), 4))
+        visible = np.repeat(seen[rows, columns], len(_ROOKS), axis=0)[on]
+        total[on, :3] = self._shade(hits.geom[on], points, hits.normal[on], rays[on], visible)
+        total[on, 3] = 1.0
+        mean = total.reshape(len(rows), len(_ROOKS), 4).mean(axis=1)
+        colour[rows, columns], coverage[rows, columns] = mean[:, :3], mean[:, 3]

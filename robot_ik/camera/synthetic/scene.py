@@ -234,6 +234,7 @@ class _StillScene:
 
     def __post_init__(self) -> None:
         self._floor = self.table.floor_height if self.table is not None else 0.0
+        self._top = self.table.height if self.table is not None else -np.inf
         self._caster = Caster(_environment(self.table, self._floor))
         self._caster.place(np.zeros(0))
         self._field = ray_field(self.intrinsics)
@@ -261,10 +262,12 @@ class _StillScene:
 
     def _lit(self, points: Array, source: str, count: int) -> Array:
         """Part (n,) of a light that the table lets through to ``points`` (n, 3)."""
-        spots, top = self._lights.spots(source, count), self._caster.top(1)
+        spots = self._lights.spots(source, count)
         shares = np.ones(len(points))
         # A light above the table reaches all that is not below its top.
-        below = np.flatnonzero(points[:, 2] < top) if spots[0, 2] > top else np.arange(len(points))
+        below = (
+            np.flatnonzero(points[:, 2] < self._top) if spots[0, 2] > self._top else np.arange(len(points))
+        )
         if len(below):
             shares[below] = np.mean([self._caster.lit(spot, points[below]) for spot in spots], axis=0)
         return shares
@@ -326,10 +329,9 @@ class _StillScene:
         geom = hits.geom.reshape(h, w)
         rows, columns = np.nonzero(geom == 1)
         if len(rows):
-            height = float(self._caster.top(1))
-            points, _ = self._level(normalized.reshape(h, w, 2)[rows, columns], height)
+            points, _ = self._level(normalized.reshape(h, w, 2)[rows, columns], self._top)
             tone = wood(points[:, 0], points[:, 1]).astype(np.float32)
-            light = self._smooth_light(height)[rows, columns]
+            light = self._smooth_light(self._top)[rows, columns]
             for k in range(3):
                 parts[k][rows, columns] = tone * light[:, k : k + 1]
         self._exact_where(parts, geom, hits.depth.reshape(h, w))
@@ -346,7 +348,7 @@ class _StillScene:
         sides = geom > 1
         rows, columns = np.nonzero(geom == 1)
         heights = self._heights(rows, columns, depth[rows, columns])
-        sides[rows, columns] = np.abs(heights - self._caster.top(1)) > 1e-4
+        sides[rows, columns] = np.abs(heights - self._top) > 1e-4
         one = np.array([[0.0, 0.0]])
         four = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
         for chosen, shift in ((sides & ~crease, one), (crease & (geom >= 0), four)):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from robot_ik.bench.camera import ROWS, Effort, Quantity, accuracy
+from robot_ik.bench.camera import ROWS, Effort, accuracy
 from robot_ik.bench.camera.accuracy import STRAIGHT
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.drawing.renderers import PainterArtist
 
 
@@ -24,12 +26,24 @@ def test_rows_have_names_of_their_own_and_functions_that_are_there() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "wanted", "at_least", "passed"),
-    [(1.0, 1.0, False, True), (1.1, 1.0, False, False), (1.1, 1.0, True, True), (0.9, 1.0, True, False)],
+    ("value", "bounds", "passed", "wanted"),
+    [
+        (1.0, {"most": 1.0}, True, "≤ 1 mm"),
+        (1.1, {"most": 1.0}, False, "≤ 1 mm"),
+        (1.1, {"least": 1.0}, True, "≥ 1 mm"),
+        (0.9, {"least": 1.0}, False, "≥ 1 mm"),
+        (0.9, {"least": 1.0, "most": 2.0}, False, "1 … 2 mm"),
+        (2.0, {"least": 1.0, "most": 2.0}, True, "1 … 2 mm"),
+        (1.0, {}, None, ""),
+        (float("nan"), {"most": 1.0}, False, "≤ 1 mm"),
+        (float("nan"), {"most": 1.0, "missing": "no camera"}, None, "≤ 1 mm"),
+    ],
 )
-def test_a_figure_passes_on_the_right_side(value: float, wanted: float, at_least: bool, passed: bool) -> None:
-    assert Quantity("x", value, "mm", wanted, at_least).passed is passed
-    assert Quantity("x", value, "mm").passed is None
+def test_a_figure_passes_on_the_right_side(
+    value: float, bounds: dict[str, Any], passed: bool | None, wanted: str
+) -> None:
+    one = Quantity("x", value, "mm", **bounds)
+    assert one.passed is passed and one.wanted_text == wanted
 
 
 def test_clutter_gives_no_goal_and_a_source_that_believes_all_is_caught(

@@ -11,13 +11,14 @@ import pytest
 from robot_ik.bench.methods.problems import (
     NEAR_LIMIT,
     SETS,
+    SLACK,
     WARM_METRES,
     WARM_RADIANS,
-    Judge,
     ProblemSet,
+    apart,
     make_set,
-    plain_mjcf,
 )
+from robot_ik.bench.peers.tasks import plain_mjcf
 from robot_ik.chain import make_chain, robot_from_model
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.robot import Robot, load_robot
@@ -146,20 +147,22 @@ def test_a_robot_without_such_problems_says_why() -> None:
 
 def test_a_judge_is_not_fooled() -> None:
     arm = robot("puma560")
-    judge, q = Judge(arm), arm.home
-    target = judge.pose(q)
-    assert judge.miss(q, target) == (0.0, 0.0) and judge.inside(q)
+    q = arm.home
+    there = arm.measure(q).matrix
+    np.testing.assert_allclose(there, mujoco_pose(arm, q), atol=1e-14)
+    assert apart(there, there) == (0.0, 0.0) and not arm.outside(q, SLACK)
+    target = there.copy()
     target[:3, 3] += (3e-4, 0, 4e-4)
     rotated = target.copy()
     rotated[:3, :3] = target[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    assert judge.miss(q, target) == pytest.approx((5e-4, 0.0))
-    assert judge.miss(q, rotated)[1] == pytest.approx(np.pi / 2)
+    assert apart(there, target) == pytest.approx((5e-4, 0.0))
+    assert apart(there, rotated)[1] == pytest.approx(np.pi / 2)
     past = q.copy()
     past[0] = arm.upper[0] + 1e-6
-    assert not judge.inside(past)
+    assert arm.outside(past, SLACK)
     ball = robot("balls")
     beyond = np.concatenate([[np.cos(0.61), np.sin(0.61), 0, 0], ball.home[4:]])
-    assert not Judge(ball).inside(beyond) and Judge(ball).inside(ball.clip(beyond))
+    assert ball.outside(beyond, SLACK) and not ball.outside(ball.clip(beyond), SLACK)
 
 
 def test_a_plain_model_moves_as_the_robot_does() -> None:

@@ -121,10 +121,11 @@ def test_marker_outline_follows_its_corners() -> None:
 
 def test_before_and_after_stand_side_by_side() -> None:
     left, right = np.full((90, 160, 3), 10, np.uint8), np.full((180, 320, 3), 200, np.uint8)
+    accents = (overlay.ORANGE, overlay.GREEN)
     sheet = overlay.before_after(
-        left, right, ("Before\nfar", "After\nnear"), title="T", footer="f", width=400
+        left, right, ("Before\nfar", "After\nnear"), title="T", footer="f", accents=accents
     )
-    assert sheet.shape[1] == 2 * 400 + 2 * 28 + 20
+    assert sheet.shape[1] == 2 * 960 + 2 * 28 + 20
     half = sheet.shape[1] // 2
-    assert (sheet[:, :half] == 10).all(axis=2).sum() > 400 * 220
-    assert (sheet[:, half:] == 200).all(axis=2).sum() > 400 * 220
+    assert (sheet[:, :half] == 10).all(axis=2).sum() > 960 * 530
+    assert (sheet[:, half:] == 200).all(axis=2).sum() > 960 * 530

@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from robot_ik.camera.drawing import overlay
-from robot_ik.camera.drawing.meshes import ROUND_PX, build_mesh, triangulate
+from robot_ik.camera.drawing.meshes import ROUND_PX, cached_mesh, triangulate
 from robot_ik.camera.drawing.painter import Faces, SurfaceSamples, bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
@@ -118,7 +118,7 @@ def test_a_primitive_is_closed_faces_outwards_and_has_its_volume(
         a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in corners)
         total += float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
     assert total == pytest.approx(volume, rel=0.02)
-    model = build_mesh(model_of(f"<geom type='{kind}' {size}/>"))
+    model = cached_mesh(model_of(f"<geom type='{kind}' {size}/>"))
     assert (model.edge_faces[:, 0] != model.edge_faces[:, 1]).all(), "an open edge"
     assert (np.einsum("ij,ij->i", model.normals, model.vertices[model.faces].mean(axis=1)) > 0).all()
 
@@ -200,7 +200,7 @@ def test_a_mesh_geom_is_painted_and_a_fine_one_is_thinned(model_of: Callable[...
         "<geom type='mesh' mesh='ball' pos='0 0 1'/>", f"<mesh name='ball' vertex='{vertices}'/>"
     )
     assert int(model.mesh_facenum[0]) > 3000
-    assert len(build_mesh(model).faces) < 1600
+    assert len(cached_mesh(model).faces) < 1600
     mask = paint_mask((480, 640), faces_in_picture(model, [], LENS, Pose())) > 127
     assert overlap(seen_by_rays(model, np.zeros(0), LENS, Pose()) >= 0, mask) > 0.96
 

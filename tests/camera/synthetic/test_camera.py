@@ -195,11 +195,11 @@ def test_covered_and_blank_markers_cannot_be_found() -> None:
         SyntheticMarker(2, 0.05),
         SyntheticMarker(3, 0.05, Pose((0.1, 0, 0))),
     )
-    frame = photograph(scene.cover(1).blank(2)).read()
+    frame = photograph(scene.with_marker(1, condition="covered").with_marker(2, condition="blank")).read()
     assert isinstance(frame.truth, dict) and set(frame.truth["corners"]) == {3}
     assert [d.id for d in MarkerDetector("DICT_5X5_50").detect(frame.image)] == [3]
     with pytest.raises(CameraError, match="no marker 8"):
-        scene.cover(8)
+        scene.with_marker(8, condition="covered")
 
 
 def test_carried_markers_go_with_the_true_joint_angles() -> None:
