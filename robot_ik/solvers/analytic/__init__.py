@@ -28,6 +28,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
+from robot_ik.kernels.vectors import length, three
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic import proofs, subproblems
@@ -141,7 +142,7 @@ def prove_planar(goals, form):
 def prove_wrist(goals, form):
     """The same for a spherical wrist."""
     form = subproblems.open_form(form)
-    lever = proofs.length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
+    lever = length(three(form.extra, 1, 0))
     return proofs.wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
 
 
@@ -150,10 +151,8 @@ def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
     form = subproblems.open_form(form)
     subproblems.invert(form.target, form.inverse)
-    x, y, z = centre(form.inverse, form.extra)
-    return proofs.wrist_is_out_of_reach(
-        form, form.inverse, open_goals(goals).tolerance, proofs.length(x, y, z)
-    )
+    lever = length(centre(form.inverse, form.extra))
+    return proofs.wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, lever)
 
 
 @kernel
