@@ -66,6 +66,12 @@ def three(table, r, c):
 
 
 @pure
+def put(table, r, a):
+    """``a`` in place of the first three numbers of row ``r``."""
+    table[r, 0], table[r, 1], table[r, 2] = a
+
+
+@pure
 def apply(table, r, c, a):
     """The matrix (3, 3), row by row from column ``c`` of row ``r``, times ``a``."""
     return (
