@@ -214,7 +214,7 @@ class CompiledProblem:
         goal_arrays, arrays: By their names in ``residuals.GOALS`` and ``workspace.WORK``.
         rows: Length of the residual.
         nodes: Joints that move any goal and those that lead them, parents first.
-        made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
+        made: What solvers made for this problem, by their ``id``: (solver, what it made).
         token: A list of one item, which a call removes while it uses the arrays; else it is refused.
             (``list.pop`` is one step for all threads, and costs a fifth of a lock.)
     """
@@ -228,17 +228,18 @@ class CompiledProblem:
             row[:] = _reach_row(robot, goal, tolerance)
         self.tree = robot.tree.handle
         self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
-        self.made: dict[int, Any] = {}
+        self.made: dict[int, tuple[object, Any]] = {}
         self.token = [None]
 
     def made_for(self, solver: object, make: Callable[[], T]) -> T:
-        """What ``make`` returns, which must hold ``solver``: made once for each solver."""
-        found: T | None = self.made.get(id(solver))
-        if found is None:
+        """What ``make`` returns: made once for each solver, which is kept with it: its ``id`` is the key."""
+        kept: tuple[object, T] | None = self.made.get(id(solver))
+        if kept is None:
+            made = make()
             if len(self.made) >= _SOLVERS_KEPT:
                 self.made.clear()
-            found = self.made[id(solver)] = make()
-        return found
+            kept = self.made[id(solver)] = solver, made
+        return kept[1]
 
     def run_table(self, options: Array) -> Ints:
         """One table of all that a kernel takes."""

@@ -58,8 +58,8 @@ def test_every_address_is_held_together_with_what_it_points_to(puma, name):
         id(array) for array in known
     }
     assert compiled.made
-    for kept in compiled.made.values():
-        assert compiled.made[id(kept.solver)] is kept  # so that no other solver gets this id
+    for key, (owner, kept) in compiled.made.items():
+        assert key == id(owner)  # so that no other solver gets this id
         packed = [table for table in getattr(kept, "tables", ()) if owned(table)]
         held = {table.__array_interface__["data"][0] for start in packed for table in tables_of(start, [])}
         taken = getattr(kept, "arguments", getattr(kept, "addresses", ()))
