@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
-from robot_ik.goals import GOALS, Goal
+from robot_ik.goals import Goal
 from robot_ik.kernels import jit, workspace
 from robot_ik.kernels.bundle import address_of, named_row
 from robot_ik.problem import Budget, Problem
@@ -86,7 +86,7 @@ class Solver(ABC):
     name: ClassVar[str] = ""
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
-    goals: ClassVar[tuple[type[Goal], ...]] = GOALS
+    goals: ClassVar[tuple[type[Goal], ...]] = (Goal,)
     partial_goals: ClassVar[bool] = False
     capabilities: ClassVar[frozenset[str]] = frozenset()
 
