@@ -125,6 +125,16 @@ def reach_back(tree, goal, work, bones):
         put(bones.target, k, wanted)
 
 
+@pure
+def root_of(bones, tip):
+    """Where the chain of a tip begins, and its length stretched out."""
+    root, whole = tip, 0.0
+    while bones.up[root] >= 0:
+        whole += bones.length[root]
+        root = bones.up[root]
+    return root, whole
+
+
 @outlined
 def bend(tree, goal, work, bones, kick):
     """Bends every chain that is straight with its goal on its line; returns whether a goal is too far.
@@ -134,10 +144,7 @@ def bend(tree, goal, work, bones, kick):
     n, too_far = tree.parent.shape[0], False
     for g in range(goal.kind.shape[0]):
         tip = n + g
-        root, whole = tip, 0.0
-        while bones.up[root] >= 0:
-            whole += bones.length[root]
-            root = bones.up[root]
+        root, whole = root_of(bones, tip)
         end = bones.target
         far = distance(bones.target, tip, bones.now, root)
         if far >= whole * (1.0 - _STRETCHED):
@@ -179,10 +186,7 @@ def push_off_line(tree, world, bones, root, tip, line, kick):
 def straighten(tree, bones):
     """Targets of a single chain on the line from its root to its goal, bone after bone."""
     tip = tree.parent.shape[0]
-    root, away = tip, 0.0
-    while bones.up[root] >= 0:
-        away += bones.length[root]
-        root = bones.up[root]
+    root, away = root_of(bones, tip)
     far = distance(bones.target, tip, bones.now, root)
     origin, line = three(bones.now, root, 0), offset(bones.target, tip, bones, root)
     k = tip
