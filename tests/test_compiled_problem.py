@@ -28,7 +28,7 @@ def problem_for(name, robot, seed=0):
     """A problem of a kind that the method serves, and poses (5, 12) to move it to."""
     rng = np.random.default_rng(seed)
     poses = [robot.forward(robot.sample(rng)) for _ in range(5)]
-    kind = rik.PoseGoal if rik.PoseGoal in SOLVERS[name].goals else rik.PositionGoal
+    kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
     goal = kind(None, poses[0].position)
     rows = np.array([np.concatenate([pose.position, pose.rotation.ravel()]) for pose in poses])
     budget = rik.Budget(iterations=60, restarts=2)
@@ -102,7 +102,7 @@ STRESS = """
     def work(name, seed, shared):
         rng = np.random.default_rng(seed)
         own = rik.load_robot("puma560")
-        kind = rik.PoseGoal if rik.PoseGoal in SOLVERS[name].goals else rik.PositionGoal
+        kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
         budget = rik.Budget(iterations=20, restarts=1)
         problem = Problem(own, kind(None, own.forward(own.home).position), budget=budget)
         solvers = [make_solver(name), make_solver(name), make_solver("lm")]

@@ -96,11 +96,11 @@ def reduced_system(matrix, gradient, low, high, side, factor, step):
 
 
 @pure
-def pushed_out(low, high, wish):
-    """Where a joint stands at a bound of its step and ``wish`` leads out there: -1 or 1; else 0."""
-    if wish < 0.0 and low > -AT_BOUND:
+def pushed_out(low, high, way):
+    """Where a joint stands at a bound of its step and ``way`` leads out there: -1 or 1; else 0."""
+    if way < 0.0 and low > -AT_BOUND:
         return -1
-    return 1 if wish > 0.0 and high < AT_BOUND else 0
+    return 1 if way > 0.0 and high < AT_BOUND else 0
 
 
 @pure
