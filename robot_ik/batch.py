@@ -35,27 +35,31 @@ _LEAST_PER_THREAD = 256
 
 
 @dataclass(frozen=True, eq=False)
-class BatchSolution:
+class BatchSolution(BatchResult):
     """Results for many poses; row i belongs to pose i.
 
     Attributes:
         q: (n, nq) best found, inside the limits.
         status: (n,) numbers of ``Status``.
-        position_miss, angle_miss: (n,) metres and radians, by the compiled forward pass (which the tests
-            hold to MuJoCo's); 0 for a part that was not asked for.
+        miss: (n, 2) metres and radians, by the compiled forward pass (which the tests hold to MuJoCo's);
+            0 for a part that was not asked for.
         iterations, restarts: (n,) steps of all tries of each pose; random restarts used.
         seconds: Wall-clock time of all.
         solver: Name of the method.
     """
 
-    q: Array
-    status: NDArray[np.int64]
-    position_miss: Array
-    angle_miss: Array
-    iterations: NDArray[np.int64]
-    restarts: NDArray[np.int64]
     seconds: float
     solver: str
+
+    @property
+    def position_miss(self) -> Array:
+        """(n,) metres."""
+        return self.miss[:, 0]
+
+    @property
+    def angle_miss(self) -> Array:
+        """(n,) radians."""
+        return self.miss[:, 1]
 
     @property
     def converged(self) -> NDArray[np.bool_]:
@@ -103,10 +107,7 @@ def run_batch(
         shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
         with ThreadPoolExecutor(count) as pool:
             name, *_ = pool.map(lambda s: part(targets[s], starts[s], results.part(s)), shares)
-    miss, seconds = results.miss, time.perf_counter() - began
-    return BatchSolution(
-        results.q, results.status, miss[:, 0], miss[:, 1], results.iterations, results.restarts, seconds, name
-    )
+    return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)
 
 
 def usable_cores() -> int:

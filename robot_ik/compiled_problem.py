@@ -8,11 +8,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import rotation_z_to
-from robot_ik.goals import Array, Goal, PosePriorGoal, PostureGoal, Tolerance
+from robot_ik.goals import Array, Goal, Tolerance
 from robot_ik.kernels import residuals, workspace
-from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_MASS, OF_PRIOR, WHOLE
+from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_PRIOR, WHOLE
 from robot_ik.model import pose_row, row_pose
 from robot_ik.robot import Robot
 
@@ -63,7 +62,7 @@ def compile_goals(
 ) -> tuple[dict[str, Any], int, Ints]:
     """Arrays by their names in ``residuals.GOALS``, length of the residual, nodes; raises as ``Problem``."""
     tree, count = robot.tree, len(goals)
-    moved = [_moved_nodes(robot, goal) for goal in goals]
+    moved = [goal.moved_nodes(robot) for goal in goals]
     coupled_to = {int(node): int(leader) for node, leader in tree.coupled}
     used = set().union(*moved)
     leaders = {coupled_to.get(k, k) for k in used} - {-1}
@@ -97,26 +96,12 @@ def compile_goals(
         "joint_scale": np.sqrt(stiffness.min(initial=np.inf) / stiffness),
         "coupled": np.array(coupled, dtype=np.int64).reshape(-1, 3),
     }  # fmt: skip
-    masses: list[Array] = []
     rows = 0
     for g, goal in enumerate(goals):
         arrays["row"][g], asked = rows, goal.rows
         arrays["weight"][g, 0] /= length_of(robot, goal)
         rows += 3 * ((asked.position != NO_POSITION) + (asked.orientation != NO_ORIENTATION))
-        if isinstance(goal, PostureGoal):
-            set_posture(robot, arrays, g, goal)
-            rows += len(dofs)
-        elif isinstance(goal, PosePriorGoal):
-            rows += _set_prior(robot, arrays, goal)
-        elif asked.of == OF_MASS:
-            arrays["row_codes"][g, residuals.BLOCK] = sum(len(block) for block in masses)
-            masses.append(robot.masses(goal.frame))
-        else:
-            arrays["node"][g], local = robot.attachment(goal.frame)
-            if not asked.whole:
-                local[3:] = (local[3:].reshape(3, 3) @ rotation_z_to(asked.axis)).ravel()
-            arrays["local"][g] = local
-    arrays["masses"] = np.concatenate(masses) if masses else np.zeros((0, 4))
+        rows += goal.fill(arrays, g, robot)
     arrays["moments"] = np.zeros_like(arrays["masses"])
     arrays["asked"] = np.hstack([arrays["weight"], arrays["tolerance"]])
     arrays |= _pattern(arrays, rows)
@@ -127,24 +112,6 @@ def levels_of(goals: Sequence[Goal]) -> list[int]:
     """The rank of each goal in the order in which they are served: by priority, the soft ones last."""
     ranks = sorted({(goal.soft, goal.priority) for goal in goals})
     return [ranks.index((goal.soft, goal.priority)) for goal in goals]
-
-
-def set_posture(robot: Robot, arrays: dict[str, Any], g: int, goal: PostureGoal) -> None:
-    """Puts a posture into the arrays; raises ``InvalidGoalError`` unless it has a number for each of q."""
-    if np.shape(goal.q) != (robot.nq,):
-        wrong = f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(goal.q)}"
-        raise InvalidGoalError(wrong, hint="start from robot.home and change what matters")
-    arrays["posture"][g] = goal.q
-    arrays["joint_weight"][g] = goal.joint_weights(robot)
-
-
-def _set_prior(robot: Robot, arrays: dict[str, Any], goal: PosePriorGoal) -> int:
-    """Puts a pose prior, of which there is one at most, into the arrays; returns how many rows it makes."""
-    if len(arrays["feature"]):
-        raise InvalidGoalError("a problem has one pose prior at most", hint="learn one from all the motions")
-    assert goal.prior is not None
-    arrays["feature"], arrays["prior"] = goal.prior.indices(robot), goal.prior.table()
-    return len(arrays["feature"]) + 1
 
 
 def _pattern(arrays: dict[str, Any], rows: int) -> dict[str, Ints]:
@@ -187,19 +154,6 @@ def _reach_row(robot: Robot, goal: Goal, tolerance: Tolerance) -> tuple[float, .
     return *ball[0].tolist(), ball[1] + (goal.tolerance or tolerance).position
 
 
-def _moved_nodes(robot: Robot, goal: Goal) -> set[int]:
-    """Joints whose motion the goal feels."""
-    tree = robot.tree
-    if isinstance(goal, PostureGoal):
-        return set(tree.dof_node[goal.joint_weights(robot) > 0.0].tolist())
-    if isinstance(goal, PosePriorGoal) and goal.prior is not None:
-        return set(goal.prior.indices(robot)[:, 2].tolist())
-    if goal.rows.of == OF_MASS:
-        carried = np.flatnonzero(robot.masses(goal.frame)[:-1, 0] > 0.0)
-        return {k for node in carried for k in tree.ancestors(int(node))}
-    return set(tree.ancestors(robot.attachment(goal.frame)[0]))
-
-
 # Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
 _SOLVERS_KEPT = 16
 
@@ -214,7 +168,7 @@ class CompiledProblem:
         goal_arrays, arrays: By their names in ``residuals.GOALS`` and ``workspace.WORK``.
         rows: Length of the residual.
         nodes: Joints that move any goal and those that lead them, parents first.
-        made: What solvers made for this problem, by their ``id``; each entry keeps its solver.
+        made: What solvers made for this problem, by their ``id``: (solver, what it made).
         token: A list of one item, which a call removes while it uses the arrays; else it is refused.
             (``list.pop`` is one step for all threads, and costs a fifth of a lock.)
     """
@@ -228,17 +182,18 @@ class CompiledProblem:
             row[:] = _reach_row(robot, goal, tolerance)
         self.tree = robot.tree.handle
         self.goals, self.work = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
-        self.made: dict[int, Any] = {}
+        self.made: dict[int, tuple[object, Any]] = {}
         self.token = [None]
 
     def made_for(self, solver: object, make: Callable[[], T]) -> T:
-        """What ``make`` returns, which must hold ``solver``: made once for each solver."""
-        found: T | None = self.made.get(id(solver))
-        if found is None:
+        """What ``make`` returns: made once for each solver, which is kept with it: its ``id`` is the key."""
+        kept: tuple[object, T] | None = self.made.get(id(solver))
+        if kept is None:
+            made = make()
             if len(self.made) >= _SOLVERS_KEPT:
                 self.made.clear()
-            found = self.made[id(solver)] = make()
-        return found
+            kept = self.made[id(solver)] = solver, made
+        return kept[1]
 
     def run_table(self, options: Array) -> Ints:
         """One table of all that a kernel takes."""

@@ -1,4 +1,4 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them.
+"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them, with those of the whole body.
 
 A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
 Targets are in the world, metres and unit quaternions (w, x, y, z).
@@ -6,22 +6,25 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 from __future__ import annotations
 
+import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, ClassVar, Self, cast
+from typing import TYPE_CHECKING, Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import InvalidGoalError, UnknownJointError
+from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose, rotation_z_to
 from robot_ik.kernels import residuals as codes
-from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 
 if TYPE_CHECKING:
-    from robot_ik.pose_prior import PosePrior
+    from robot_ik.body_goals import GOALS as GOALS
+    from robot_ik.body_goals import CenterOfMassGoal as CenterOfMassGoal
+    from robot_ik.body_goals import PosePriorGoal as PosePriorGoal
+    from robot_ik.body_goals import PostureGoal as PostureGoal
     from robot_ik.robot import Robot
 
 
@@ -257,10 +260,27 @@ class Goal:
         """The same goal with another target."""
         raise InvalidGoalError(f"a {self.name} has no pose to move")
 
+    def moved_to_q(self, q: ArrayLike) -> Goal:
+        """The same goal with other joint angles (nq,)."""
+        raise InvalidGoalError(f"a {self.name} has no joint angles to move")
+
+    def moved_nodes(self, robot: Robot) -> set[int]:
+        """Joints (nodes of the tree) whose motion it feels."""
+        return set(robot.tree.ancestors(robot.attachment(self.frame)[0]))
+
+    def fill(self, arrays: dict[str, Any], g: int, robot: Robot) -> int:
+        """Puts what it is asked of into the arrays (``residuals.GOALS``) of a problem whose goal ``g`` it is.
+
+        Returns how many rows it makes beside those of a position and an orientation.
+        """
+        arrays["node"][g], local = robot.attachment(self.frame)
+        if not self.rows.whole:
+            local[3:] = (local[3:].reshape(3, 3) @ rotation_z_to(self.rows.axis)).ravel()
+        arrays["local"][g] = local
+        return 0
+
     def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
         """Metres and radians off ``target`` at ``q``, by MuJoCo's own forward pass; no weight, no miss."""
-        if self.rows.of == codes.OF_MASS:
-            return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
         return self.off(robot.measure(q, self.frame), target)
 
     def off(self, here: Pose, target: Pose) -> tuple[float, float]:
@@ -297,7 +317,7 @@ def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class _PointGoal(Goal):
+class PointGoal(Goal):
     """A point at ``position`` (3,), world, metres, or at some of its coordinates."""
 
     position: ArrayLike = ()
@@ -323,7 +343,7 @@ class _PointGoal(Goal):
         return replace(self, position=target.position)
 
 
-class PositionGoal(_PointGoal):
+class PositionGoal(PointGoal):
     """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
 
     Attributes:
@@ -493,129 +513,12 @@ class HalfSpaceGoal(_DirectionGoal):
     across: ClassVar[Rows] = Rows(position=codes.ONE_SIDE, mask=(0.0, 0.0, 1.0))
 
 
-class CenterOfMassGoal(_PointGoal):
-    """The centre of mass at ``position`` (3,), world, metres; MuJoCo's ``subtree_com``.
+_OF_THE_BODY = ("GOALS", "CenterOfMassGoal", "PosePriorGoal", "PostureGoal")
 
-    Attributes:
-        frame: Name of a body: of it and all that hangs on it; None means everything in the model.
-        axes: Which coordinates count; ``"xy"`` balances over a point and leaves the height free.
-    """
+if not TYPE_CHECKING:
 
-    name: ClassVar[str] = "centre-of-mass goal"
-
-    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
-        return Rows(position=codes.SOME_AXES, of=codes.OF_MASS, mask=mask)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PostureGoal(Goal):
-    """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
-
-    Its miss is the largest distance of any joint that counts: radians for hinges, metres for slides.
-
-    Attributes:
-        q: (nq,) where the joints are wanted.
-        joints: How much single joints count, by name; those not named count 1, or 0 if ``only``.
-        only: Leave out the joints that are not named.
-    """
-
-    frame: str | None = field(default=None, init=False)
-    q: ArrayLike = ()
-    weight: float = field(default=1.0, kw_only=True)
-    joints: Mapping[str, float] = field(default_factory=dict, kw_only=True)
-    only: bool = field(default=False, kw_only=True)
-
-    name: ClassVar[str] = "posture goal"
-    has_position: ClassVar[bool] = True
-    has_angle: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        count = numbers(self.q, "q").size
-        if not count:
-            raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
-        if not isinstance(self.joints, Mapping):
-            raise InvalidGoalError(
-                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
-            )
-        checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
-        weight = positive_number(self.weight, "weight")
-        self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
-        self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
-
-    @property
-    def signature(self) -> tuple[object, ...]:
-        return *super().signature, tuple(self.joints.items()), self.only
-
-    def moved_to_q(self, q: ArrayLike) -> PostureGoal:
-        """The same goal with other joint angles (nq,)."""
-        return replace(self, q=q)
-
-    def joint_weights(self, robot: Robot) -> Array:
-        """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""
-        for joint in self.joints:
-            if joint not in robot.joints:
-                raise UnknownJointError(joint, robot.joints)
-        each = [self.joints.get(joint, 0.0 if self.only else 1.0) for joint in robot.joints]
-        return np.array(each, dtype=float)[robot.tree.dof_node]
-
-    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
-        if not self.weight > 0.0:
-            return 0.0, 0.0
-        tree, joint_weights = robot.tree, self.joint_weights(robot)
-        difference = robot.difference(q, np.asarray(self.q))
-        metres = radians = 0.0
-        for k in set(range(tree.size)) - set(tree.coupled[:, 0].tolist()):
-            v, kind = int(tree.vadr[k]), int(tree.kind[k])
-            if not joint_weights[v] > 0.0:
-                continue
-            part = difference[v : v + V_WIDTH[kind]]
-            shift = {SLIDE: 1, FREE: 3}.get(kind, 0)  # how many of them are metres
-            metres = max(metres, float(np.abs(part[:shift]).max(initial=0.0)))
-            radians = max(radians, float(np.linalg.norm(part[shift:])))
-        return metres, radians
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class PosePriorGoal(Goal):
-    """A pose as likely as can be under a ``PosePrior``: that looks natural.  Always soft; one a problem.
-
-    It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
-
-    Attributes:
-        prior: ``PosePrior.of(robot)``, or one that you learned.
-        weight: On the rows, whose half square is the energy over its least: it counts squared.
-    """
-
-    frame: str | None = field(default=None, init=False)
-    prior: PosePrior | None = None
-    weight: float = field(default=1.0, kw_only=True)
-    soft: bool = field(default=True, kw_only=True)
-
-    name: ClassVar[str] = "pose prior goal"
-    has_angle: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        from robot_ik.pose_prior import PosePrior  # which few problems need
-
-        super().__post_init__()
-        if not isinstance(self.prior, PosePrior):
-            wrong = f"a pose prior goal needs a PosePrior, not {self.prior!r}"
-            raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
-        if not self.soft:
-            raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
-        weight = positive_number(self.weight, "weight")
-        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
-
-    @property
-    def signature(self) -> tuple[object, ...]:
-        return *super().signature, self.prior
-
-    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
-        return 0.0, 0.0
-
-
-GOALS: tuple[type[Goal], ...] = (
-    PositionGoal, OrientationGoal, PoseGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal,
-    PostureGoal, PosePriorGoal,
-)  # fmt: skip
+    def __getattr__(name: str) -> object:
+        """Goals of the whole body, which few problems need, are loaded when they are first asked for."""
+        if name in _OF_THE_BODY:
+            return getattr(importlib.import_module("robot_ik.body_goals"), name)
+        raise AttributeError(f"module 'robot_ik.goals' has no attribute {name!r}")

@@ -19,12 +19,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.compiled_problem import CompiledProblem, length_of, moved_goal, set_posture, target_row
+from robot_ik.compiled_problem import CompiledProblem, length_of, moved_goal, target_row
 from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUseError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Array, Goal, PostureGoal, Tolerance, numbers, rotation_matrix, vector
+from robot_ik.goals import Array, Goal, Tolerance, numbers, rotation_matrix, vector
 from robot_ik.kernels import workspace
-from robot_ik.kernels.residuals import OF_FRAME, OF_MASS
+from robot_ik.kernels.residuals import OF_FRAME, OF_JOINTS, OF_MASS
 from robot_ik.model import pose_row
 from robot_ik.robot import Robot
 
@@ -277,7 +277,7 @@ class Problem:
         mine = self.given[index]
         if isinstance(target, Goal):
             moved = self._require_same(target, index)
-        elif isinstance(mine, PostureGoal):
+        elif mine.rows.of == OF_JOINTS:
             moved = mine.moved_to_q(target)
         elif isinstance(target, Pose):
             moved = mine.moved_to(target)
@@ -291,8 +291,8 @@ class Problem:
 
     def _put(self, goal: Goal, index: int) -> None:
         """Takes a goal of the same kind in place of one."""
-        if isinstance(goal, PostureGoal):
-            set_posture(self.robot, self.compiled.goal_arrays, index, goal)
+        if goal.rows.of == OF_JOINTS:
+            goal.fill(self.compiled.goal_arrays, index, self.robot)
         self.target[index] = target_row(goal)
         self.given = (*self.given[:index], goal, *self.given[index + 1 :])
 

@@ -28,7 +28,7 @@ def problem_for(name, robot, seed=0):
     """A problem of a kind that the method serves, and poses (5, 12) to move it to."""
     rng = np.random.default_rng(seed)
     poses = [robot.forward(robot.sample(rng)) for _ in range(5)]
-    kind = rik.PoseGoal if rik.PoseGoal in SOLVERS[name].goals else rik.PositionGoal
+    kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
     goal = kind(None, poses[0].position)
     rows = np.array([np.concatenate([pose.position, pose.rotation.ravel()]) for pose in poses])
     budget = rik.Budget(iterations=60, restarts=2)
@@ -58,8 +58,8 @@ def test_every_address_is_held_together_with_what_it_points_to(puma, name):
         id(array) for array in known
     }
     assert compiled.made
-    for kept in compiled.made.values():
-        assert compiled.made[id(kept.solver)] is kept  # so that no other solver gets this id
+    for key, (owner, kept) in compiled.made.items():
+        assert key == id(owner)  # so that no other solver gets this id
         packed = [table for table in getattr(kept, "tables", ()) if owned(table)]
         held = {table.__array_interface__["data"][0] for start in packed for table in tables_of(start, [])}
         taken = getattr(kept, "arguments", getattr(kept, "addresses", ()))
@@ -102,7 +102,7 @@ STRESS = """
     def work(name, seed, shared):
         rng = np.random.default_rng(seed)
         own = rik.load_robot("puma560")
-        kind = rik.PoseGoal if rik.PoseGoal in SOLVERS[name].goals else rik.PositionGoal
+        kind = rik.PoseGoal if issubclass(rik.PoseGoal, SOLVERS[name].goals) else rik.PositionGoal
         budget = rik.Budget(iterations=20, restarts=1)
         problem = Problem(own, kind(None, own.forward(own.home).position), budget=budget)
         solvers = [make_solver(name), make_solver(name), make_solver("lm")]

@@ -219,6 +219,7 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
     from robot_ik.goals import GOALS
 
+    served = [goal for goal in GOALS if issubclass(goal, kind.goals)]
     options = [
         {
             "name": field.name,
@@ -235,8 +236,8 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
         "name": kind.name or name,
         "title": kind.title,
         "source": kind.source,
-        "goals": [goal.name for goal in kind.goals],
-        "every_goal": kind.partial_goals and set(kind.goals) >= set(GOALS),
+        "goals": [goal.name for goal in served],
+        "every_goal": kind.partial_goals and len(served) == len(GOALS),
         "parts": kind.partial_goals,
         "capabilities": sorted(kind.capabilities),
         "options": options,

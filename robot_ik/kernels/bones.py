@@ -11,9 +11,10 @@ import math
 
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, frame_pose, rotate_quat
+from robot_ik.kernels.kinematics import clip, forward, frame_pose, rotate_quat, unit
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
+from robot_ik.kernels.vectors import apply, apply_back, dot, length, minus, over, plus, scaled, three
 
 # Points c are the nodes, then the goals g; -1 means none.
 BONES = Layout(
@@ -30,9 +31,9 @@ BONES = Layout(
     share="floats c",  # its weight
     shift="floats c",  # how far along its hinge's axis it stands from the node's origin
     length="floats c",  # of the bone that ends in it
-    sums="floats 10",  # what a joint aims at: M row by row, and how many vectors there are (``add_aim``)
+    sums="table 1 10",  # what a joint aims at: M row by row, and how many vectors there are (``add_aim``)
     pull="floats 2",  # how much a hinge, and a ball, weighs the goals themselves beside the next points
-    kept="floats 12",  # the pose of a joint before it rotates
+    kept="table 1 12",  # the pose of a joint before it rotates
     one="ints 1",
 )
 open_bones = BONES.open
@@ -112,39 +113,29 @@ def link_points(tree, goal, nodes, bones):
 @pure
 def distance(p, b, q, a):
     """Distance of the points p[b] and q[a]."""
-    x, y, z = p[b, 0] - q[a, 0], p[b, 1] - q[a, 1], p[b, 2] - q[a, 2]
-    return math.sqrt(x * x + y * y + z * z)
+    return length(minus(three(p, b, 0), three(q, a, 0)))
 
 
 @outlined
 def store_pose(world, k, old):
-    """old = the pose of node ``k``, before it moves."""
+    """old (1, 12) = the pose of node ``k``, before it moves."""
     for i in range(12):
-        old[i] = world[k, i]
+        old[0, i] = world[k, i]
 
 
 @outlined
 def move_with_node(world, k, old, frames, g):
-    """Moves frames[g], which hangs on node ``k``, as the node has moved from the pose kept in ``old``.
+    """Moves frames[g], which hangs on node ``k``, as the node has moved since ``old`` (1, 12).
 
     What lies between stays as it is: a joint's rotation costs the same however many joints come after it.
     """
-    x = frames[g, 0] - old[0]
-    y = frames[g, 1] - old[1]
-    z = frames[g, 2] - old[2]
     for c in range(4):  # the origin, then the three axes
-        if c > 0:
-            x, y, z = frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]
-        # In the node's old axes, then along its new ones.
-        a = old[3] * x + old[6] * y + old[9] * z
-        b = old[4] * x + old[7] * y + old[10] * z
-        d = old[5] * x + old[8] * y + old[11] * z
-        for i in range(3):
-            moved = world[k, 3 + 3 * i] * a + world[k, 4 + 3 * i] * b + world[k, 5 + 3 * i] * d
-            if c == 0:
-                frames[g, i] = world[k, i] + moved
-            else:
-                frames[g, 2 + c + 3 * i] = moved
+        if c == 0:
+            before = apply_back(old, 0, 3, minus(three(frames, g, 0), three(old, 0, 0)))
+            frames[g, 0], frames[g, 1], frames[g, 2] = plus(three(world, k, 0), apply(world, k, 3, before))
+        else:
+            before = apply_back(old, 0, 3, (frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c]))
+            frames[g, 2 + c], frames[g, 5 + c], frames[g, 8 + c] = apply(world, k, 3, before)
 
 
 @outlined
@@ -217,30 +208,37 @@ def third_side_angle(a, c, b):
 
 
 @pure
-def add_aim(sums, weight, dx, dy, dz, px, py, pz):
+def add_aim(sums, weight, d, p):
     """One more vector p whose target is along d."""
-    sums[0] += weight * dx * px
-    sums[1] += weight * dx * py
-    sums[2] += weight * dx * pz
-    sums[3] += weight * dy * px
-    sums[4] += weight * dy * py
-    sums[5] += weight * dy * pz
-    sums[6] += weight * dz * px
-    sums[7] += weight * dz * py
-    sums[8] += weight * dz * pz
-    sums[_AIMS] += 1.0
+    x, y, z = scaled(weight, d)
+    sums[0, 0] += x * p[0]
+    sums[0, 1] += x * p[1]
+    sums[0, 2] += x * p[2]
+    sums[0, 3] += y * p[0]
+    sums[0, 4] += y * p[1]
+    sums[0, 5] += y * p[2]
+    sums[0, 6] += z * p[0]
+    sums[0, 7] += z * p[1]
+    sums[0, 8] += z * p[2]
+    sums[0, _AIMS] += 1.0
 
 
 @pure
-def rotation_terms(sums, x, y, z):
-    """A, B of the gain A cos φ + B sin φ of a rotation by φ about the unit axis (x, y, z)."""
-    across = (
-        x * (sums[0] * x + sums[1] * y + sums[2] * z)
-        + y * (sums[3] * x + sums[4] * y + sums[5] * z)
-        + z * (sums[6] * x + sums[7] * y + sums[8] * z)
-    )
-    b = x * (sums[7] - sums[5]) + y * (sums[2] - sums[6]) + z * (sums[3] - sums[1])
-    return sums[0] + sums[4] + sums[8] - across, b
+def rotation_terms(sums, u):
+    """A, B of the gain A cos φ + B sin φ of a rotation by φ about the unit axis u."""
+    return trace_of(sums) - dot(u, apply(sums, 0, 0, u)), dot(u, free_axis(sums))
+
+
+@pure
+def trace_of(sums):
+    """tr M."""
+    return sums[0, 0] + sums[0, 4] + sums[0, 8]
+
+
+@pure
+def free_axis(sums):
+    """Σ w p × d."""
+    return sums[0, 7] - sums[0, 5], sums[0, 2] - sums[0, 6], sums[0, 3] - sums[0, 1]
 
 
 @pure
@@ -260,19 +258,17 @@ def best_angle(a, b, low, high):
 @outlined
 def rotation_axis(sums):
     """The axis about which a free rotation helps most, not normalised: zero when nothing helps."""
-    x, y, z = sums[7] - sums[5], sums[2] - sums[6], sums[3] - sums[1]
-    size = abs(sums[0]) + abs(sums[4]) + abs(sums[8])
-    trace = sums[0] + sums[4] + sums[8]
-    if x * x + y * y + z * z > 1e-24 * size * size or size == 0.0:
-        return x, y, z
+    axis, trace = free_axis(sums), trace_of(sums)
+    size = abs(sums[0, 0]) + abs(sums[0, 4]) + abs(sums[0, 8])
+    if dot(axis, axis) > 1e-24 * size * size or size == 0.0:
+        return axis
     # Aligned, or off by π: then any axis across will do, the coordinate axis most across first.
-    g0, g1, g2 = sums[0] - trace, sums[4] - trace, sums[8] - trace
-    gain = max(g0, g1, g2)
+    gains = sums[0, 0] - trace, sums[0, 4] - trace, sums[0, 8] - trace
+    gain = max(gains[0], gains[1], gains[2])
     if not gain > 1e-9 * size:
         return 0.0, 0.0, 0.0
-    i = 0 if g0 == gain else (1 if g1 == gain else 2)
-    x, y, z = -sums[i] / trace, -sums[3 + i] / trace, -sums[6 + i] / trace
-    return x + (1.0 if i == 0 else 0.0), y + (1.0 if i == 1 else 0.0), z + (1.0 if i == 2 else 0.0)
+    i = 0 if gains[0] == gain else (1 if gains[1] == gain else 2)
+    return plus(over((-sums[0, i], -sums[0, 3 + i], -sums[0, 6 + i]), trace), unit(i))
 
 
 # One joint's best rotation: how joints follow the targets that a geometric method gives to points.
@@ -285,37 +281,39 @@ _NO_LEVER = 1e-6
 _BALL_TURNS, _STILL = 12, 1e-10
 
 
+@pure
+def offset(place, c, bones, k):
+    """Where ``place`` (now or target) has point ``c``, seen from where point ``k`` is now."""
+    return minus(three(place, c, 0), three(bones.now, k, 0))
+
+
 @outlined
 def add_point(bones, k, c):
     """Point ``c`` and its target, seen from point ``k``."""
-    add_aim(
-        bones.sums, bones.share[c],
-        bones.target[c, 0] - bones.now[k, 0], bones.target[c, 1] - bones.now[k, 1],
-        bones.target[c, 2] - bones.now[k, 2],
-        bones.now[c, 0] - bones.now[k, 0], bones.now[c, 1] - bones.now[k, 1],
-        bones.now[c, 2] - bones.now[k, 2],
-    )  # fmt: skip
+    add_aim(bones.sums, bones.share[c], offset(bones.target, c, bones, k), offset(bones.now, c, bones, k))
 
 
 @outlined
 def add_columns(goal, work, bones, share, g):
     """The axes of goal ``g``'s frame have those of its target for targets."""
-    w = share * goal.weight[g, 1] * goal.weight[g, 1]
+    target, frames, w = goal.target, work.frames, share * goal.weight[g, 1] * goal.weight[g, 1]
     for i in range(3, 6):
-        add_aim(
-            bones.sums, w, goal.target[g, i], goal.target[g, i + 3], goal.target[g, i + 6],
-            work.frames[g, i], work.frames[g, i + 3], work.frames[g, i + 6],
-        )  # fmt: skip
+        wanted = target[g, i], target[g, i + 3], target[g, i + 6]
+        add_aim(bones.sums, w, wanted, (frames[g, i], frames[g, i + 3], frames[g, i + 6]))
+
+
+@pure
+def hinge_axis(world, k):
+    """World axis of hinge or slide ``k``."""
+    return world[k, 5], world[k, 8], world[k, 11]
 
 
 @pure
 def lever(world, bones, kind, k, c):
     """Distance of point ``c`` from the axis of hinge ``k``, or from the centre of ball ``k``."""
-    x = bones.now[c, 0] - bones.now[k, 0]
-    y = bones.now[c, 1] - bones.now[k, 1]
-    z = bones.now[c, 2] - bones.now[k, 2]
-    along = x * world[k, 5] + y * world[k, 8] + z * world[k, 11] if kind == HINGE else 0.0
-    return math.sqrt(max(0.0, x * x + y * y + z * z - along * along))
+    away = offset(bones.now, c, bones, k)
+    along = dot(away, hinge_axis(world, k)) if kind == HINGE else 0.0
+    return math.sqrt(max(0.0, dot(away, away) - along * along))
 
 
 @outlined
@@ -363,17 +361,12 @@ def add_goals(tree, goal, work, bones, k, pull):
     for g in range(goal.kind.shape[0]):
         if bones.share[n + g] <= 0.0 or bones.hangs[k, g] == 0:
             continue
-        count = bones.sums[_AIMS]
-        add_aim(
-            bones.sums, pull * bones.share[n + g],
-            goal.target[g, 0] - bones.now[k, 0], goal.target[g, 1] - bones.now[k, 1],
-            goal.target[g, 2] - bones.now[k, 2],
-            work.frames[g, 0] - bones.now[k, 0], work.frames[g, 1] - bones.now[k, 1],
-            work.frames[g, 2] - bones.now[k, 2],
-        )  # fmt: skip
+        count = bones.sums[0, _AIMS]
+        wanted, here = offset(goal.target, g, bones, k), offset(work.frames, g, bones, k)
+        add_aim(bones.sums, pull * bones.share[n + g], wanted, here)
         if has_orientation(goal, g):
             add_columns(goal, work, bones, pull, g)
-        bones.sums[_AIMS] = count
+        bones.sums[0, _AIMS] = count
 
 
 @outlined
@@ -387,15 +380,10 @@ def relocate(tree, goal, work, bones, k):
 
 
 @outlined
-def rotate_ball(tree, work, k, a, x, y, z, angle):
-    """Rotates the ball whose quaternion starts at q[a] by ``angle`` about the world axis (x, y, z)."""
-    world = work.world
-    rotate_quat(
-        work.q, a,
-        angle * (world[k, 3] * x + world[k, 6] * y + world[k, 9] * z),
-        angle * (world[k, 4] * x + world[k, 7] * y + world[k, 10] * z),
-        angle * (world[k, 5] * x + world[k, 8] * y + world[k, 11] * z),
-    )  # fmt: skip
+def rotate_ball(tree, work, k, a, axis, angle):
+    """Rotates the ball whose quaternion starts at q[a] by ``angle`` about a world axis."""
+    x, y, z = scaled(angle, apply_back(work.world, k, 3, axis))
+    rotate_quat(work.q, a, x, y, z)
 
 
 @outlined
@@ -406,17 +394,17 @@ def aim_ball(tree, goal, work, bones, k, a):
         gather(tree, goal, work, bones, k)
         if bones.pull[1] > 0.0:
             add_goals(tree, goal, work, bones, k, bones.pull[1])
-        x, y, z = rotation_axis(bones.sums)
-        norm = math.sqrt(x * x + y * y + z * z)
+        axis = rotation_axis(bones.sums)
+        norm = length(axis)
         if norm == 0.0:
             break
-        x, y, z = x / norm, y / norm, z / norm
-        ta, tb = rotation_terms(bones.sums, x, y, z)
+        axis = over(axis, norm)
+        ta, tb = rotation_terms(bones.sums, axis)
         angle = best_angle(ta, tb, -math.pi, math.pi)
-        rotate_ball(tree, work, k, a, x, y, z, angle)
+        rotate_ball(tree, work, k, a, axis, angle)
         relocate(tree, goal, work, bones, k)
         total += abs(angle)
-        if abs(angle) < _STILL or (bones.sums[_AIMS] < 2.0 and bones.pull[1] == 0.0):
+        if abs(angle) < _STILL or (bones.sums[0, _AIMS] < 2.0 and bones.pull[1] == 0.0):
             break
     return total
 
@@ -424,19 +412,15 @@ def aim_ball(tree, goal, work, bones, k, a):
 @outlined
 def twist_ball(tree, goal, work, bones, k, a, cone):
     """Twists ball ``k`` about its bone, inside its cone, so that a hinge at the other end can do its work."""
-    c, q, world = bones.first[k], work.q, work.world
+    c, q = bones.first[k], work.q
     if c < 0 or c >= tree.parent.shape[0] or bones.next[c] >= 0 or tree.kind[c] != HINGE:
         return
     locate(tree, goal, work, bones, c)
-    x, y, z = (
-        bones.now[c, 0] - bones.now[k, 0],
-        bones.now[c, 1] - bones.now[k, 1],
-        bones.now[c, 2] - bones.now[k, 2],
-    )
-    norm = math.sqrt(x * x + y * y + z * z)
+    bone = offset(bones.now, c, bones, k)
+    norm = length(bone)
     if norm < _NO_LEVER:
         return
-    x, y, z = x / norm, y / norm, z / norm
+    bone = over(bone, norm)
     bones.sums[:] = 0.0
     child = bones.first[c]
     while child >= 0:
@@ -447,17 +431,14 @@ def twist_ball(tree, goal, work, bones, k, a, cone):
     low, high = -math.pi, math.pi
     if cone < math.pi:
         # After a twist φ the scalar part is r cos(φ/2 + δ): inside the cone while that is large enough.
-        bx = world[k, 3] * x + world[k, 6] * y + world[k, 9] * z
-        by = world[k, 4] * x + world[k, 7] * y + world[k, 10] * z
-        bz = world[k, 5] * x + world[k, 8] * y + world[k, 11] * z
-        s = bx * q[a + 1] + by * q[a + 2] + bz * q[a + 3]
+        s = dot(apply_back(work.world, k, 3, bone), (q[a + 1], q[a + 2], q[a + 3]))
         sign = -1.0 if q[a] < 0.0 else 1.0
         r = math.sqrt(q[a] * q[a] + s * s)
         half = 2.0 * math.acos(min(1.0, math.cos(0.5 * cone) / max(r, 1e-12)))
         middle = -2.0 * math.atan2(sign * s, sign * q[a])
         low, high = min(middle - half, 0.0), max(middle + half, 0.0)
-    ta, tb = rotation_terms(bones.sums, x, y, z)
-    rotate_ball(tree, work, k, a, x, y, z, best_angle(ta, tb, low, high))
+    ta, tb = rotation_terms(bones.sums, bone)
+    rotate_ball(tree, work, k, a, bone, best_angle(ta, tb, low, high))
 
 
 @outlined
@@ -493,13 +474,12 @@ def fit_joint(tree, goal, work, bones, k):
         gather(tree, goal, work, bones, k)
         if bones.pull[0] > 0.0:
             add_goals(tree, goal, work, bones, k, bones.pull[0])
-        ta, tb = rotation_terms(bones.sums, world[k, 5], world[k, 8], world[k, 11])
+        ta, tb = rotation_terms(bones.sums, hinge_axis(world, k))
         gone = best_angle(ta, tb, tree.lower[v] - q[a], tree.upper[v] - q[a])
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     elif kind == SLIDE:
         bones.through[k] = 0
-        for i in range(3):
-            gone += world[k, 5 + 3 * i] * (bones.target[k, i] - bones.now[k, i])
+        gone = dot(hinge_axis(world, k), offset(bones.target, k, bones, k))
         q[a] = min(max(q[a] + gone, tree.lower[v]), tree.upper[v])
     else:
         if kind == FREE:

@@ -20,11 +20,10 @@ import math
 
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.linalg import AT_BOUND, pushed_out
 from robot_ik.kernels.loop import step_bounds
 from robot_ik.kernels.residuals import clamp_residual, goal_jacobian
 
-# A joint nearer to its bound than this, rad or m, stands at its bound.
-AT_BOUND = 1e-12
 # Damping per length of the residual that a first failure brings in the last descent (``extra_damping``).
 _EXTRA_DAMPING = 0.1
 # A singular value below this share of the largest is one that can never be anything else: a planar arm's
@@ -75,8 +74,7 @@ def fix_pushed_by_gradient(work):
     pressed = 0
     for u in range(work.step.shape[0]):
         work.side[u] = 0
-        g = work.gradient[u]
-        if (g < 0.0 and work.low[u] > -AT_BOUND) or (g > 0.0 and work.high[u] < AT_BOUND):
+        if pushed_out(work.low[u], work.high[u], work.gradient[u]) != 0:
             fix_joint(work, u)
             work.gradient[u] = 0.0
             pressed += 1

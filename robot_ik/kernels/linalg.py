@@ -6,7 +6,7 @@ from numba import types
 from robot_ik.kernels.jit import outlined, pure
 
 # A joint nearer to its bound than this, rad or m, stands at its bound.
-_AT_BOUND = 1e-12
+AT_BOUND = 1e-12
 
 
 @pure
@@ -96,16 +96,20 @@ def reduced_system(matrix, gradient, low, high, side, factor, step):
 
 
 @pure
+def pushed_out(low, high, way):
+    """Where a joint stands at a bound of its step and ``way`` leads out there: -1 or 1; else 0."""
+    if way < 0.0 and low > -AT_BOUND:
+        return -1
+    return 1 if way > 0.0 and high < AT_BOUND else 0
+
+
+@pure
 def guess_sides(gradient, low, high, side):
     """Guesses that a joint stops where it stands when it is pushed out there; returns the steepest slope."""
     steepest = 0.0
     for i in range(gradient.shape[0]):
         steepest = max(steepest, abs(gradient[i]))
-        side[i] = 0
-        if low[i] > -_AT_BOUND and gradient[i] < 0.0:
-            side[i] = -1
-        elif high[i] < _AT_BOUND and gradient[i] > 0.0:
-            side[i] = 1
+        side[i] = pushed_out(low[i], high[i], gradient[i])
     return steepest
 
 
@@ -115,7 +119,7 @@ def keep_to_box(low, high, side, step):
     pressed = 0
     for i in range(step.shape[0]):
         step[i] = min(max(step[i], low[i]), high[i])
-        if (side[i] < 0 and low[i] > -_AT_BOUND) or (side[i] > 0 and high[i] < _AT_BOUND):
+        if (side[i] < 0 and low[i] > -AT_BOUND) or (side[i] > 0 and high[i] < AT_BOUND):
             pressed += 1
     return pressed
 

@@ -27,18 +27,18 @@ _PARALLEL = 1e-9
 
 
 @outlined
-def rotation_error(target, current, g, out, at):
-    """Rotation vector, world, from current[g] to target[g] into out[at:at+3]; returns its angle."""
+def rotation_error(target, t, current, g, out, at):
+    """Rotation vector, world, from current[g] to target[t] into out[at:at+3]; returns its angle."""
     # M = R_target · R_currentᵀ, of which only what is needed is formed.
-    m00 = target[g, 3] * current[g, 3] + target[g, 4] * current[g, 4] + target[g, 5] * current[g, 5]
-    m01 = target[g, 3] * current[g, 6] + target[g, 4] * current[g, 7] + target[g, 5] * current[g, 8]
-    m02 = target[g, 3] * current[g, 9] + target[g, 4] * current[g, 10] + target[g, 5] * current[g, 11]
-    m10 = target[g, 6] * current[g, 3] + target[g, 7] * current[g, 4] + target[g, 8] * current[g, 5]
-    m11 = target[g, 6] * current[g, 6] + target[g, 7] * current[g, 7] + target[g, 8] * current[g, 8]
-    m12 = target[g, 6] * current[g, 9] + target[g, 7] * current[g, 10] + target[g, 8] * current[g, 11]
-    m20 = target[g, 9] * current[g, 3] + target[g, 10] * current[g, 4] + target[g, 11] * current[g, 5]
-    m21 = target[g, 9] * current[g, 6] + target[g, 10] * current[g, 7] + target[g, 11] * current[g, 8]
-    m22 = target[g, 9] * current[g, 9] + target[g, 10] * current[g, 10] + target[g, 11] * current[g, 11]
+    m00 = target[t, 3] * current[g, 3] + target[t, 4] * current[g, 4] + target[t, 5] * current[g, 5]
+    m01 = target[t, 3] * current[g, 6] + target[t, 4] * current[g, 7] + target[t, 5] * current[g, 8]
+    m02 = target[t, 3] * current[g, 9] + target[t, 4] * current[g, 10] + target[t, 5] * current[g, 11]
+    m10 = target[t, 6] * current[g, 3] + target[t, 7] * current[g, 4] + target[t, 8] * current[g, 5]
+    m11 = target[t, 6] * current[g, 6] + target[t, 7] * current[g, 7] + target[t, 8] * current[g, 8]
+    m12 = target[t, 6] * current[g, 9] + target[t, 7] * current[g, 10] + target[t, 8] * current[g, 11]
+    m20 = target[t, 9] * current[g, 3] + target[t, 10] * current[g, 4] + target[t, 11] * current[g, 5]
+    m21 = target[t, 9] * current[g, 6] + target[t, 10] * current[g, 7] + target[t, 11] * current[g, 8]
+    m22 = target[t, 9] * current[g, 9] + target[t, 10] * current[g, 10] + target[t, 11] * current[g, 11]
     x, y, z = 0.5 * (m21 - m12), 0.5 * (m02 - m20), 0.5 * (m10 - m01)
     sine = math.sqrt(x * x + y * y + z * z)
     cosine = 0.5 * (m00 + m11 + m22 - 1.0)
@@ -301,7 +301,7 @@ def partial_rows(tree, goal, work, g):
         row += 3
     if row_codes[g, ORIENTATION_PART] != NO_ORIENTATION:
         if row_codes[g, ORIENTATION_PART] == ALL_AXES:
-            angle = rotation_error(goal.target, frames, g, residual, row)
+            angle = rotation_error(goal.target, g, frames, g, residual, row)
         else:
             dx, dy, dz, _ = aim_of(goal, work, g)
             x, y, z, angle = axis_error(frames[g, 5], frames[g, 8], frames[g, 11], dx, dy, dz)
@@ -398,7 +398,7 @@ GOALS = Layout(
     hit_count="ints",  # (nu,) … and how many
     joint_scale="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
     coupled="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is coupled
-    masses="table",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
+    masses="table 0 4",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
     moments="table",  # … and their work space
     posture="table g nq",  # where a posture wants the joints
     joint_weight="table g nv",  # and how much each counts
@@ -439,7 +439,7 @@ def evaluate(tree, goal, work):
             within = within and distance <= tolerance[g, 0]
         if kind != POSITION:
             w = weight[g, 1]
-            angle = rotation_error(target, frames, g, residual, row)
+            angle = rotation_error(target, g, frames, g, residual, row)
             miss[g, 1] = angle
             cost += w * w * angle * angle
             for i in range(3):

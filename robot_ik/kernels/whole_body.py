@@ -19,6 +19,7 @@ from numba import types
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.residuals import rotation_error
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE, open_tree
 
 POSITION, ROTATION, CENTER_OF_MASS, AIM, MOMENTUM = range(5)
@@ -77,34 +78,6 @@ WHOLE_BODY = Layout(
     multiplier="floats h",
 )
 _open = WHOLE_BODY.open
-
-
-@pure
-def log_between(a, i, b, j, out):
-    """Rotation vector (the smaller angle) from rotation a[i] to b[j], world axes, into out[:3]."""
-    # R = B Aᵀ; its quaternion by the largest of its four parts (Shepperd, J. Guidance and Control 1(3),
-    # 1978).
-    for r in range(3):
-        for c in range(3):
-            out[3 + 3 * r + c] = (
-                b[j, 3 + 3 * r] * a[i, 3 + 3 * c]
-                + b[j, 4 + 3 * r] * a[i, 4 + 3 * c]
-                + b[j, 5 + 3 * r] * a[i, 5 + 3 * c]
-            )
-    xx, yy, zz = out[3], out[7], out[11]
-    w, x, y, z = 1 + xx + yy + zz, out[10] - out[8], out[5] - out[9], out[6] - out[4]
-    if w < 0.1:  # more than 143 degrees
-        if xx >= yy and xx >= zz:
-            w, x, y, z = out[10] - out[8], 1 + xx - yy - zz, out[4] + out[6], out[5] + out[9]
-        elif yy >= zz:
-            w, x, y, z = out[5] - out[9], out[4] + out[6], 1 - xx + yy - zz, out[8] + out[10]
-        else:
-            w, x, y, z = out[6] - out[4], out[5] + out[9], out[8] + out[10], 1 - xx - yy + zz
-        if w < 0.0:
-            w, x, y, z = -w, -x, -y, -z
-    n = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 / w if n < 1e-9 * w else 2.0 * math.atan2(n, w) / n
-    out[0], out[1], out[2] = factor * x, factor * y, factor * z
 
 
 @outlined
@@ -219,10 +192,7 @@ def frame_rows(tree, body, what, target, t, g):
         for i in range(3):
             miss[i] = target[t, i] - pose[g, i]
     elif what == ROTATION:
-        scratch = body.scratch[0]
-        log_between(pose, g, target, t, scratch)
-        for i in range(3):
-            miss[i] = scratch[i]
+        rotation_error(target, t, pose, g, miss, 0)
     else:
         ux, uy, uz = target[t, 0] - px, target[t, 1] - py, target[t, 2] - pz
         n = 1.0 / max(math.sqrt(ux * ux + uy * uy + uz * uz), 1e-9)

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
-from robot_ik.goals import GOALS, Goal
+from robot_ik.goals import Goal
 from robot_ik.kernels import jit, workspace
 from robot_ik.kernels.bundle import address_of, named_row
 from robot_ik.problem import Budget, Problem
@@ -51,12 +51,12 @@ def option(
 
 @dataclass(frozen=True, eq=False)
 class BatchResult:
-    """The results of a batch, row by row."""
+    """The results of a batch, row by row: what its threads fill in."""
 
-    q: Array  # (n, nq) the best found
-    status: NDArray[np.int64]  # (n,) numbers of ``Status``
-    miss: Array  # (n, 2) metres and radians
-    iterations: NDArray[np.int64]  # (n,)
+    q: Array
+    status: NDArray[np.int64]
+    miss: Array
+    iterations: NDArray[np.int64]
     restarts: NDArray[np.int64]
 
     @classmethod
@@ -67,7 +67,7 @@ class BatchResult:
 
     def part(self, rows: slice) -> BatchResult:
         """A view of some rows: what is written there is written here."""
-        return BatchResult(*(getattr(self, item.name)[rows] for item in fields(self)))
+        return BatchResult(*(getattr(self, item.name)[rows] for item in fields(BatchResult)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Solver(ABC):
     name: ClassVar[str] = ""
     title: ClassVar[str] = ""
     source: ClassVar[str] = ""
-    goals: ClassVar[tuple[type[Goal], ...]] = GOALS
+    goals: ClassVar[tuple[type[Goal], ...]] = (Goal,)
     partial_goals: ClassVar[bool] = False
     capabilities: ClassVar[frozenset[str]] = frozenset()
 
@@ -221,9 +221,8 @@ class IterativeSolver(Solver):
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
-        run: Run | None = problem.made.get(id(self))
-        if run is None:
-            run = self._run_for(problem)
+        kept = problem.made.get(id(self))
+        run: Run = self._run_for(problem) if kept is None else kept[1]
         if run.budget is not budget or run.seed != problem.seed:
             run.renew(budget, problem.seed)
         if start is run.start:

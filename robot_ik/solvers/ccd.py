@@ -25,6 +25,7 @@ from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
+from robot_ik.kernels.vectors import cross, dot, length, minus, over, three
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
@@ -61,46 +62,39 @@ open_options = options_of(CyclicCoordinateDescent)
 
 
 @outlined
-def rotation_terms(world, k, x, y, z, goal, frames, u):
-    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a rotation about (x, y, z) moves."""
+def rotation_terms(world, k, axis, goal, frames, u):
+    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a rotation about ``axis`` moves."""
     a, b = 0.0, 0.0
-    target = goal.target
+    target, origin = goal.target, three(world, k, 0)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 0:
             continue
         if goal.kind[g] != ORIENTATION:
             w = goal.weight[g, 0] * goal.weight[g, 0]
-            px, py, pz = frames[g, 0] - world[k, 0], frames[g, 1] - world[k, 1], frames[g, 2] - world[k, 2]
-            tx, ty, tz = target[g, 0] - world[k, 0], target[g, 1] - world[k, 1], target[g, 2] - world[k, 2]
-            along = (x * px + y * py + z * pz) * (x * tx + y * ty + z * tz)
-            a += w * (px * tx + py * ty + pz * tz - along)
-            b += w * (x * (py * tz - pz * ty) + y * (pz * tx - px * tz) + z * (px * ty - py * tx))
+            p, t = minus(three(frames, g, 0), origin), minus(three(target, g, 0), origin)
+            a += w * (dot(p, t) - dot(axis, p) * dot(axis, t))
+            b += w * dot(axis, cross(p, t))
         if goal.kind[g] != POSITION:
             # ‖R_t − R‖²/2 = 3 − Σ columns c·t, and each column rotates like a point.
             w = goal.weight[g, 1] * goal.weight[g, 1]
             for c in range(3, 6):
-                px, py, pz = frames[g, c], frames[g, c + 3], frames[g, c + 6]
-                tx, ty, tz = target[g, c], target[g, c + 3], target[g, c + 6]
-                along = (x * px + y * py + z * pz) * (x * tx + y * ty + z * tz)
-                a += w * (px * tx + py * ty + pz * tz - along)
-                b += w * (x * (py * tz - pz * ty) + y * (pz * tx - px * tz) + z * (px * ty - py * tx))
+                p = frames[g, c], frames[g, c + 3], frames[g, c + 6]
+                t = target[g, c], target[g, c + 3], target[g, c + 6]
+                a += w * (dot(p, t) - dot(axis, p) * dot(axis, t))
+                b += w * dot(axis, cross(p, t))
     return a, b
 
 
 @pure
-def best_shift(x, y, z, goal, frames, u, low, high):
-    """The shift along (x, y, z) in [low, high] that minimises the weighted distances."""
+def best_shift(axis, goal, frames, u, low, high):
+    """The shift along ``axis`` in [low, high] that minimises the weighted distances."""
     wanted, total = 0.0, 0.0
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 0 or goal.kind[g] == ORIENTATION:
             continue
         w = goal.weight[g, 0] * goal.weight[g, 0]
         total += w
-        wanted += w * (
-            x * (goal.target[g, 0] - frames[g, 0])
-            + y * (goal.target[g, 1] - frames[g, 1])
-            + z * (goal.target[g, 2] - frames[g, 2])
-        )
+        wanted += w * dot(axis, minus(three(goal.target, g, 0), three(frames, g, 0)))
     if total <= 0.0:
         return 0.0
     return min(max(wanted / total, low), high)
@@ -108,19 +102,19 @@ def best_shift(x, y, z, goal, frames, u, low, high):
 
 @outlined
 def free_rotation(world, k, goal, frames, u):
-    """Unit axis x, y, z and angle of the rotation about node ``k`` that is best where any axis may be chosen.
+    """Unit axis and angle of the rotation about node ``k`` that is best where any axis may be chosen.
 
     For one position the axis is (s − p) × (t − p) and the angle that between the two.
     """
-    _, x = rotation_terms(world, k, 1.0, 0.0, 0.0, goal, frames, u)
-    _, y = rotation_terms(world, k, 0.0, 1.0, 0.0, goal, frames, u)
-    _, z = rotation_terms(world, k, 0.0, 0.0, 1.0, goal, frames, u)
-    length = math.sqrt(x * x + y * y + z * z)
-    if length < _COLLINEAR:
-        return 0.0, 0.0, 0.0, 0.0
-    x, y, z = x / length, y / length, z / length
-    a, b = rotation_terms(world, k, x, y, z, goal, frames, u)
-    return x, y, z, math.atan2(b, a)
+    _, x = rotation_terms(world, k, (1.0, 0.0, 0.0), goal, frames, u)
+    _, y = rotation_terms(world, k, (0.0, 1.0, 0.0), goal, frames, u)
+    _, z = rotation_terms(world, k, (0.0, 0.0, 1.0), goal, frames, u)
+    norm = length((x, y, z))
+    if norm < _COLLINEAR:
+        return (0.0, 0.0, 0.0), 0.0
+    axis = over((x, y, z), norm)
+    a, b = rotation_terms(world, k, axis, goal, frames, u)
+    return axis, math.atan2(b, a)
 
 
 @outlined
@@ -128,24 +122,24 @@ def rotate_freely(tree, goal, work, u):
     """work.step of a hinge, or of all three coordinates of a ball, for ``free_rotation``."""
     v = goal.dofs[u]
     k = tree.dof_node[v]
-    x, y, z, angle = free_rotation(work.world, k, goal, work.frames, u)
+    axis, angle = free_rotation(work.world, k, goal, work.frames, u)
     ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
     if tree.kind[k] < BALL:
         # The twist of the rotation about the hinge (swing-twist decomposition), as far as the limits allow.
-        along = x * ax + y * ay + z * az
+        along = dot(axis, (ax, ay, az))
         twist = 2.0 * math.atan2(math.sin(0.5 * angle) * along, math.cos(0.5 * angle))
         work.step[u] = min(max(twist, work.low[u]), work.high[u])
         return
     for i in range(3):
         ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k] + i)
-        work.step[u + i] = angle * (x * ax + y * ay + z * az)
+        work.step[u + i] = angle * dot(axis, (ax, ay, az))
 
 
 @outlined
 def move_joint(tree, goal, work, u, one, old):
     """Moves the node of column ``u`` by its part of work.step, and the frames that hang on it with it.
 
-    ``one`` (1,) holds the node, ``old`` (12,) is work space.
+    ``one`` (1,) holds the node, ``old`` (1, 12) is work space.
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
@@ -193,10 +187,10 @@ def sweep(tree, goal, work, from_root, freely, one, old):
                 continue  # rotated with the first of its three coordinates
             rotate_freely(tree, goal, work, u)
         elif rotational:
-            a, b = rotation_terms(world, k, x, y, z, goal, frames, u)
+            a, b = rotation_terms(world, k, (x, y, z), goal, frames, u)
             step[u] = best_angle(a, b, low[u], high[u])
         else:
-            step[u] = best_shift(x, y, z, goal, frames, u, low[u], high[u])
+            step[u] = best_shift((x, y, z), goal, frames, u, low[u], high[u])
         move_joint(tree, goal, work, u, one, old)
         for i in range(u, min(u + 3, n)):
             step[i] = 0.0
@@ -208,7 +202,7 @@ def ccd(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     from_root, freely = options.order > 0, options.axis > 0
-    one, old = np.empty(1, dtype=np.int64), np.empty(12)
+    one, old = np.empty(1, dtype=np.int64), np.empty((1, 12))
     begin(tree, goal, work)
     while proceed(tree, goal, work):
         sweep(tree, goal, work, from_root, freely, one, old)

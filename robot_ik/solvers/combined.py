@@ -62,8 +62,7 @@ class Combined(Solver):
         return any(member.applies(problem) for member in self._members)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        sequence: _SolverSequence = problem.made.get(id(self)) or self._sequence(problem)
-        return self._run_sequence(sequence.members, problem, start, budget)
+        return self._run_sequence(self._sequence(problem).members, problem, start, budget)
 
     def _run_sequence(
         self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
@@ -81,12 +80,14 @@ class Combined(Solver):
 
         All are loaded before the first is tried: the first goal that it misses would else stall a loop.
         """
-        kept: _SolverSequence | None = problem.compiled.made.get(id(self))
-        if kept is None:
-            kept = problem.compiled.made_for(self, lambda: self._make_sequence(problem))
-            for member in (*kept.members, *kept.nearby):
-                member.load(problem)
-        return kept
+        kept = problem.made.get(id(self))
+        if kept is not None:
+            sequence: _SolverSequence = kept[1]
+            return sequence
+        sequence = problem.compiled.made_for(self, lambda: self._make_sequence(problem))
+        for member in (*sequence.members, *sequence.nearby):
+            member.load(problem)
+        return sequence
 
     def _make_sequence(self, problem: Problem) -> _SolverSequence:
         members = tuple(member for member in self._members if member.applies(problem))
@@ -94,7 +95,7 @@ class Combined(Solver):
             unsupported = [member.unsupported(problem) for member in self._members]
             what = next(filter(None, unsupported), f"a {problem.given[0].name}")
             raise UnsupportedGoalError(self.name, what, able_solvers(problem))
-        return _SolverSequence(self, members)
+        return _SolverSequence(members)
 
     def _go_on(
         self,
@@ -189,9 +190,8 @@ _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 @dataclass(frozen=True, eq=False)
 class _SolverSequence:
-    """The methods that try a problem, one after the other, and who asked."""
+    """The methods that try a problem, one after the other."""
 
-    solver: Combined
     members: tuple[Solver, ...]
     nearby: tuple[Solver, ...] = ()  # those that try it where its start is near its goal; empty: the same
     near: Callable[[int], bool] | None = None  # whether that is so, asked of the work space:
@@ -271,7 +271,6 @@ def starts_near_many(run, targets, starts, near):
         near[row] = 1 if cost < _NEAR else 0
 
 
-_WHICH_NEAR: Callable[..., None] = starts_near_many
 # Restarts of ``lm`` where it comes before the closed form, which knows what cannot be reached.
 _FEW_RESTARTS = 8
 
@@ -300,7 +299,7 @@ class Auto(Combined):
             return plain
         family = members[0].family(problem)
         if FIRST_CHOICE.get((family, "cold")) == "lm":
-            return _SolverSequence(self, (self._quick, *members))
+            return _SolverSequence((self._quick, *members))
         if FIRST_CHOICE.get((family, "warm")) != "lm":
             return plain
         compiled = problem.compiled
@@ -308,11 +307,12 @@ class Auto(Combined):
         address = address_of(table)
         near = jit.entry(starts_near, address)
         begin = problem.arrays["start"]
-        return _SolverSequence(self, members, (self._local, *members), near, begin, address, table)
+        return _SolverSequence(members, (self._local, *members), near, begin, address, table)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop, as in ``IterativeSolver.attempt``: each line counts.
-        sequence: _SolverSequence = problem.made.get(id(self)) or self._sequence(problem)
+        kept = problem.made.get(id(self))
+        sequence: _SolverSequence = self._sequence(problem) if kept is None else kept[1]
         members, near = sequence.members, sequence.near
         if near is not None and budget.iterations:
             begin = sequence.start
@@ -336,7 +336,7 @@ class Auto(Combined):
             super().attempt_many(problem, targets, starts, results, budget)
             return
         near = np.zeros(len(targets), dtype=np.int64)
-        _WHICH_NEAR(sequence.address, targets, starts, near)
+        starts_near_many(sequence.address, targets, starts, near)
         count = np.count_nonzero(near)
         if count in (0, len(near)):
             members = sequence.nearby if count else sequence.members

@@ -9,19 +9,39 @@ ours): a target contains no error across a hinge's bone.  See ``docs/reference/s
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import workspace as ws
-from robot_ik.kernels.bones import distance, has_orientation, link_points, locate_all, open_bones, settle
+from robot_ik.kernels.bones import (
+    distance,
+    has_orientation,
+    hinge_axis,
+    link_points,
+    locate_all,
+    offset,
+    open_bones,
+    settle,
+)
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
+from robot_ik.kernels.vectors import (
+    apply,
+    apply_back,
+    cross,
+    length,
+    minus,
+    over,
+    plus,
+    put,
+    scaled,
+    three,
+)
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.bones import BoneSolver
 
@@ -70,28 +90,22 @@ open_options = options_of(Fabrik)
 
 
 @pure
-def pulled_position(tree, goal, bones, k, c, i):
-    """Coordinate ``i`` of where point ``c``, at its target, pulls node ``k``."""
-    if tree.kind[k] == SLIDE:  # cannot rotate: comes along as it is
-        return bones.target[c, i] + bones.now[k, i] - bones.now[c, i]
+def pulled_position(tree, bones, k, c):
+    """Where point ``c``, at its target, pulls node ``k``."""
+    target, here = three(bones.target, c, 0), three(bones.now, k, 0)
     gap = distance(bones.now, k, bones.target, c)
-    if gap > 1e-12:
-        return bones.target[c, i] + bones.length[c] / gap * (bones.now[k, i] - bones.target[c, i])
-    return bones.target[c, i] + bones.now[k, i] - bones.now[c, i]
+    if tree.kind[k] == SLIDE or not gap > 1e-12:  # a slide cannot rotate: it comes along as it is
+        return minus(plus(target, here), three(bones.now, c, 0))
+    return plus(target, scaled(bones.length[c] / gap, minus(here, target)))
 
 
 @pure
-def posed_position(goal, bones, k, g, i):
-    """Coordinate ``i`` of where node ``k`` stands when the frame of goal ``g`` has the wanted pose."""
-    target, local = goal.target, goal.local
-    result = target[g, i]
-    for j in range(3):
-        # Entry (i, j) of the node's wanted rotation, R_target · R_localᵀ.
-        rotation_entry = 0.0
-        for m in range(3):
-            rotation_entry += target[g, 3 + 3 * i + m] * local[g, 3 + 3 * j + m]
-        result += rotation_entry * ((bones.shift[k] if j == 2 else 0.0) - local[g, j])
-    return result
+def posed_position(goal, bones, k, g):
+    """Where node ``k`` stands when the frame of goal ``g`` has the wanted pose."""
+    local = goal.local
+    # R_target · R_localᵀ is the node's wanted rotation.
+    there = -local[g, 0], -local[g, 1], bones.shift[k] - local[g, 2]
+    return plus(three(goal.target, g, 0), apply(goal.target, g, 3, apply_back(local, g, 3, there)))
 
 
 @outlined
@@ -99,22 +113,26 @@ def reach_back(tree, goal, work, bones):
     """Targets of all points, from the goals towards the roots."""
     n = tree.parent.shape[0]
     for index in range(work.nodes.shape[0] - 1, -1, -1):
-        k = work.nodes[index]
-        for i in range(3):
-            bones.target[k, i] = 0.0
+        k, wanted = work.nodes[index], (0.0, 0.0, 0.0)
         c = bones.first[k]
         while c >= 0:
             share = bones.share[c] / bones.share[k] if bones.share[k] > 0.0 else 0.0
-            if share > 0.0:
-                fixed = c >= n and has_orientation(goal, c - n)
-                for i in range(3):
-                    target = (
-                        posed_position(goal, bones, k, c - n, i)
-                        if fixed
-                        else pulled_position(tree, goal, bones, k, c, i)
-                    )
-                    bones.target[k, i] += share * target
+            if share > 0.0 and c >= n and has_orientation(goal, c - n):
+                wanted = plus(wanted, scaled(share, posed_position(goal, bones, k, c - n)))
+            elif share > 0.0:
+                wanted = plus(wanted, scaled(share, pulled_position(tree, bones, k, c)))
             c = bones.next[c]
+        put(bones.target, k, wanted)
+
+
+@pure
+def root_of(bones, tip):
+    """Where the chain of a tip begins, and its length stretched out."""
+    root, whole = tip, 0.0
+    while bones.up[root] >= 0:
+        whole += bones.length[root]
+        root = bones.up[root]
+    return root, whole
 
 
 @outlined
@@ -126,52 +144,41 @@ def bend(tree, goal, work, bones, kick):
     n, too_far = tree.parent.shape[0], False
     for g in range(goal.kind.shape[0]):
         tip = n + g
-        root, length = tip, 0.0
-        while bones.up[root] >= 0:
-            length += bones.length[root]
-            root = bones.up[root]
+        root, whole = root_of(bones, tip)
         end = bones.target
         far = distance(bones.target, tip, bones.now, root)
-        if far >= length * (1.0 - _STRETCHED):
+        if far >= whole * (1.0 - _STRETCHED):
             too_far = True
             continue
-        if far < 1e-9 * length:  # the goal is at the root: the line is the chain's own
+        if far < 1e-9 * whole:  # the goal is at the root: the line is the chain's own
             end = bones.now
             far = distance(bones.now, tip, bones.now, root)
-            if far < 1e-9 * length:
+            if far < 1e-9 * whole:
                 continue
-        x = (end[tip, 0] - bones.now[root, 0]) / far
-        y = (end[tip, 1] - bones.now[root, 1]) / far
-        z = (end[tip, 2] - bones.now[root, 2]) / far
+        line = over(offset(end, tip, bones, root), far)
         k, off = tip, 0.0
         while k != root:
-            dx = bones.now[k, 0] - bones.now[root, 0]
-            dy = bones.now[k, 1] - bones.now[root, 1]
-            dz = bones.now[k, 2] - bones.now[root, 2]
-            off = max(off, abs(y * dz - z * dy), abs(z * dx - x * dz), abs(x * dy - y * dx))
+            x, y, z = cross(line, offset(bones.now, k, bones, root))
+            off = max(off, abs(x), abs(y), abs(z))
             k = bones.up[k]
-        if off < _STRAIGHT * length:
-            push_off_line(tree, work.world, bones, root, tip, x, y, z, kick)
+        if off < _STRAIGHT * whole:
+            push_off_line(tree, work.world, bones, root, tip, line, kick)
     return too_far
 
 
 @outlined
-def push_off_line(tree, world, bones, root, tip, x, y, z, kick):
-    """Moves the points between root and tip off the line (x, y, z), to where their hinges can go."""
-    ax, ay, az = across(x, y, z)
+def push_off_line(tree, world, bones, root, tip, line, kick):
+    """Moves the points between root and tip off their line, to where their hinges can go."""
+    anywhere = across(line[0], line[1], line[2])
     k = bones.up[tip]
     while k >= 0 and k != root:
-        sx, sy, sz = ax, ay, az
+        side = anywhere
         if tree.kind[k] == HINGE:
-            u, v, w = world[k, 5], world[k, 8], world[k, 11]
-            hx, hy, hz = v * z - w * y, w * x - u * z, u * y - v * x
-            norm = math.sqrt(hx * hx + hy * hy + hz * hz)
+            off = cross(hinge_axis(world, k), line)
+            norm = length(off)
             if norm > 1e-6:
-                sx, sy, sz = hx / norm, hy / norm, hz / norm
-        s = kick * bones.length[k]
-        bones.now[k, 0] += s * sx
-        bones.now[k, 1] += s * sy
-        bones.now[k, 2] += s * sz
+                side = over(off, norm)
+        put(bones.now, k, plus(three(bones.now, k, 0), scaled(kick * bones.length[k], side)))
         k = bones.up[k]
 
 
@@ -179,19 +186,13 @@ def push_off_line(tree, world, bones, root, tip, x, y, z, kick):
 def straighten(tree, bones):
     """Targets of a single chain on the line from its root to its goal, bone after bone."""
     tip = tree.parent.shape[0]
-    root, length = tip, 0.0
-    while bones.up[root] >= 0:
-        length += bones.length[root]
-        root = bones.up[root]
+    root, away = root_of(bones, tip)
     far = distance(bones.target, tip, bones.now, root)
-    x, y, z = bones.target[tip, 0], bones.target[tip, 1], bones.target[tip, 2]
+    origin, line = three(bones.now, root, 0), offset(bones.target, tip, bones, root)
     k = tip
     while k != root:
-        s = length / far
-        bones.target[k, 0] = bones.now[root, 0] + s * (x - bones.now[root, 0])
-        bones.target[k, 1] = bones.now[root, 1] + s * (y - bones.now[root, 1])
-        bones.target[k, 2] = bones.now[root, 2] + s * (z - bones.now[root, 2])
-        length -= bones.length[k]
+        put(bones.target, k, plus(origin, scaled(away / far, line)))
+        away -= bones.length[k]
         k = bones.up[k]
 
 
@@ -219,8 +220,7 @@ def fabrik_step(tree, goal, work, bones, options):
     if work.state[ws.SEARCH] != ws.ALL_GOALS:  # which goals count may have changed
         link_points(tree, goal, work.nodes, bones)
     for g in range(goal.kind.shape[0]):
-        for i in range(3):
-            bones.target[n + g, i] = goal.target[g, i]
+        put(bones.target, n + g, three(goal.target, g, 0))
     locate_all(tree, goal, work, bones)
     bones.pull[1] = bones.pull[0] if lacks_wrist(tree, goal, bones) else 0.0
     too_far = bend(tree, goal, work, bones, options.kick)

@@ -16,9 +16,11 @@ from typing import ClassVar
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import difference
+from robot_ik.kernels.linalg import pushed_out
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed, step_bounds
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, open_tree
+from robot_ik.kernels.vectors import cross, dot, minus, plus, scaled, three
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
 # Cones of balls as constraints of a variable metric.
@@ -45,34 +47,38 @@ def edge_axis(tree, goal, q, u):
     """Axis of the ball's rotation where that is as large as its cone allows, else zero."""
     v = goal.dofs[u]
     a = tree.qadr[tree.dof_node[v]]
-    sine = math.sqrt(q[a + 1] ** 2 + q[a + 2] ** 2 + q[a + 3] ** 2)
+    x, y, z = q[a + 1], q[a + 2], q[a + 3]
+    sine = math.sqrt(x**2 + y**2 + z**2)
     if not sine > 0.0 or 2.0 * math.atan2(sine, abs(q[a])) < tree.upper[v] - AT_CONE:
         return 0.0, 0.0, 0.0
-    inverse = math.copysign(1.0, q[a]) / sine
-    return inverse * q[a + 1], inverse * q[a + 2], inverse * q[a + 3]
+    return scaled(math.copysign(1.0, q[a]) / sine, (x, y, z))
 
 
 @pure
-def along(vector, u, x, y, z):
-    """Part of the ball's three coordinates along an axis."""
-    return x * vector[u] + y * vector[u + 1] + z * vector[u + 2]
+def part(vector, u):
+    """The ball's three coordinates of a vector (nu,)."""
+    return vector[u], vector[u + 1], vector[u + 2]
+
+
+@pure
+def put_part(vector, u, a):
+    """Puts them back."""
+    vector[u], vector[u + 1], vector[u + 2] = a
 
 
 @pure
 def leaves_cone(work, vector, u):
     """Whether ``vector`` would take the ball out of the cone at whose edge it stands."""
-    normal = work.outward
-    return along(vector, u, normal[u], normal[u + 1], normal[u + 2]) > 0.0
+    return dot(part(work.outward, u), part(vector, u)) > 0.0
 
 
 @outlined
 def hold_cone(work, u):
     """Makes the cone of the ball whose first coordinate is ``u`` active."""
-    metric, normal, image, n = work.metric, work.outward, work.rhs, work.metric.shape[0]
-    x, y, z = normal[u], normal[u + 1], normal[u + 2]
+    metric, normal, image, n = work.metric, part(work.outward, u), work.rhs, work.metric.shape[0]
     for i in range(n):
-        image[i] = x * metric[i, u] + y * metric[i, u + 1] + z * metric[i, u + 2]
-    square = along(image, u, x, y, z)
+        image[i] = dot(normal, three(metric, i, u))
+    square = dot(normal, part(image, u))
     inverse = 1.0 / square if square > 0.0 else 0.0
     for i in range(n):
         for j in range(n):
@@ -98,55 +104,44 @@ def slope_left(tree, goal, work):
     for u in range(search_direction.shape[0]):
         left += gradient[u] * search_direction[u]
         if work.side[u] != 0 and is_cone(tree, goal, u):
-            x, y, z = edge_axis(tree, goal, work.q, u)
-            left -= along(gradient, u, x, y, z) * along(search_direction, u, x, y, z)
+            axis = edge_axis(tree, goal, work.q, u)
+            left -= dot(axis, part(gradient, u)) * dot(axis, part(search_direction, u))
     return left
 
 
 @pure
-def rotated(x, y, z, vx, vy, vz, k):
-    """w + v × w + k v × (v × w): Rodrigues' rotation with v = sine · axis, k = 1 / (1 + cosine)."""
-    cx, cy, cz = vy * z - vz * y, vz * x - vx * z, vx * y - vy * x
-    return (
-        x + cx + k * (vy * cz - vz * cy),
-        y + cy + k * (vz * cx - vx * cz),
-        z + cz + k * (vx * cy - vy * cx),
-    )
+def rotated(a, v, k):
+    """a + v × a + k v × (v × a): Rodrigues' rotation with v = sine · axis, k = 1 / (1 + cosine)."""
+    c = cross(v, a)
+    return plus(plus(a, c), scaled(k, cross(v, c)))
 
 
 @outlined
 def transport(tree, goal, work):
     """Takes metric, work.moved and work.before of the held cones from work.accepted along to work.q."""
-    metric, normal, moved, before = work.metric, work.outward, work.moved, work.before
+    metric, moved, before = work.metric, work.moved, work.before
     n = metric.shape[0]
     for u in range(n):
         if work.side[u] == 0 or not is_cone(tree, goal, u):
             continue
-        x, y, z = normal[u], normal[u + 1], normal[u + 2]
-        px, py, pz = edge_axis(tree, goal, work.q, u)
-        cosine = x * px + y * py + z * pz
+        old, new = part(work.outward, u), edge_axis(tree, goal, work.q, u)
+        cosine = dot(old, new)
         if cosine < 0.5:  # off the edge, or too far along it to be the same constraint
             release_cone(work, u)
             continue
-        vx, vy, vz, k = y * pz - z * py, z * px - x * pz, x * py - y * px, 1.0 / (1.0 + cosine)
+        v, k = cross(old, new), 1.0 / (1.0 + cosine)
         for vector in (moved, before):
-            out = along(vector, u, x, y, z)
-            a, b, c = vector[u] - out * x, vector[u + 1] - out * y, vector[u + 2] - out * z
-            vector[u], vector[u + 1], vector[u + 2] = rotated(a, b, c, vx, vy, vz, k)
+            across = minus(part(vector, u), scaled(dot(old, part(vector, u)), old))
+            put_part(vector, u, rotated(across, v, k))
         for i in range(n):
-            metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(
-                metric[u, i], metric[u + 1, i], metric[u + 2, i], vx, vy, vz, k
-            )
+            column = metric[u, i], metric[u + 1, i], metric[u + 2, i]
+            metric[u, i], metric[u + 1, i], metric[u + 2, i] = rotated(column, v, k)
         for i in range(n):
-            metric[i, u], metric[i, u + 1], metric[i, u + 2] = rotated(
-                metric[i, u], metric[i, u + 1], metric[i, u + 2], vx, vy, vz, k
-            )
-        normal[u], normal[u + 1], normal[u + 2] = px, py, pz
+            row = metric[i, u], metric[i, u + 1], metric[i, u + 2]
+            metric[i, u], metric[i, u + 1], metric[i, u + 2] = rotated(row, v, k)
+        put_part(work.outward, u, new)
         # So that before − gradient is without its part along the axis here, too.
-        out = along(work.gradient, u, px, py, pz)
-        before[u] += out * px
-        before[u + 1] += out * py
-        before[u + 2] += out * pz
+        put_part(before, u, plus(part(before, u), scaled(dot(new, part(work.gradient, u)), new)))
 
 
 # The metric of a variable-metric method, projected on the limits that are active.
@@ -162,8 +157,6 @@ def transport(tree, goal, work):
 #
 # n is a coordinate for hinges and slides; the cones of balls are below.
 
-# A joint nearer to its bound than this, rad or m, stands at its bound.
-_AT_BOUND = 1e-12
 # Least cosine between a step and the change of slope along it for the metric to be updated from them.
 _LEAST_CURVATURE = 1e-8
 
@@ -218,12 +211,6 @@ def hold_coordinate(work, u):
     work.side[u] = 1
 
 
-@pure
-def leaves_bound(work, vector, u):
-    """Whether ``vector`` would take the coordinate beyond the bound at which it stands."""
-    return (work.low[u] > -_AT_BOUND and vector[u] < 0.0) or (work.high[u] < _AT_BOUND and vector[u] > 0.0)
-
-
 @outlined
 def constrain(tree, goal, work):
     """Holds the limits that the slope pushes against and releases those from which it leads away."""
@@ -232,7 +219,7 @@ def constrain(tree, goal, work):
     for u in range(gradient.shape[0]):
         if is_cone(tree, goal, u):
             if side[u] == 0:
-                outward[u], outward[u + 1], outward[u + 2] = edge_axis(tree, goal, work.q, u)
+                put_part(outward, u, edge_axis(tree, goal, work.q, u))
             leaving = leaves_cone(work, gradient, u)
             if leaving and side[u] == 0:
                 hold_cone(work, u)
@@ -242,7 +229,7 @@ def constrain(tree, goal, work):
                 for i in range(u, u + 3):
                     work.low[i] = work.high[i] = 0.0
             continue
-        leaving = leaves_bound(work, gradient, u)
+        leaving = pushed_out(work.low[u], work.high[u], gradient[u]) != 0
         if leaving and side[u] == 0:
             hold_coordinate(work, u)
         elif side[u] != 0 and not leaving:
@@ -266,7 +253,7 @@ def direction(tree, goal, work):
             if is_cone(tree, goal, u) and leaves_cone(work, search_direction, u) and side[u] == 0:
                 hold_cone(work, u)
                 crossed = True
-            elif leaves_bound(work, search_direction, u) and side[u] == 0:
+            elif side[u] == 0 and pushed_out(work.low[u], work.high[u], search_direction[u]) != 0:
                 hold_coordinate(work, u)
                 crossed = True
         if not crossed:

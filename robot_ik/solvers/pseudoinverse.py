@@ -17,6 +17,7 @@ from typing import ClassVar
 from robot_ik.kernels import jacobian_step as steps
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.kinematics import difference, follow, integrate
+from robot_ik.kernels.linalg import pushed_out
 from robot_ik.kernels.loop import advance, apply_step, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import goal_jacobian, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
@@ -135,9 +136,7 @@ def set_aim(tree, goal, work, code, gain):
 def keep_aim_inside(work):
     """Drops what the aim asks of joints that stand at a bound and would leave it, or are fixed."""
     for u in range(work.aim.shape[0]):
-        a = work.aim[u]
-        leaves = (a < 0.0 and work.low[u] > -steps.AT_BOUND) or (a > 0.0 and work.high[u] < steps.AT_BOUND)
-        if leaves or work.side[u] != 0:
+        if work.side[u] != 0 or pushed_out(work.low[u], work.high[u], work.aim[u]) != 0:
             work.aim[u] = 0.0
 
 

@@ -22,6 +22,7 @@ from robot_ik.kernels.bones import (
     inner_radius,
     link_points,
     locate_all,
+    offset,
     open_bones,
     settle,
     third_side_angle,
@@ -31,6 +32,7 @@ from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.vectors import dot, length, minus, over, plus, put, scaled, three
 from robot_ik.kernels.workspace import BEST_COST, open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.bones import BoneSolver
@@ -67,67 +69,40 @@ def intersect_spheres(bones, e, b, p, radius):
 
     Of the circle's points, the one nearest to where ``b`` is.  Returns False when the spheres do not cut.
     """
-    length = bones.length[e]
+    bone = bones.length[e]
     far = distance(bones.target, e, bones.now, p)
-    if far > length + radius or far < abs(length - radius) or far == 0.0:
+    if far > bone + radius or far < abs(bone - radius) or far == 0.0:
         return False
-    x = (bones.target[e, 0] - bones.now[p, 0]) / far
-    y = (bones.target[e, 1] - bones.now[p, 1]) / far
-    z = (bones.target[e, 2] - bones.now[p, 2]) / far
-    along = (far * far + radius * radius - length * length) / (2.0 * far)
+    line = over(offset(bones.target, e, bones, p), far)
+    along = (far * far + radius * radius - bone * bone) / (2.0 * far)
     off = math.sqrt(max(0.0, radius * radius - along * along))
-    bx, by, bz = (
-        bones.now[b, 0] - bones.now[p, 0],
-        bones.now[b, 1] - bones.now[p, 1],
-        bones.now[b, 2] - bones.now[p, 2],
-    )
-    s = bx * x + by * y + bz * z
-    bx, by, bz = bx - s * x, by - s * y, bz - s * z
-    norm = math.sqrt(bx * bx + by * by + bz * bz)
-    if norm > 1e-9 * far:
-        bx, by, bz = bx / norm, by / norm, bz / norm
-    else:
-        bx, by, bz = across(x, y, z)
-    bones.target[b, 0] = bones.now[p, 0] + along * x + off * bx
-    bones.target[b, 1] = bones.now[p, 1] + along * y + off * by
-    bones.target[b, 2] = bones.now[p, 2] + along * z + off * bz
+    here = offset(bones.now, b, bones, p)
+    side = minus(here, scaled(dot(here, line), line))
+    norm = length(side)
+    side = over(side, norm) if norm > 1e-9 * far else across(line[0], line[1], line[2])
+    put(bones.target, b, plus(plus(three(bones.now, p, 0), scaled(along, line)), scaled(off, side)))
     return True
 
 
 @pure
 def drag_bone(bones, e, b, root, low, high, guard):
     """Target of ``b`` at bone's length from that of ``e``, towards where it is, [low, high] from the root."""
-    length = bones.length[e]
-    x, y, z = (
-        bones.now[b, 0] - bones.target[e, 0],
-        bones.now[b, 1] - bones.target[e, 1],
-        bones.now[b, 2] - bones.target[e, 2],
-    )
-    norm = math.sqrt(x * x + y * y + z * z)
-    if norm > 0.0:
-        x, y, z = x / norm, y / norm, z / norm
-    else:
-        x, y, z = 0.0, 0.0, 1.0
+    bone, end = bones.length[e], three(bones.target, e, 0)
+    way = minus(three(bones.now, b, 0), end)
+    norm = length(way)
+    way = over(way, norm) if norm > 0.0 else (0.0, 0.0, 1.0)
     far = distance(bones.now, root, bones.target, e)
-    if guard and far > 0.0 and length > 0.0:
-        rx = (bones.now[root, 0] - bones.target[e, 0]) / far
-        ry = (bones.now[root, 1] - bones.target[e, 1]) / far
-        rz = (bones.now[root, 2] - bones.target[e, 2]) / far
-        along = x * rx + y * ry + z * rz
-        sx, sy, sz = x - along * rx, y - along * ry, z - along * rz
-        sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+    if guard and far > 0.0 and bone > 0.0:
+        back = over(minus(three(bones.now, root, 0), end), far)
+        along = dot(way, back)
+        side = minus(way, scaled(along, back))
+        sine = length(side)
         angle = math.atan2(sine, along)
-        allowed = min(max(angle, third_side_angle(length, far, low)), third_side_angle(length, far, high))
+        allowed = min(max(angle, third_side_angle(bone, far, low)), third_side_angle(bone, far, high))
         if allowed != angle:
-            if sine > 1e-9:
-                sx, sy, sz = sx / sine, sy / sine, sz / sine
-            else:
-                sx, sy, sz = across(rx, ry, rz)
-            c, s = math.cos(allowed), math.sin(allowed)
-            x, y, z = c * rx + s * sx, c * ry + s * sy, c * rz + s * sz
-    bones.target[b, 0] = bones.target[e, 0] + length * x
-    bones.target[b, 1] = bones.target[e, 1] + length * y
-    bones.target[b, 2] = bones.target[e, 2] + length * z
+            side = over(side, sine) if sine > 1e-9 else across(back[0], back[1], back[2])
+            way = plus(scaled(math.cos(allowed), back), scaled(math.sin(allowed), side))
+    put(bones.target, b, plus(end, scaled(bone, way)))
 
 
 @outlined
@@ -138,11 +113,9 @@ def pull_chain(tree, goal, bones, guard):
     for i in range(count):
         c = bones.path[i]
         total += bones.length[c]
-        for m in range(3):
-            bones.target[c, m] = bones.now[c, m]
+        put(bones.target, c, three(bones.now, c, 0))
     tip, root = bones.path[count - 1], bones.path[0]
-    for m in range(3):
-        bones.target[tip, m] = goal.target[0, m]
+    put(bones.target, tip, three(goal.target, 0, 0))
     rest = total
     for i in range(count - 1, 0, -1):
         e, b = bones.path[i], bones.path[i - 1]

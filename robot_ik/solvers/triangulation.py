@@ -18,10 +18,12 @@ from typing import ClassVar
 from robot_ik.kernels.bones import (
     chain_path,
     fit_joint,
+    hinge_axis,
     inner_radius,
     link_points,
     locate,
     locate_all,
+    offset,
     open_bones,
     third_side_angle,
 )
@@ -30,6 +32,7 @@ from robot_ik.kernels.kinematics import across
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
+from robot_ik.kernels.vectors import cross, dot, length, minus, over, plus, put, scaled, three
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.bones import BoneSolver
@@ -65,17 +68,15 @@ open_options = options_of(Triangulation)
 
 
 @outlined
-def side(tree, work, bones, p, c, x, y, z):
-    """To which side a bone leaves the line (x, y, z) it lies on: where its hinge, or the next, can go."""
-    world = work.world
+def side(tree, work, bones, p, c, line):
+    """To which side a bone leaves the line it lies on: where its hinge, or the next, can go."""
     for k in (p, c):
         if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
-            u, v, w = world[k, 5], world[k, 8], world[k, 11]
-            sx, sy, sz = v * z - w * y, w * x - u * z, u * y - v * x
-            norm = math.sqrt(sx * sx + sy * sy + sz * sz)
+            off = cross(hinge_axis(work.world, k), line)
+            norm = length(off)
             if norm > 1e-6:
-                return sx / norm, sy / norm, sz / norm
-    return across(x, y, z)
+                return over(off, norm)
+    return across(line[0], line[1], line[2])
 
 
 @outlined
@@ -85,52 +86,40 @@ def bone_direction(tree, work, goal, bones, i, j, count, improved):
     a, b = bones.length[c], 0.0
     for m in range(j + 1, count):
         b += bones.length[bones.path[m]]
-    ux = (bones.now[c, 0] - bones.now[p, 0]) / a
-    uy = (bones.now[c, 1] - bones.now[p, 1]) / a
-    uz = (bones.now[c, 2] - bones.now[p, 2]) / a
-    tx = goal.target[0, 0] - bones.now[p, 0]
-    ty = goal.target[0, 1] - bones.now[p, 1]
-    tz = goal.target[0, 2] - bones.now[p, 2]
-    far = math.sqrt(tx * tx + ty * ty + tz * tz)
+    way = over(offset(bones.now, c, bones, p), a)
+    line = offset(goal.target, 0, bones, p)
+    far = length(line)
     if far <= _NO_BONE:  # whichever way it points, the rest is as far away
-        return ux, uy, uz
-    tx, ty, tz = tx / far, ty / far, tz / far
-    along = ux * tx + uy * ty + uz * tz
-    sx, sy, sz = ux - along * tx, uy - along * ty, uz - along * tz
-    sine = math.sqrt(sx * sx + sy * sy + sz * sz)
+        return way
+    line = over(line, far)
+    along = dot(way, line)
+    off = minus(way, scaled(along, line))
+    sine = length(off)
     angle = third_side_angle(a, far, b)
     if improved:
         least = third_side_angle(a, far, inner_radius(bones, j + 1, count))
         angle = min(max(math.atan2(sine, along), least), angle)
-    if sine > 1e-9:
-        sx, sy, sz = sx / sine, sy / sine, sz / sine
-    else:
-        sx, sy, sz = side(tree, work, bones, p, c, tx, ty, tz)
-    k, s = math.cos(angle), math.sin(angle)
-    return k * tx + s * sx, k * ty + s * sy, k * tz + s * sz
+    off = over(off, sine) if sine > 1e-9 else side(tree, work, bones, p, c, line)
+    return plus(scaled(math.cos(angle), line), scaled(math.sin(angle), off))
 
 
 @outlined
 def target_bone(tree, work, goal, bones, i, j, count, improved):
     """Targets for the end of the bone from path[i] to path[j], and for the points after it on one line."""
-    p, a = bones.path[i], bones.length[bones.path[j]]
-    dx, dy, dz = bone_direction(tree, work, goal, bones, i, j, count, improved)
-    x, y, z = bones.now[p, 0] + a * dx, bones.now[p, 1] + a * dy, bones.now[p, 2] + a * dz
+    p = bones.path[i]
+    way = bone_direction(tree, work, goal, bones, i, j, count, improved)
+    end = plus(three(bones.now, p, 0), scaled(bones.length[bones.path[j]], way))
     # The rest on the line from there to the target.
-    dx, dy, dz = goal.target[0, 0] - x, goal.target[0, 1] - y, goal.target[0, 2] - z
-    far = math.sqrt(dx * dx + dy * dy + dz * dz)
-    s = 1.0 / far if far > _NO_BONE else 0.0
-    along = 0.0
+    line = minus(three(goal.target, 0, 0), end)
+    far = length(line)
+    s, along = 1.0 / far if far > _NO_BONE else 0.0, 0.0
     for m in range(i + 1, count):
         e = bones.path[m]
         if m < j:
-            for r in range(3):
-                bones.target[e, r] = bones.now[p, r]
+            put(bones.target, e, three(bones.now, p, 0))
             continue
         along += bones.length[e] if m > j else 0.0
-        bones.target[e, 0] = x + s * along * dx
-        bones.target[e, 1] = y + s * along * dy
-        bones.target[e, 2] = z + s * along * dz
+        put(bones.target, e, plus(end, scaled(s * along, line)))
 
 
 @outlined

@@ -26,7 +26,7 @@ from tests.residual_rows import residual_and_jacobian
 
 @kernel
 def compiled_rotation_error(target, current, out):
-    return rotation_error(target, current, 0, out, 0)
+    return rotation_error(target, 0, current, 0, out, 0)
 
 
 def evaluate(problem, q):

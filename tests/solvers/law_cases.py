@@ -24,7 +24,7 @@ def serves(name, robot_name, kind):
     """Whether the contract covers this: floors.toml has a row for all that a method can do at all."""
     row = FLOORS[name].get(robot_name, {})
     if kind == "orientation":
-        return "position" in row and "pose" in row and OrientationGoal in SOLVERS[name].goals
+        return "position" in row and "pose" in row and issubclass(OrientationGoal, SOLVERS[name].goals)
     return kind in row
 
 

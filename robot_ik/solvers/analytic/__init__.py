@@ -28,6 +28,7 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
+from robot_ik.kernels.vectors import length, three
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic import proofs, subproblems
@@ -141,7 +142,7 @@ def prove_planar(goals, form):
 def prove_wrist(goals, form):
     """The same for a spherical wrist."""
     form = subproblems.open_form(form)
-    lever = proofs.length(form.extra[1, 0], form.extra[1, 1], form.extra[1, 2])
+    lever = length(three(form.extra, 1, 0))
     return proofs.wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
 
 
@@ -150,10 +151,8 @@ def prove_shoulder(goals, form):
     """The same for a spherical shoulder: the lever is from the goal to it."""
     form = subproblems.open_form(form)
     subproblems.invert(form.target, form.inverse)
-    x, y, z = centre(form.inverse, form.extra)
-    return proofs.wrist_is_out_of_reach(
-        form, form.inverse, open_goals(goals).tolerance, proofs.length(x, y, z)
-    )
+    lever = length(centre(form.inverse, form.extra))
+    return proofs.wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, lever)
 
 
 @kernel
@@ -190,7 +189,6 @@ _KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
 class Prepared:
     """A closed form made ready for one problem."""
 
-    solver: Analytic  # for whom
     form: Form
     arrays: dict[str, Any]  # by their names in ``FORM``
     tables: tuple[Any, ...]  # what the kernels work on: tree, goals, work space, form
@@ -198,14 +196,7 @@ class Prepared:
     family: int  # the form's number
     run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
     batch: Callable[..., None]  # what solves many
-    prove: Callable[..., bool] | None  # what proves that no joint angles will do, if anything can
-
-
-@dataclass(frozen=True, eq=False)
-class _Nothing:
-    """What is kept for a problem that has no closed form."""
-
-    solver: Analytic
+    prove: Callable[..., bool]  # what proves that no joint angles will do
 
 
 @dataclass(frozen=True)
@@ -227,8 +218,7 @@ class Analytic(Solver):
 
     def prepare(self, problem: Problem) -> Prepared | None:
         """The closed form for a problem, made once; None when there is none."""
-        found = problem.compiled.made_for(self, lambda: _prepare(self, problem))
-        return found if isinstance(found, Prepared) else None
+        return problem.compiled.made_for(self, lambda: _prepare(problem))
 
     def load(self, problem: Problem) -> None:
         self._require(problem)
@@ -248,9 +238,8 @@ class Analytic(Solver):
         return prepared
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        prepared = problem.made.get(id(self))
-        if type(prepared) is not Prepared:
-            prepared = self._require(problem)
+        kept = problem.made.get(id(self))
+        prepared: Prepared = (kept and kept[1]) or self._require(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
@@ -318,7 +307,7 @@ class Analytic(Solver):
 
 def _is_out_of_reach(prepared: Prepared) -> bool:
     """Whether no joint angles bring the problem's target within tolerance, as far as that can be proven."""
-    return prepared.prove is not None and prepared.prove(prepared.addresses[1], prepared.addresses[3])
+    return prepared.prove(prepared.addresses[1], prepared.addresses[3])
 
 
 def _trace(arrays: dict[str, Any]) -> Array:
@@ -328,10 +317,10 @@ def _trace(arrays: dict[str, Any]) -> Array:
     return np.array([[1.0, 0.0, arrays["value"][ws.BEST_COST], position, angle, 0.0, step]])
 
 
-def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
+def _prepare(problem: Problem) -> Prepared | None:
     form = None if problem.features else _form_of(problem)
     if form is None:
-        return _Nothing(solver)
+        return None
     arrays = _arrays(form, problem.robot.tree, problem.target)
     kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
     jit.announce(kernel, "closed forms")
@@ -339,12 +328,11 @@ def _prepare(solver: Analytic, problem: Problem) -> Prepared | _Nothing:
     tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))
     tree, goals, space, numbers = (address_of(table) for table in tables)
     run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
-    prove = PROOFS.get(form.family)
-    if prove is not None:
-        jit.announce(prove, "proofs of unreachable goals")
-        prove = jit.entry(prove, goals, numbers)
+    prove = PROOFS[form.family]
+    jit.announce(prove, "proofs of unreachable goals")
     addresses = (tree, goals, space, numbers)
-    return Prepared(solver, form, arrays, tables, addresses, int(form.family), run, batch, prove)
+    proof = jit.entry(prove, goals, numbers)
+    return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, proof)
 
 
 def _form_of(problem: Problem) -> Form | None:

@@ -16,10 +16,11 @@ from numba import types
 
 from robot_ik.kernels.jit import noinline, outlined, pure
 from robot_ik.kernels.kinematics import unit
+from robot_ik.kernels.vectors import apply, apply_back, dot, length, minus, over, rotate, three
 from robot_ik.solvers.analytic import swivel
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
-from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, rotate
+from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image
 
 # Angles at which a range of swivel angles is evaluated, besides its cuts: a wide one, and one near the start.
 _WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3
@@ -36,19 +37,9 @@ _REFINED, _MOST_STEPS = 1e-7, 15
 
 
 @pure
-def sinusoid(parts, g, yx, yy, yz, x, y, z):
+def sinusoid(parts, g, y, x):
     """a, b, c of yᵀ R(φ) x = a + b cos φ + c sin φ; R of the shoulder (g = 0) or the wrist (1)."""
-    return (
-        yx * (parts[g, 0] * x + parts[g, 1] * y + parts[g, 2] * z)
-        + yy * (parts[g, 3] * x + parts[g, 4] * y + parts[g, 5] * z)
-        + yz * (parts[g, 6] * x + parts[g, 7] * y + parts[g, 8] * z),
-        yx * (parts[g, 9] * x + parts[g, 10] * y + parts[g, 11] * z)
-        + yy * (parts[g, 12] * x + parts[g, 13] * y + parts[g, 14] * z)
-        + yz * (parts[g, 15] * x + parts[g, 16] * y + parts[g, 17] * z),
-        yx * (parts[g, 18] * x + parts[g, 19] * y + parts[g, 20] * z)
-        + yy * (parts[g, 21] * x + parts[g, 22] * y + parts[g, 23] * z)
-        + yz * (parts[g, 24] * x + parts[g, 25] * y + parts[g, 26] * z),
-    )
+    return dot(y, apply(parts, g, 0, x)), dot(y, apply(parts, g, 9, x)), dot(y, apply(parts, g, 18, x))
 
 
 @outlined
@@ -110,9 +101,7 @@ def find_cuts(form, lower, upper, widest):
             b = parts[g, 9] + parts[g, 13] + parts[g, 17]
             c = parts[g, 18] + parts[g, 22] + parts[g, 26]
         else:
-            a, b, c = sinusoid(
-                parts, g, edges[e, 1], edges[e, 2], edges[e, 3], edges[e, 4], edges[e, 5], edges[e, 6]
-            )
+            a, b, c = sinusoid(parts, g, three(edges, e, 1), three(edges, e, 4))
         rest, amplitude = edges[e, 7] - a, math.sqrt(b * b + c * c)
         if amplitude < 1e-12 or abs(rest) > amplitude + 1e-12:
             continue
@@ -124,9 +113,7 @@ def find_cuts(form, lower, upper, widest):
         if form.groups[g, 0] != HINGES:
             continue
         k = 4 * g
-        a, b, c = sinusoid(
-            parts, g, axes[k, 0], axes[k, 1], axes[k, 2], axes[k + 2, 0], axes[k + 2, 1], axes[k + 2, 2]
-        )
+        a, b, c = sinusoid(parts, g, three(axes, k, 0), three(axes, k + 2, 0))
         amplitude = math.sqrt(b * b + c * c)
         if amplitude < 1e-12:
             continue
@@ -270,10 +257,6 @@ def scan(form, lower, upper, every, nearest):
             evaluate_angle(form, lower, upper, cuts[j], low, high, math.inf)
 
 
-# Metres by which the reach may be missed through rounding.
-_SLACK = 1e-9
-
-
 @outlined
 def take_best(form, lower, upper, elbow, angle, moved, every, nearest):
     """Puts the best of the tally into ``form.best`` (if nearer than ``nearest``), or all into the branches.
@@ -318,23 +301,17 @@ def limb(form, lower, upper, mode):
     noinline()
     axes, extra, target, start = form.axes, form.extra, form.target, form.start
     every = mode == EVERY
-    wx, wy, wz = centre(target, extra)
-    sx, sy, sz = axes[0, 3], axes[0, 4], axes[0, 5]
-    dx, dy, dz = wx - sx, wy - sy, wz - sz
-    r = math.sqrt(dx * dx + dy * dy + dz * dz)
-    ux, uy, uz = axes[3, 0], axes[3, 1], axes[3, 2]
-    fx, fy, fz = sx - axes[3, 3], sy - axes[3, 4], sz - axes[3, 5]  # elbow -> shoulder
-    ex, ey, ez = extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5]
-    height = 0.5 * (ex * ex + ey * ey + ez * ez + fx * fx + fy * fy + fz * fz - r * r)
-    middle, half, _, possible = angles_to_height(fx, fy, fz, ux, uy, uz, ex, ey, ez, height, _SLACK)
+    shoulder, elbow, u = three(axes, 0, 3), three(axes, 3, 3), three(axes, 3, 0)
+    d = minus(centre(target, extra), shoulder)
+    r = length(d)
+    f, e = minus(shoulder, elbow), minus(three(extra, 0, 0), elbow)
+    middle, half, _, possible = angles_to_height(f, u, e, 0.5 * (dot(e, e) + dot(f, f) - r * r))
     if not possible:
         return -1, 0
     swivel.start_rotation(form)
     if form.groups[1, 0] != NO_JOINTS:
         for j in range(3):
-            x, y, z = unit(j)
-            x, y, z = relative_rotation(target, extra, x, y, z)
-            swivel.put_column(form.matrices, swivel.WHOLE, j, x, y, z)
+            swivel.put_column(form.matrices, swivel.WHOLE, j, relative_rotation(target, extra, unit(j)))
     column = form.groups[1, 1] - 1
     one, one_fits = image(middle + half, start[column], lower[column], upper[column])
     two, two_fits = image(middle - half, start[column], lower[column], upper[column])
@@ -345,15 +322,16 @@ def limb(form, lower, upper, mode):
         moved = (angle - start[column]) * (angle - start[column])
         if not fits or (not every and (moved >= nearest or (k == 1 and half < SAME))):
             continue
-        c, s = math.cos(angle), math.sin(angle)
-        vx, vy, vz = rotate(ux, uy, uz, c, s, ex, ey, ez)
-        vx, vy, vz = vx - fx, vy - fy, vz - fz  # shoulder -> wrist, as the elbow makes it
-        size = math.sqrt(vx * vx + vy * vy + vz * vz)
+        v = minus(
+            rotate(u, math.cos(angle), math.sin(angle), e), f
+        )  # shoulder -> wrist, as the elbow makes it
+        size = length(v)
         if r > 1e-12 and size > 1e-12:
-            swivel.make_parts(form, angle, vx / size, vy / size, vz / size, dx / r, dy / r, dz / r)
+            swivel.make_parts(form, angle, over(v, size), over(d, r))
         else:  # folded onto the shoulder: it may rotate freely
-            vx, vy, vz = swivel.apply_back(form.matrices, types.int64(0), 0.0, 0.0, 1.0)
-            swivel.make_parts(form, angle, vx, vy, vz, 0.0, 0.0, 1.0)
+            z = 0.0, 0.0, 1.0
+            swivel.make_parts(form, angle, apply_back(form.matrices, swivel.START, 0, z), z)
         scan(form, lower, upper, every, nearest - moved)
-        nearest = take_best(form, lower, upper, types.int64(1 if other else 0), angle, moved, every, nearest)
+        row = types.int64(1 if other else 0)
+        nearest = take_best(form, lower, upper, row, angle, moved, every, nearest)
     return (1 if nearest < math.inf else -1), 2

@@ -12,100 +12,132 @@ from __future__ import annotations
 import math
 
 from robot_ik.kernels.jit import noinline, outlined, pure
-from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, rotate, split_inside
+from robot_ik.kernels.vectors import (
+    apply,
+    apply_back,
+    cross,
+    dot,
+    from_frame,
+    into_frame,
+    minus,
+    plus,
+    rotate,
+    scaled,
+    three,
+)  # fmt: skip
+from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7
-# Metres by which a reach may be missed through rounding.
-SLACK = 1e-9
 # Places at which a free angle is tried.
 _FREE_TRIES = 64
 
 
 @pure
-def relative_rotation(target, extra, x, y, z):
+def relative_rotation(target, extra, v):
     """R_target · R_Mᵀ · v: what the joints' rotation makes of v (v as at q = 0)."""
-    a = extra[2, 0] * x + extra[3, 0] * y + extra[4, 0] * z
-    b = extra[2, 1] * x + extra[3, 1] * y + extra[4, 1] * z
-    c = extra[2, 2] * x + extra[3, 2] * y + extra[4, 2] * z
-    return (
-        target[0, 3] * a + target[0, 4] * b + target[0, 5] * c,
-        target[0, 6] * a + target[0, 7] * b + target[0, 8] * c,
-        target[0, 9] * a + target[0, 10] * b + target[0, 11] * c,
-    )
+    return apply(target, 0, 3, from_frame(extra, 2, v))
 
 
 @pure
-def relative_back(target, extra, x, y, z):
+def relative_back(target, extra, v):
     """R_M · R_targetᵀ · v: the inverse of ``relative_rotation``."""
-    a = target[0, 3] * x + target[0, 6] * y + target[0, 9] * z
-    b = target[0, 4] * x + target[0, 7] * y + target[0, 10] * z
-    c = target[0, 5] * x + target[0, 8] * y + target[0, 11] * z
-    return (
-        extra[2, 0] * a + extra[2, 1] * b + extra[2, 2] * c,
-        extra[3, 0] * a + extra[3, 1] * b + extra[3, 2] * c,
-        extra[4, 0] * a + extra[4, 1] * b + extra[4, 2] * c,
-    )
+    return into_frame(extra, 2, apply_back(target, 0, 3, v))
 
 
 @pure
 def centre(target, extra):
     """Where the wrist centre must be, world."""
-    x, y, z = extra[1, 0], extra[1, 1], extra[1, 2]
-    return (
-        target[0, 0] + target[0, 3] * x + target[0, 4] * y + target[0, 5] * z,
-        target[0, 1] + target[0, 6] * x + target[0, 7] * y + target[0, 8] * z,
-        target[0, 2] + target[0, 9] * x + target[0, 10] * y + target[0, 11] * z,
-    )
+    return plus(three(target, 0, 0), apply(target, 0, 3, three(extra, 1, 0)))
 
 
 @pure
-def back(axes, j, c, s, x, y, z):
+def back(axes, j, c, s, v):
     """v rotated about axis j by minus the angle with cosine c and sine s."""
-    return rotate(axes[j, 0], axes[j, 1], axes[j, 2], c, -s, x, y, z)
+    return rotate(three(axes, j, 0), c, -s, v)
 
 
 @pure
-def wrist_angles(axes, target, extra, start, lower, upper, flip, c1, s1, c2, s2, c3, s3):
+def before_arm(axes, c, s, v):
+    """v before joints 1 to 3 rotated it, by angles of cosines c (3) and sines s (3)."""
+    return back(axes, 2, c[2], s[2], back(axes, 1, c[1], s[1], back(axes, 0, c[0], s[0], v)))
+
+
+@pure
+def after_arm(axes, c, s, v):
+    """What joints 1 to 3 make of v: the inverse of ``before_arm``."""
+    for_three = rotate(three(axes, 2, 0), c[2], s[2], v)
+    return rotate(three(axes, 0, 0), c[0], s[0], rotate(three(axes, 1, 0), c[1], s[1], for_three))
+
+
+@pure
+def same_way(u, axes, j):
+    """1 where axis j, parallel to u, points the same way, else -1."""
+    return 1.0 if dot(u, three(axes, j, 0)) > 0.0 else -1.0
+
+
+@pure
+def elbow_angles(u, f, e, g):
+    """Angles a about u at which R(u, a) e − f is as far from the axis as g, as of ``angles_to_height``.
+
+    Of two links that move across u: f and e lead from the elbow to the first axis and to the end, at a = 0;
+    g leads from the first axis to where the end is wanted.
+    """
+    fu, eu, gu = dot(f, u), dot(e, u), dot(g, u)
+    reach = (dot(e, e) - eu * eu) + (dot(f, f) - fu * fu)
+    far = dot(g, g) - gu * gu
+    # (R(u, a) e)·f across u = (|e|² + |f|² − far) / 2
+    return angles_to_height(f, u, e, 0.5 * (reach - far) + fu * eu)
+
+
+@pure
+def first_link(u, f, e, c, s, g, kept):
+    """The first link's angle for an elbow of cosine c and sine s; ``kept`` where every angle will do."""
+    angle, weight = angle_between(u, minus(rotate(u, c, s, e), f), g)
+    return kept if weight < 1e-14 else angle
+
+
+@pure
+def one_of(first, middle, half, amplitude, kept):
+    """middle ± half; ``kept`` where the angle is free."""
+    if amplitude < 1e-12:
+        return kept
+    return middle + half if first else middle - half
+
+
+@pure
+def clear(branches):
+    """No branch yet: NaN."""
+    for row in range(branches.shape[0]):
+        for j in range(branches.shape[1]):
+            branches[row, j] = math.nan
+
+
+@pure
+def wrist_angles(axes, target, extra, start, lower, upper, flip, c, s):
     """q4, q5, q6 of the rotation that is left after joints 1 to 3; and whether there are any.
 
     R₄ R₅ R₆ = Q = (R₁ R₂ R₃)ᵀ R_target R_Mᵀ.  What Q makes of h₆, and its inverse of h₄, is all
     that is needed.
     """
-    x, y, z = relative_rotation(target, extra, axes[5, 0], axes[5, 1], axes[5, 2])
-    x, y, z = back(axes, 0, c1, s1, x, y, z)
-    x, y, z = back(axes, 1, c2, s2, x, y, z)
-    x, y, z = back(axes, 2, c3, s3, x, y, z)  # Q h6
-    h4x, h4y, h4z = axes[3, 0], axes[3, 1], axes[3, 2]
-    h6x, h6y, h6z = axes[5, 0], axes[5, 1], axes[5, 2]
-    k5x, k5y, k5z = axes[4, 0], axes[4, 1], axes[4, 2]
-    mid, half, amplitude, possible = angles_to_height(
-        h4x, h4y, h4z, k5x, k5y, k5z, h6x, h6y, h6z, h4x * x + h4y * y + h4z * z, SLACK
-    )
+    h4, h5, h6 = three(axes, 3, 0), three(axes, 4, 0), three(axes, 5, 0)
+    wanted = before_arm(axes, c, s, relative_rotation(target, extra, h6))  # Q h6
+    middle, half, amplitude, possible = angles_to_height(h4, h5, h6, dot(h4, wanted))
     if not possible or amplitude < 1e-12:
         return 0.0, 0.0, 0.0, False
-    q5 = mid + half if flip == 0 else mid - half
+    q5 = middle + half if flip == 0 else middle - half
     c5, s5 = math.cos(q5), math.sin(q5)
-    ax, ay, az = rotate(k5x, k5y, k5z, c5, s5, h6x, h6y, h6z)  # R5 h6
-    # Qᵀ h4, for q6.
-    bx, by, bz = rotate(axes[2, 0], axes[2, 1], axes[2, 2], c3, s3, h4x, h4y, h4z)
-    bx, by, bz = rotate(axes[1, 0], axes[1, 1], axes[1, 2], c2, s2, bx, by, bz)
-    bx, by, bz = rotate(axes[0, 0], axes[0, 1], axes[0, 2], c1, s1, bx, by, bz)
-    bx, by, bz = relative_back(target, extra, bx, by, bz)
-    gx, gy, gz = rotate(k5x, k5y, k5z, c5, -s5, h4x, h4y, h4z)  # R5ᵀ h4
-    q4, weight = angle_between(h4x, h4y, h4z, ax, ay, az, x, y, z)
+    bent = rotate(h5, c5, s5, h6)  # R5 h6
+    q4, weight = angle_between(h4, bent, wanted)
     if weight > ALIGNED * ALIGNED:
-        q6, _ = angle_between(h6x, h6y, h6z, gx, gy, gz, bx, by, bz)
+        held = relative_back(target, extra, after_arm(axes, c, s, h4))  # Qᵀ h4
+        q6, _ = angle_between(h6, rotate(h5, c5, -s5, h4), held)  # R5ᵀ h4
         return q4, q5, -q6, True
     # Axes 4 and 6 in line: only q4 ± q6 counts.  The rotation of any vector across them gives it.
-    sign = 1.0 if ax * h4x + ay * h4y + az * h4z > 0.0 else -1.0
-    px, py, pz = h4y * k5z - h4z * k5y, h4z * k5x - h4x * k5z, h4x * k5y - h4y * k5x
-    tx, ty, tz = rotate(k5x, k5y, k5z, c5, -s5, px, py, pz)  # R5ᵀ p: what p was before joint 5
-    vx, vy, vz = relative_rotation(target, extra, tx, ty, tz)
-    vx, vy, vz = back(axes, 0, c1, s1, vx, vy, vz)
-    vx, vy, vz = back(axes, 1, c2, s2, vx, vy, vz)
-    vx, vy, vz = back(axes, 2, c3, s3, vx, vy, vz)
-    total, _ = angle_between(h4x, h4y, h4z, px, py, pz, vx, vy, vz)
+    sign = 1.0 if dot(bent, h4) > 0.0 else -1.0
+    p = cross(h4, h5)
+    turned = rotate(h5, c5, -s5, p)  # R5ᵀ p: what p was before joint 5
+    total, _ = angle_between(h4, p, before_arm(axes, c, s, relative_rotation(target, extra, turned)))
     q4, q6 = split_inside(total, sign, start[3], start[5], lower[3], upper[3], lower[5], upper[5])
     return q4, q5, q6, True
 
@@ -119,54 +151,31 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     """
     noinline()
     found = 0
-    wx, wy, wz = centre(target, extra)
-    h1x, h1y, h1z = axes[0, 0], axes[0, 1], axes[0, 2]
-    ux, uy, uz = axes[1, 0], axes[1, 1], axes[1, 2]
-    along3 = 1.0 if ux * axes[2, 0] + uy * axes[2, 1] + uz * axes[2, 2] > 0.0 else -1.0
-    p2x, p2y, p2z = axes[1, 3], axes[1, 4], axes[1, 5]
-    ex, ey, ez = extra[0, 0] - axes[2, 3], extra[0, 1] - axes[2, 4], extra[0, 2] - axes[2, 5]  # p3 -> centre
-    fx, fy, fz = p2x - axes[2, 3], p2y - axes[2, 4], p2z - axes[2, 5]  # p3 -> p2
-    offset = ux * (extra[0, 0] - p2x) + uy * (extra[0, 1] - p2y) + uz * (extra[0, 2] - p2z)
-    height = offset + ux * (p2x - axes[0, 3]) + uy * (p2y - axes[0, 4]) + uz * (p2z - axes[0, 5])
-    dx, dy, dz = wx - axes[0, 3], wy - axes[0, 4], wz - axes[0, 5]
+    clear(branches)
+    h1, u, end = three(axes, 0, 0), three(axes, 1, 0), three(extra, 0, 0)
+    p1, p2, p3 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3)
+    along3 = same_way(u, axes, 2)
+    e, f = minus(end, p3), minus(p2, p3)
+    height = dot(u, minus(end, p2)) + dot(u, minus(p2, p1))
+    d = minus(centre(target, extra), p1)
     # h · R(h1, -q1) d = height: the sign of the axis makes it subproblem 4.
-    mid1, half1, amplitude1, possible = angles_to_height(
-        ux, uy, uz, -h1x, -h1y, -h1z, dx, dy, dz, height, SLACK
-    )
-    for row in range(8):
-        for j in range(6):
-            branches[row, j] = math.nan
+    middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, height)
     if not possible:
         return 0
-    fe = fx * ux + fy * uy + fz * uz
-    ee = ex * ux + ey * uy + ez * uz
-    reach = (ex * ex + ey * ey + ez * ez - ee * ee) + (fx * fx + fy * fy + fz * fz - fe * fe)
     for shoulder in range(2):
-        # On axis 1 every q1 will do: keep it.
-        q1 = start[0] if amplitude1 < 1e-12 else (mid1 + half1 if shoulder == 0 else mid1 - half1)
+        q1 = one_of(shoulder == 0, middle1, half1, amplitude1, start[0])
         c1, s1 = math.cos(q1), math.sin(q1)
-        gx, gy, gz = rotate(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
-        gx, gy, gz = gx + axes[0, 3] - p2x, gy + axes[0, 4] - p2y, gz + axes[0, 5] - p2z  # p2 -> centre
-        gu = gx * ux + gy * uy + gz * uz
-        far = gx * gx + gy * gy + gz * gz - gu * gu
-        # (R(u, a) e)·f across u = (|e|² + |f|² − far) / 2
-        mid3, half3, amplitude3, possible = angles_to_height(
-            fx, fy, fz, ux, uy, uz, ex, ey, ez, 0.5 * (reach - far) + fe * ee, SLACK
-        )
+        g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
+        middle3, half3, amplitude3, possible = elbow_angles(u, f, e, g)
         if not possible:
             continue
         for elbow in range(2):
-            a3 = along3 * start[2] if amplitude3 < 1e-12 else (mid3 + half3 if elbow == 0 else mid3 - half3)
+            a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
             c3, s3 = math.cos(a3), math.sin(a3)
-            vx, vy, vz = rotate(ux, uy, uz, c3, s3, ex, ey, ez)
-            q2, weight = angle_between(ux, uy, uz, vx - fx, vy - fy, vz - fz, gx, gy, gz)
-            if weight < 1e-14:
-                q2 = start[1]  # folded onto axis 2: every q2 will do
-            c2, s2 = math.cos(q2), math.sin(q2)
+            q2 = first_link(u, f, e, c3, s3, g, start[1])
+            c, s = (c1, math.cos(q2), c3), (s1, math.sin(q2), along3 * s3)
             for flip in range(2):
-                q4, q5, q6, possible = wrist_angles(
-                    axes, target, extra, start, lower, upper, flip, c1, s1, c2, s2, c3, along3 * s3
-                )
+                q4, q5, q6, possible = wrist_angles(axes, target, extra, start, lower, upper, flip, c, s)
                 if not possible:
                     continue
                 row = 4 * shoulder + 2 * elbow + flip
@@ -185,98 +194,59 @@ def three_parallel(axes, extra, target, start, branches):
     """
     noinline()
     found = 0
-    for row in range(8):
-        for j in range(6):
-            branches[row, j] = math.nan
-    wx, wy, wz = centre(target, extra)
-    h1x, h1y, h1z = axes[0, 0], axes[0, 1], axes[0, 2]
-    ux, uy, uz = axes[1, 0], axes[1, 1], axes[1, 2]
-    along3 = 1.0 if ux * axes[2, 0] + uy * axes[2, 1] + uz * axes[2, 2] > 0.0 else -1.0
-    along4 = 1.0 if ux * axes[3, 0] + uy * axes[3, 1] + uz * axes[3, 2] > 0.0 else -1.0
-    p1x, p1y, p1z = axes[0, 3], axes[0, 4], axes[0, 5]
-    height = ux * (extra[0, 0] - p1x) + uy * (extra[0, 1] - p1y) + uz * (extra[0, 2] - p1z)
-    dx, dy, dz = wx - p1x, wy - p1y, wz - p1z
-    mid1, half1, amplitude1, possible = angles_to_height(
-        ux, uy, uz, -h1x, -h1y, -h1z, dx, dy, dz, height, SLACK
-    )
+    clear(branches)
+    h1, u, h5, h6 = three(axes, 0, 0), three(axes, 1, 0), three(axes, 4, 0), three(axes, 5, 0)
+    p1, p2, p3, p4 = three(axes, 0, 3), three(axes, 1, 3), three(axes, 2, 3), three(axes, 3, 3)
+    along3, along4 = same_way(u, axes, 2), same_way(u, axes, 3)
+    end = three(extra, 0, 0)
+    d = minus(centre(target, extra), p1)
+    middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, dot(u, minus(end, p1)))
     if not possible:
         return 0
-    h5x, h5y, h5z = axes[4, 0], axes[4, 1], axes[4, 2]
-    h6x, h6y, h6z = axes[5, 0], axes[5, 1], axes[5, 2]
-    ex, ey, ez = axes[3, 3] - axes[2, 3], axes[3, 4] - axes[2, 4], axes[3, 5] - axes[2, 5]  # p3 -> p4
-    fx, fy, fz = axes[1, 3] - axes[2, 3], axes[1, 4] - axes[2, 4], axes[1, 5] - axes[2, 5]  # p3 -> p2
-    ee, fe = ex * ux + ey * uy + ez * uz, fx * ux + fy * uy + fz * uz
-    reach = (ex * ex + ey * ey + ez * ez - ee * ee) + (fx * fx + fy * fy + fz * fz - fe * fe)
-    rx, ry, rz = relative_rotation(target, extra, h6x, h6y, h6z)
+    e, f = minus(p4, p3), minus(p2, p3)
+    wanted = relative_rotation(target, extra, h6)
     for shoulder in range(2):
-        q1 = start[0] if amplitude1 < 1e-12 else (mid1 + half1 if shoulder == 0 else mid1 - half1)
+        q1 = one_of(shoulder == 0, middle1, half1, amplitude1, start[0])
         c1, s1 = math.cos(q1), math.sin(q1)
-        ax, ay, az = back(axes, 0, c1, s1, rx, ry, rz)  # Q1 h6
-        mid5, half5, amplitude5, possible = angles_to_height(
-            ux, uy, uz, h5x, h5y, h5z, h6x, h6y, h6z, ux * ax + uy * ay + uz * az, SLACK
-        )
+        a = back(axes, 0, c1, s1, wanted)  # Q1 h6
+        middle5, half5, amplitude5, possible = angles_to_height(u, h5, h6, dot(u, a))
         if not possible or amplitude5 < 1e-12:
             continue
-        gx, gy, gz = rotate(h1x, h1y, h1z, c1, -s1, dx, dy, dz)
-        gx, gy, gz = gx + p1x - axes[1, 3], gy + p1y - axes[1, 4], gz + p1z - axes[1, 5]  # p2 -> centre
-        ox, oy, oz = rotate(h1x, h1y, h1z, c1, s1, ux, uy, uz)
-        ox, oy, oz = relative_back(target, extra, ox, oy, oz)  # Q1ᵀ u
+        g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
+        held = relative_back(target, extra, rotate(h1, c1, s1, u))  # Q1ᵀ u
         for flip in range(2):
-            q5 = mid5 + half5 if flip == 0 else mid5 - half5
+            q5 = middle5 + half5 if flip == 0 else middle5 - half5
             c5, s5 = math.cos(q5), math.sin(q5)
-            bx, by, bz = rotate(h5x, h5y, h5z, c5, s5, h6x, h6y, h6z)  # R5 h6
-            tx, ty, tz = rotate(h5x, h5y, h5z, c5, -s5, ux, uy, uz)  # R5ᵀ u
-            theta, weight = angle_between(ux, uy, uz, bx, by, bz, ax, ay, az)
-            q6, _ = angle_between(h6x, h6y, h6z, tx, ty, tz, ox, oy, oz)
+            theta, weight = angle_between(u, rotate(h5, c5, s5, h6), a)  # R5 h6
+            q6, _ = angle_between(h6, rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
             # With axis 6 parallel to the three only θ ± q6 counts: try q6 as it is, then ever farther off,
             # until the elbow reaches.
             tries = 1 if weight > ALIGNED * ALIGNED else _FREE_TRIES
-            mid3, half3, amplitude3, possible = 0.0, 0.0, 0.0, False
-            vx, vy, vz = 0.0, 0.0, 0.0
+            middle3, half3, amplitude3, possible = 0.0, 0.0, 0.0, False
+            v = 0.0, 0.0, 0.0
             for k in range(tries):
                 if tries > 1:
                     q6 = start[5] + (k + 1) // 2 * (2.0 * math.pi / _FREE_TRIES) * (
                         1.0 if k % 2 == 1 else -1.0
                     )
                     # Across u lies h5; what the joints before 6 make of it gives θ.
-                    mx, my, mz = rotate(h6x, h6y, h6z, math.cos(q6), -math.sin(q6), h5x, h5y, h5z)
-                    mx, my, mz = relative_rotation(target, extra, mx, my, mz)
-                    mx, my, mz = back(axes, 0, c1, s1, mx, my, mz)
-                    theta, _ = angle_between(ux, uy, uz, h5x, h5y, h5z, mx, my, mz)
-                lx, ly, lz = rotate(
-                    ux, uy, uz, math.cos(theta), math.sin(theta),
-                    extra[0, 0] - axes[3, 3], extra[0, 1] - axes[3, 4], extra[0, 2] - axes[3, 5],
-                )  # fmt: skip
-                vx, vy, vz = gx - lx, gy - ly, gz - lz  # p2 -> p4
-                vu = vx * ux + vy * uy + vz * uz
-                far = vx * vx + vy * vy + vz * vz - vu * vu
-                mid3, half3, amplitude3, possible = angles_to_height(
-                    fx, fy, fz, ux, uy, uz, ex, ey, ez, 0.5 * (reach - far) + fe * ee, SLACK
-                )
+                    m = relative_rotation(target, extra, rotate(h6, math.cos(q6), -math.sin(q6), h5))
+                    theta, _ = angle_between(u, h5, back(axes, 0, c1, s1, m))
+                v = minus(g, rotate(u, math.cos(theta), math.sin(theta), minus(end, p4)))  # p2 -> p4
+                middle3, half3, amplitude3, possible = elbow_angles(u, f, e, v)
                 if possible:
                     break
             if not possible:
                 continue
             for elbow in range(2):
-                a3 = (
-                    along3 * start[2]
-                    if amplitude3 < 1e-12
-                    else (mid3 + half3 if elbow == 0 else mid3 - half3)
-                )
-                kx, ky, kz = rotate(ux, uy, uz, math.cos(a3), math.sin(a3), ex, ey, ez)
-                q2, weight = angle_between(ux, uy, uz, kx - fx, ky - fy, kz - fz, vx, vy, vz)
-                if weight < 1e-14:
-                    q2 = start[1]
+                a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
+                q2 = first_link(u, f, e, math.cos(a3), math.sin(a3), v, start[1])
                 row = 4 * shoulder + 2 * flip + elbow
                 branches[row, 0], branches[row, 1], branches[row, 2] = q1, q2, along3 * a3
                 branches[row, 3], branches[row, 4], branches[row, 5] = along4 * (theta - q2 - a3), q5, q6
                 found += 1
     return found
-
-
-# Metres off the plane of motion, or beyond the reach, that still are rounding.
-_SLACK = 1e-9
 
 
 @outlined
@@ -287,30 +257,17 @@ def planar_two_link(axes, extra, target, start, slack, branches):
     lie off the plane in which the tool moves.
     """
     noinline()
-    for row in range(branches.shape[0]):
-        for j in range(branches.shape[1]):
-            branches[row, j] = math.nan
-    ux, uy, uz = axes[0, 0], axes[0, 1], axes[0, 2]
-    along = 1.0 if ux * axes[1, 0] + uy * axes[1, 1] + uz * axes[1, 2] > 0.0 else -1.0
-    gx, gy, gz = target[0, 0] - axes[0, 3], target[0, 1] - axes[0, 4], target[0, 2] - axes[0, 5]
-    ex, ey, ez = extra[0, 0] - axes[1, 3], extra[0, 1] - axes[1, 4], extra[0, 2] - axes[1, 5]
-    fx, fy, fz = axes[0, 3] - axes[1, 3], axes[0, 4] - axes[1, 4], axes[0, 5] - axes[1, 5]
-    gu = gx * ux + gy * uy + gz * uz
-    ee, fe = ex * ux + ey * uy + ez * uz, fx * ux + fy * uy + fz * uz
-    if abs(gu - (ee - fe)) > slack:
+    clear(branches)
+    u, p1, p2 = three(axes, 0, 0), three(axes, 0, 3), three(axes, 1, 3)
+    along = same_way(u, axes, 1)
+    g, e, f = minus(three(target, 0, 0), p1), minus(three(extra, 0, 0), p2), minus(p1, p2)
+    if abs(dot(g, u) - (dot(e, u) - dot(f, u))) > slack:
         return 0
-    reach = (ex * ex + ey * ey + ez * ez - ee * ee) + (fx * fx + fy * fy + fz * fz - fe * fe)
-    far = gx * gx + gy * gy + gz * gz - gu * gu
-    mid, half, amplitude, possible = angles_to_height(
-        fx, fy, fz, ux, uy, uz, ex, ey, ez, 0.5 * (reach - far) + fe * ee, _SLACK
-    )
+    middle, half, amplitude, possible = elbow_angles(u, f, e, g)
     if not possible:
         return 0
     for elbow in range(2):
-        a2 = along * start[1] if amplitude < 1e-12 else (mid + half if elbow == 0 else mid - half)
-        vx, vy, vz = rotate(ux, uy, uz, math.cos(a2), math.sin(a2), ex, ey, ez)
-        q1, weight = angle_between(ux, uy, uz, vx - fx, vy - fy, vz - fz, gx, gy, gz)
-        if weight < 1e-14:
-            q1 = start[0]  # folded onto the first axis: every angle will do
+        a2 = one_of(elbow == 0, middle, half, amplitude, along * start[1])
+        q1 = first_link(u, f, e, math.cos(a2), math.sin(a2), g, start[0])
         branches[elbow, 0], branches[elbow, 1] = q1, along * a2
     return 2

@@ -1,4 +1,4 @@
-"""The three small rotation problems that closed forms are made of, on plain numbers.
+"""The small rotation problems that closed forms are made of, and the arrays that they share.
 
 After Paden (Kinematics and control of robot manipulators, 1986) and Elias & Wen (IK-Geo: unified robot
 inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4).
@@ -14,52 +14,47 @@ from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
+from robot_ik.kernels.vectors import apply_back, cross, dot, three
+
+# Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
+SLACK = 1e-9
 
 
 @pure
-def rotate(kx, ky, kz, c, s, x, y, z):
-    """(x, y, z) rotated about the unit axis k by the angle with cosine c and sine s (Rodrigues)."""
-    d = (kx * x + ky * y + kz * z) * (1.0 - c)
-    return (
-        c * x + s * (ky * z - kz * y) + d * kx,
-        c * y + s * (kz * x - kx * z) + d * ky,
-        c * z + s * (kx * y - ky * x) + d * kz,
-    )
-
-
-@pure
-def angle_between(kx, ky, kz, px, py, pz, qx, qy, qz):
+def angle_between(k, p, q):
     """Subproblem 1: the angle about k that rotates p towards q, and the product of their distances from k.
 
     Where that product vanishes every angle does.
     """
-    kp = kx * px + ky * py + kz * pz
-    kq = kx * qx + ky * qy + kz * qz
-    a = px * qx + py * qy + pz * qz - kp * kq
-    b = kx * (py * qz - pz * qy) + ky * (pz * qx - px * qz) + kz * (px * qy - py * qx)
+    a = dot(p, q) - dot(k, p) * dot(k, q)
+    b = dot(k, cross(p, q))
     return math.atan2(b, a), math.sqrt(a * a + b * b)
 
 
 @pure
-def angles_to_height(hx, hy, hz, kx, ky, kz, px, py, pz, height, slack):
+def height_terms(h, k, p):
+    """h · R(k, θ) p = constant + amplitude · cos(θ - centre): constant, amplitude, centre."""
+    constant = dot(h, k) * dot(k, p)
+    a, b = dot(h, p) - constant, dot(h, cross(k, p))
+    return constant, math.sqrt(a * a + b * b), math.atan2(b, a)
+
+
+@pure
+def angles_to_height(h, k, p, height):
     """Subproblem 4: the angles θ about k with h · R(k, θ) p = height.
 
     Returns (centre, half, amplitude, possible): θ = centre ± half.  Where the amplitude vanishes θ is free;
-    it is possible where the height is met to ``slack`` (same unit as h·p).
+    it is possible where the height is met to ``SLACK`` (same unit as h·p).
     """
-    hk = hx * kx + hy * ky + hz * kz
-    kp = kx * px + ky * py + kz * pz
-    a = hx * px + hy * py + hz * pz - hk * kp
-    b = hx * (ky * pz - kz * py) + hy * (kz * px - kx * pz) + hz * (kx * py - ky * px)
-    rest = height - hk * kp
-    amplitude = math.sqrt(a * a + b * b)
+    constant, amplitude, middle = height_terms(h, k, p)
+    rest = height - constant
     if amplitude < 1e-12:
-        return 0.0, 0.0, amplitude, abs(rest) <= slack
-    if abs(rest) > amplitude + slack:
+        return 0.0, 0.0, amplitude, abs(rest) <= SLACK
+    if abs(rest) > amplitude + SLACK:
         return 0.0, 0.0, amplitude, False
     # atan2 of sine and cosine: exact near 0, where acos loses half the digits.
     across = math.sqrt(max(0.0, (amplitude - rest) * (amplitude + rest)))
-    return math.atan2(b, a), math.atan2(across, rest), amplitude, True
+    return middle, math.atan2(across, rest), amplitude, True
 
 
 @pure
@@ -175,12 +170,9 @@ def settle(tree, goal, work, form, row, found):
 @outlined
 def invert(target, inverse):
     """The inverse of the pose row target[0] into inverse[0]."""
+    x, y, z = apply_back(target, 0, 3, three(target, 0, 0))
+    inverse[0, 0], inverse[0, 1], inverse[0, 2] = -x, -y, -z
     for i in range(3):
-        inverse[0, i] = -(
-            target[0, 3 + i] * target[0, 0]
-            + target[0, 6 + i] * target[0, 1]
-            + target[0, 9 + i] * target[0, 2]
-        )
         for j in range(3):
             inverse[0, 3 + 3 * i + j] = target[0, 3 + 3 * j + i]
 

@@ -1,0 +1,193 @@
+"""Goals of the whole body: its centre of mass, its joints, how likely its pose is; ``GOALS``: all kinds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from robot_ik.errors import InvalidGoalError, UnknownJointError
+from robot_ik.geometry import Pose
+from robot_ik.goals import (
+    AimGoal,
+    Array,
+    Goal,
+    HalfSpaceGoal,
+    LineGoal,
+    OrientationGoal,
+    PlaneGoal,
+    PointGoal,
+    PoseGoal,
+    PositionGoal,
+    Rows,
+    numbers,
+    positive_number,
+    vector,
+)
+from robot_ik.kernels import residuals as codes
+from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
+from robot_ik.pose_prior import PosePrior
+from robot_ik.robot import Robot
+
+
+class CenterOfMassGoal(PointGoal):
+    """The centre of mass at ``position`` (3,), world, metres; MuJoCo's ``subtree_com``.
+
+    Attributes:
+        frame: Name of a body: of it and all that hangs on it; None means everything in the model.
+        axes: Which coordinates count; ``"xy"`` balances over a point and leaves the height free.
+    """
+
+    name: ClassVar[str] = "centre-of-mass goal"
+
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return Rows(position=codes.SOME_AXES, of=codes.OF_MASS, mask=mask)
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
+
+    def moved_nodes(self, robot: Robot) -> set[int]:
+        carried = np.flatnonzero(robot.masses(self.frame)[:-1, 0] > 0.0)
+        return {k for node in carried for k in robot.tree.ancestors(int(node))}
+
+    def fill(self, arrays: dict[str, Any], g: int, robot: Robot) -> int:
+        arrays["row_codes"][g, codes.BLOCK] = len(arrays["masses"])
+        arrays["masses"] = np.concatenate([arrays["masses"], robot.masses(self.frame)])
+        return 0
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PostureGoal(Goal):
+    """The joints as near as can be to ``q`` (nq,): a rest pose, mostly of a later priority or small weight.
+
+    Its miss is the largest distance of any joint that counts: radians for hinges, metres for slides.
+
+    Attributes:
+        q: (nq,) where the joints are wanted.
+        joints: How much single joints count, by name; those not named count 1, or 0 if ``only``.
+        only: Leave out the joints that are not named.
+    """
+
+    frame: str | None = field(default=None, init=False)
+    q: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    joints: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    only: bool = field(default=False, kw_only=True)
+
+    name: ClassVar[str] = "posture goal"
+    has_position: ClassVar[bool] = True
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        count = numbers(self.q, "q").size
+        if not count:
+            raise InvalidGoalError("a posture goal needs the joints' angles q (nq,), such as robot.home")
+        if not isinstance(self.joints, Mapping):
+            raise InvalidGoalError(
+                f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
+            )
+        checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
+        weight = positive_number(self.weight, "weight")
+        self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
+        self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        return *super().signature, tuple(self.joints.items()), self.only
+
+    def moved_to_q(self, q: ArrayLike) -> PostureGoal:
+        """The same goal with other joint angles (nq,)."""
+        return replace(self, q=q)
+
+    def joint_weights(self, robot: Robot) -> Array:
+        """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""
+        for joint in self.joints:
+            if joint not in robot.joints:
+                raise UnknownJointError(joint, robot.joints)
+        each = [self.joints.get(joint, 0.0 if self.only else 1.0) for joint in robot.joints]
+        return np.array(each, dtype=float)[robot.tree.dof_node]
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        if not self.weight > 0.0:
+            return 0.0, 0.0
+        tree, joint_weights = robot.tree, self.joint_weights(robot)
+        difference = robot.difference(q, np.asarray(self.q))
+        metres = radians = 0.0
+        for k in set(range(tree.size)) - set(tree.coupled[:, 0].tolist()):
+            v, kind = int(tree.vadr[k]), int(tree.kind[k])
+            if not joint_weights[v] > 0.0:
+                continue
+            part = difference[v : v + V_WIDTH[kind]]
+            shift = {SLIDE: 1, FREE: 3}.get(kind, 0)  # how many of them are metres
+            metres = max(metres, float(np.abs(part[:shift]).max(initial=0.0)))
+            radians = max(radians, float(np.linalg.norm(part[shift:])))
+        return metres, radians
+
+    def moved_nodes(self, robot: Robot) -> set[int]:
+        return set(robot.tree.dof_node[self.joint_weights(robot) > 0.0].tolist())
+
+    def fill(self, arrays: dict[str, Any], g: int, robot: Robot) -> int:
+        if np.shape(self.q) != (robot.nq,):
+            wrong = f"a posture of {robot.name} has {robot.nq} numbers, not {np.size(self.q)}"
+            raise InvalidGoalError(wrong, hint="start from robot.home and change what matters")
+        arrays["posture"][g] = self.q
+        arrays["joint_weight"][g] = self.joint_weights(robot)
+        return len(arrays["dofs"])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PosePriorGoal(Goal):
+    """A pose as likely as can be under a ``PosePrior``: that looks natural.  Always soft; one a problem.
+
+    It is wanted, never needed: among the poses that meet all needed goals, the likeliest nearby.
+
+    Attributes:
+        prior: ``PosePrior.of(robot)``, or one that you learned.
+        weight: On the rows, whose half square is the energy over its least: it counts squared.
+    """
+
+    frame: str | None = field(default=None, init=False)
+    prior: PosePrior = None  # type: ignore[assignment]  # refused below
+    weight: float = field(default=1.0, kw_only=True)
+    soft: bool = field(default=True, kw_only=True)
+
+    name: ClassVar[str] = "pose prior goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        prior: object = self.prior
+        if not isinstance(prior, PosePrior):
+            wrong = f"a pose prior goal needs a PosePrior, not {self.prior!r}"
+            raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
+        if not self.soft:
+            raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
+        weight = positive_number(self.weight, "weight")
+        self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
+
+    @property
+    def signature(self) -> tuple[object, ...]:
+        return *super().signature, self.prior
+
+    def miss(self, robot: Robot, q: Array, target: Pose) -> tuple[float, float]:
+        return 0.0, 0.0
+
+    def moved_nodes(self, robot: Robot) -> set[int]:
+        return set(self.prior.indices(robot)[:, 2].tolist())
+
+    def fill(self, arrays: dict[str, Any], g: int, robot: Robot) -> int:
+        if len(arrays["feature"]):
+            wrong = "a problem has one pose prior at most"
+            raise InvalidGoalError(wrong, hint="learn one from all the motions")
+        arrays["feature"], arrays["prior"] = self.prior.indices(robot), self.prior.table()
+        return len(arrays["feature"]) + 1
+
+
+GOALS: tuple[type[Goal], ...] = (
+    PositionGoal, OrientationGoal, PoseGoal, AimGoal, LineGoal, PlaneGoal, HalfSpaceGoal, CenterOfMassGoal,
+    PostureGoal, PosePriorGoal,
+)  # fmt: skip
