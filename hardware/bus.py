@@ -266,7 +266,7 @@ def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source:
         hint = "no reply arrives whole: check the cable, its contacts and the adapter"
     elif not found:
         hint = (
-            "nobody answers at all: check the servos' power and the cable; "
+            "no servo answers at all: check the servos' power and the cable; "
             "robot-ik servo scan looks for them at every baud rate"
         )
     models = dict.fromkeys(damaged, "damaged replies") | {id: model_name(n) for id, n in found.items()}

@@ -106,7 +106,7 @@ def scan(
     return found
 
 
-def nobody_hint(bauds: Iterable[int]) -> str:
+def no_reply_hint(bauds: Iterable[int]) -> str:
     """What to check when no servo answered."""
     rates = set(bauds)
     text = "check: is the servos' supply on? the cable, and its direction? is it the right port?"

@@ -18,7 +18,7 @@ from robot_ik.hardware.control_table import (
     Register,
     hardware_error_names,
 )
-from robot_ik.hardware.discovery import LIKELY, FoundServo, nobody_hint, scan
+from robot_ik.hardware.discovery import LIKELY, FoundServo, no_reply_hint, scan
 from robot_ik.hardware.dynamixel import DynamixelBus
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.ports import quicker, serial_row
@@ -135,7 +135,7 @@ def servo_rows(port: str, config: ArmConfig) -> list[CheckRow]:
     except HardwareError as error:
         return [*rows, CheckRow("servos", PROBLEM, str(error.args[0]), error.hint.splitlines()[0])]
     if not found:
-        return [*rows, CheckRow("servos", PROBLEM, f"nobody answers on {port}", nobody_hint(LIKELY))]
+        return [*rows, CheckRow("servos", PROBLEM, f"no servo answers on {port}", no_reply_hint(LIKELY))]
     rows += _speed_rows(port, config, found)
     for servo in config.servos:
         rows.append(_joint_row(servo, [f for f in found if f.id == servo.id], config))

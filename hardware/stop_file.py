@@ -87,8 +87,8 @@ class StopFile:
         return "torque_off" if policy == "torque_off" else "hold"  # whatever it says, somebody asks
 
     def acknowledge(self, *, ok: bool, text: str) -> None:
-        """What became of the request; it is over."""
-        if self._stem is None:
+        """What became of the request, if there is one: a stop may have come from inside the program."""
+        if self._stem is None or not os.path.exists(self._request):
             return
         try:
             write_atomically(self._stem.with_suffix(".done"), json.dumps({"ok": ok, "text": text}))

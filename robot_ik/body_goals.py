@@ -24,7 +24,7 @@ from robot_ik.goals import (
     PositionGoal,
     Rows,
     numbers,
-    positive_number,
+    nonnegative_number,
     vector,
 )
 from robot_ik.kernels import residuals as codes
@@ -90,8 +90,8 @@ class PostureGoal(Goal):
             raise InvalidGoalError(
                 f"joints must say how much each counts, not {self.joints!r}", hint='such as {"elbow": 2.0}'
             )
-        checked = {joint: positive_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
-        weight = positive_number(self.weight, "weight")
+        checked = {joint: nonnegative_number(w, f"weight of {joint!r}") for joint, w in self.joints.items()}
+        weight = nonnegative_number(self.weight, "weight")
         self._set(q=vector(self.q, count, "q"), weight=weight, joints=checked)
         self._set(weights=(weight, weight), rows=Rows(of=codes.OF_JOINTS))
 
@@ -166,7 +166,7 @@ class PosePriorGoal(Goal):
             raise InvalidGoalError(wrong, hint="PosePrior.of(robot)")
         if not self.soft:
             raise InvalidGoalError("a likely pose is wanted, never needed", hint="leave soft=True")
-        weight = positive_number(self.weight, "weight")
+        weight = nonnegative_number(self.weight, "weight")
         self._set(weight=weight, weights=(0.0, weight), rows=Rows(of=codes.OF_PRIOR))
 
     @property

@@ -95,7 +95,7 @@ def unit_quaternion(values: ArrayLike, what: str) -> Array:
     return array
 
 
-def positive_number(value: float, what: str) -> float:
+def nonnegative_number(value: float, what: str) -> float:
     """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
     try:
         number = float(value)
@@ -209,7 +209,7 @@ class Goal:
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
         if not isinstance(self.soft, _YES_OR_NO):
             raise InvalidGoalError(f"soft is True or False, not {self.soft!r}")
-        if self.length is not None and not (positive_number(self.length, "length") > 0.0):
+        if self.length is not None and not (nonnegative_number(self.length, "length") > 0.0):
             raise InvalidGoalError(f"length must be positive, not {self.length!r}")
 
     def __eq__(self, other: object) -> bool:
@@ -328,7 +328,7 @@ class PointGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = positive_number(self.weight, "weight")
+        weight = nonnegative_number(self.weight, "weight")
         self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
         self._set(rows=self._rows_of(axes_mask(self.axes)))
 
@@ -371,7 +371,7 @@ class OrientationGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = positive_number(self.weight, "weight")
+        weight = nonnegative_number(self.weight, "weight")
         self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=weight, weights=(0.0, weight))
         self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
 
@@ -403,8 +403,8 @@ class PoseGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        metres = positive_number(self.position_weight, "position_weight")
-        radians = positive_number(self.angle_weight, "angle_weight")
+        metres = nonnegative_number(self.position_weight, "position_weight")
+        radians = nonnegative_number(self.angle_weight, "angle_weight")
         self._set(
             position=vector(self.position, 3, "position"),
             wxyz=unit_quaternion(self.wxyz, "wxyz"),
@@ -445,7 +445,7 @@ class AimGoal(Goal):
     def __post_init__(self) -> None:
         super().__post_init__()
         x, y, z = axis_vector(self.axis).tolist()
-        weight = positive_number(self.weight, "weight")
+        weight = nonnegative_number(self.weight, "weight")
         self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
         self._set(rows=Rows(orientation=codes.AIMED, axis=(x, y, z)))
 
@@ -470,7 +470,7 @@ class _DirectionGoal(Goal):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        weight = positive_number(self.weight, "weight")
+        weight = nonnegative_number(self.weight, "weight")
         self._set(
             point=vector(self.point, 3, "point"),
             direction=axis_vector(self.direction, "direction"),

@@ -31,6 +31,9 @@ PAGES = (
 )
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
+#: The row that has a table of its own: every camera with the same figures.
+BY_CAMERA = "cameras"
+
 Data = dict[str, Any]
 
 #: Azuma's remedies as the page names them, with their options.
@@ -77,9 +80,12 @@ def camera(data: Data, others: Data) -> str:
         if row.name not in data["rows"]:
             lines.append(f"| **{row.about}** | not measured | |")
             continue
-        lines.append(f"| **{row.about}** | | |")
         facts = data["rows"][row.name]
         places.setdefault(json.dumps(facts["machine"]), []).append(row.name)
+        if row.name == BY_CAMERA:
+            lines.append(f"| **{row.about}** | [below](#other-cameras) | |")
+            continue
+        lines.append(f"| **{row.about}** | | |")
         if facts.get("unmeasured"):
             lines.append(f"| not measured: {facts['unmeasured']} | | |")
         for one in figures(facts):
@@ -90,6 +96,32 @@ def camera(data: Data, others: Data) -> str:
         place = f"{m['processor']}, {m['cores']} cores, load {m['load']}, {m['when']}"
         lines += ["", f"{', '.join(f'`{name}`' for name in names)}: {place}."]
     return "\n".join([*lines, ""])
+
+
+def other_cameras(data: Data, others: Data) -> str:
+    """A line for each camera and mark; what is wanted in brackets."""
+    found: dict[tuple[str, str], dict[str, list[Quantity]]] = {}
+    for one in figures(data["rows"][BY_CAMERA]):
+        camera, mark, what = one.quantity.split(", ", 2)
+        column = "squared error over the stated" if what == "the same, at least" else what
+        found.setdefault((camera, mark), {}).setdefault(column, []).append(one)
+    columns = list(next(iter(found.values())))
+    units = [cell[0].unit for cell in next(iter(found.values())).values()]
+    heads = [f"{column}, {unit}" if unit else column for column, unit in zip(columns, units, strict=True)]
+    lines = [f"| camera | mark | {' | '.join(heads)} |", "| --- | --- |" + " ---: |" * len(columns)]
+    for (camera, mark), cells in found.items():
+        texts = [_with_bounds(cells.get(column, [])) for column in columns]
+        lines.append(f"| {camera} | {mark} | {' | '.join(texts)} |")
+    return "\n".join([*lines, ""])
+
+
+def _with_bounds(same: Sequence[Quantity]) -> str:
+    """One value and what is wanted of it; each bound comes as a quantity of its own."""
+    if not same:
+        return ""
+    bounds = ", ".join(one.wanted_text.removesuffix(one.unit).strip() for one in same)
+    missed = "; missed" if any(one.passed is False for one in same) else ""
+    return f"{same[0].value:.3g} ({bounds}{missed})"
 
 
 def prediction(data: Data, others: Data) -> str:
@@ -138,7 +170,7 @@ def _rms(data: Data) -> str:
 
 
 TABLES: dict[str, Callable[[Data, Data], str]] = {
-    make.__name__: make for make in (camera, prediction, latency_options, headlines)
+    make.__name__: make for make in (camera, other_cameras, prediction, latency_options, headlines)
 }
 
 

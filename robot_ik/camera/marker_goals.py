@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 _KEPT = 2000
 # A picture that is older than this, or of the future, was not stamped by the clock that is asked now.
 LONGEST_S = 2.0
-_AHEAD_S = 1e-3
+_CLOCK_SLACK_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class DelayMeter:
         counted, and comes back as NaN.
         """
         delay = now - grabbed
-        if not -_AHEAD_S <= delay <= LONGEST_S:
+        if not -_CLOCK_SLACK_S <= delay <= LONGEST_S:
             return float("nan")
         with self._lock:
             self._kept.append(max(delay, 0.0))

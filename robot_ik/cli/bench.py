@@ -36,7 +36,7 @@ _FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
 
 @dataclass(frozen=True)
 class BenchOptions:
-    """Times methods on seeded problems and lets MuJoCo judge their answers.
+    """Times methods on seeded problems and lets MuJoCo judge their solutions.
 
     A time is that of the whole Python call: 4×4 matrix in, joint array out, limits obeyed. Kernels are
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.

@@ -192,7 +192,7 @@ def _balls(options: FigureOptions) -> tuple[tuple[float, float, float], ...]:
 
 def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
     """Of what it does, with ``--ar`` drawn into the camera's pictures already."""
-    from robot_ik.jobs.ar.job import ArRequest, marker_places
+    from robot_ik.jobs.ar.job import ArRequest, marker_positions
     from robot_ik.jobs.ar.output import films_can_be_written
     from robot_ik.jobs.figure import FigureRequest, draw_on_camera, run_figure, run_marker
 
@@ -212,7 +212,7 @@ def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFram
         size=_UNSEEN_SIZE if options.camera == "synthetic" and not options.ar else None,
     )
     if not options.ar:
-        return run_marker(abilities, request, marker_places(camera, abilities.figure.robot))
+        return run_marker(abilities, request, marker_positions(camera, abilities.figure.robot))
     with console.progress() as bar:
         report, frames = draw_on_camera(abilities, request, camera, console.counted_on(bar, "drawing"))
     if report.notice:

@@ -64,7 +64,7 @@ def run_ports(options: ServoPortsOptions) -> int:
 class ServoScanOptions(BusOptions):
     """Asks at every baud rate which servos are there: id, model, firmware, supply, errors. Writes nothing.
 
-    Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when nobody answers.
+    Takes 11 seconds for all rates; finds ids that two servos share. Exit code 1 when none answers.
     """
 
     baud: Annotated[tuple[int, ...], several("RATE", "all rates")] = ()
@@ -73,8 +73,8 @@ class ServoScanOptions(BusOptions):
 
 
 def run_scan(options: ServoScanOptions) -> int:
-    """Prints who answers; 1 when nobody does."""
-    from robot_ik.hardware.discovery import LIKELY, nobody_hint, scan_notes
+    """Prints which servos answer; 1 when none does."""
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, scan_notes
 
     bauds = checked_rates(options.baud) or LIKELY
     with served_or_serial_port(options.bus, options.arm) as port:
@@ -85,7 +85,7 @@ def run_scan(options: ServoScanOptions) -> int:
     elif found:
         print_found(found)
     if not found:
-        console.refused(f"no servo answers on {port}", nobody_hint(bauds))
+        console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
     for note in scan_notes(found):
         console.say(note, "yellow")
     return console.DONE if found else console.NOT_ACHIEVED
@@ -156,7 +156,7 @@ class ServoSetupOptions(BusOptions):
 
 def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
-    from robot_ik.hardware.discovery import LIKELY, nobody_hint, set_up, the_only_one
+    from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up, the_only_one
 
     one = (options.id is None) != (not options.joint)
     require(one, "--id", "which servo is it to be?", "either --id N or --joint JOINT")
@@ -171,7 +171,7 @@ def run_setup(options: ServoSetupOptions) -> int:
     with served_or_serial_port(options.bus, options.arm) as port:
         found = scanned(port, bauds)
         if not found:
-            return console.refused(f"no servo answers on {port}", nobody_hint(bauds))
+            return console.refused(f"no servo answers on {port}", no_reply_hint(bauds))
         servo = the_only_one(found)
         if joint and servo.model != joint.model:
             raise wrong("--joint", f"{joint.name} has a {joint.model}, this is a {servo.model}", joint.model)

@@ -38,7 +38,7 @@ def tune() -> None:
     _optimize_definitions_only()
     _remember_plain_arrays()
     _refresh_when_something_is_new()
-    _remember_small_answers()
+    _remember_small_results()
     _leave_out_lock_events()
 
 
@@ -193,7 +193,7 @@ def _refresh_when_something_is_new() -> None:
     setattr(BaseContext, "refresh", refresh_if_new)  # noqa: B010
 
 
-def _remember_small_answers() -> None:
+def _remember_small_results() -> None:
     """Lets a type's size and a function's parameters be found once: numba parses a module, a signature."""
     setattr(base, "_has_loc", functools.cache(base._has_loc))  # noqa: B010
     find_size = BaseContext.get_abi_sizeof

@@ -32,7 +32,7 @@ _SOFT_DAMPING = 1e-6
 # leaves about its square: it was the last.
 _REST, _LAST = 3e-4, 0.05
 
-# Entry of state[STAGE] while all levels are served together.
+# Entry of state[LEVEL] while all levels are served together.
 _TOGETHER = -1
 
 

@@ -13,7 +13,7 @@ from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE
 from robot_ik.problem import Problem
 from robot_ik.solvers.base import IterativeSolver
 
-_WORDS = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
+_KIND_NAMES = {HINGE: "hinge", SLIDE: "slide", BALL: "ball", FREE: "floating"}
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class BoneSolver(IterativeSolver):
         if stiff := self._stiff(problem):
             raise UnsupportedJointError(
                 f"solver {self.name!r} cannot use the {stiff}; "
-                f"it takes {' and '.join(_WORDS[kind] for kind in self.kinds)} joints",
+                f"it takes {' and '.join(_KIND_NAMES[kind] for kind in self.kinds)} joints",
                 path=problem.robot.path,
                 hint="freeze it with load_robot(…, joints=[…]), or use another solver",
             )
@@ -69,5 +69,5 @@ class BoneSolver(IterativeSolver):
         for k in problem.nodes:
             kind = int(robot.tree.kind[k])
             if kind not in self.kinds:
-                return f"{_WORDS[kind]} joint {robot.joints[int(k)]!r}"
+                return f"{_KIND_NAMES[kind]} joint {robot.joints[int(k)]!r}"
         return ""

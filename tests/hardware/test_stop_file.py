@@ -220,5 +220,6 @@ def test_space_stops_a_servo_command_that_moves(served, arm_path, arm_config, st
         os.close(slave)
     assert process.returncode == 1, said
     assert "stopped on request" in said and "it holds with torque ON" in said
+    assert "answering" not in said and not list(runtime_folder().iterdir())  # no other program had asked
     assert torque(served) == [True] * 6
     assert served.bus.true_angles(arm_config)[0] < np.radians(50.0)

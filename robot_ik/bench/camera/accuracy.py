@@ -242,7 +242,7 @@ class _SingleFrameSource(FrameSource):
 BENT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9, (-0.28, 0.09, 0.001, -0.0007, 0.0))
 STRAIGHT = CameraIntrinsics(640, 480, 612.0, 605.0, 331.3, 228.9)
 # Spheres in the picture: radius and margin round each, pixels.
-_RADIUS_PX, _ROOM_PX = 8.0, 44
+_RADIUS_PX, _SPACING_PX = 8.0, 44
 # Where a robot on the board may be: metres beside it and above it.
 _BESIDE, _ABOVE, _POINTS = 0.15, 0.30, 120
 
@@ -280,8 +280,8 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
     """
     rng = np.random.default_rng(seed)
     spec, spheres = mujoco.MjSpec(), []
-    for x in np.arange(_ROOM_PX / 2, intrinsics.width - _ROOM_PX / 2 + 1, _ROOM_PX):
-        for y in np.arange(_ROOM_PX / 2, intrinsics.height - _ROOM_PX / 2 + 1, _ROOM_PX):
+    for x in np.arange(_SPACING_PX / 2, intrinsics.width - _SPACING_PX / 2 + 1, _SPACING_PX):
+        for y in np.arange(_SPACING_PX / 2, intrinsics.height - _SPACING_PX / 2 + 1, _SPACING_PX):
             depth = rng.uniform(0.4, 2.0)
             pixel = np.array([[x, y]]) + rng.uniform(-4.0, 4.0, (1, 2))
             centre = intrinsics.unproject(pixel)[0] * depth
@@ -292,7 +292,7 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
             spheres.append((pixel[0], centre, radius))
     figure = DrawnRobot(spec.compile(), shadow=False)
     drawn = artist.draw(figure, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
-    half = _ROOM_PX // 2
+    half = _SPACING_PX // 2
     offsets = []
     for pixel, centre, radius in spheres:
         x, y = np.rint(pixel).astype(int)

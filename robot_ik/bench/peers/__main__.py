@@ -45,12 +45,12 @@ SAME_ROBOT = 1e-6
 
 
 def judged(folder: Path) -> dict[str, Any]:
-    """The results of a library in a task's folder: ``turn.json``, and a cell for each set of problems."""
-    report: dict[str, Any] = json.loads((folder / "turn.json").read_text(encoding="utf-8"))
+    """The results of a library in a task's folder: ``report.json``, and a cell for each set of problems."""
+    report: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     if not report.get("supported"):
         return report
     sites = Sites(mujoco.MjModel.from_xml_path(str(folder / "model.xml")))
-    problems, solutions = np.load(folder / "problems.npz"), np.load(folder / "answers.npz")
+    problems, solutions = np.load(folder / "problems.npz"), np.load(folder / "solutions.npz")
     if "probes" in solutions:
         own = [sites.poses(q)[0] for q in problems["probes"]]
         off = float(np.abs(np.array(own) - solutions["probes"]).max()) if len(own) else 0.0
@@ -58,13 +58,13 @@ def judged(folder: Path) -> dict[str, Any]:
         if not off <= SAME_ROBOT:
             return report | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
     report["sets"] = {}
-    for key in [name[: -len("_answers")] for name in solutions.files if name.endswith("_answers")]:
+    for key in [name.removesuffix("_q") for name in solutions.files if name.endswith("_q")]:
         report["sets"][key] = _cell(sites, key, problems, solutions)
     return report
 
 
 def _cell(sites: Sites, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
-    q, wall, cpu = (solutions[f"{key}_{part}"] for part in ("answers", "wall", "cpu"))
+    q, wall, cpu = (solutions[f"{key}_{part}"] for part in ("q", "wall", "cpu"))
     targets, starts = problems[f"{key}_targets"][: len(q)], problems[f"{key}_starts"][: len(q)]
     marks = np.array([_mark(sites, one, target) for one, target in zip(q, targets, strict=True)])
     cell = {
@@ -142,7 +142,7 @@ def install(environments: Path, names: Sequence[str]) -> int:
 
 def run_library(name: str, task: Path, environments: Path | None, seconds: float) -> dict[str, Any]:
     """A library solves all sets of a task in a process of its own, and MuJoCo judges it."""
-    for file in ("turn.json", "answers.npz"):
+    for file in ("report.json", "solutions.npz"):
         (task / file).unlink(missing_ok=True)
     if ":" in name and not Path(name.rpartition(":")[0]).is_file():
         return {"failed": f"there is no file {name.rpartition(':')[0]}"}
@@ -155,7 +155,7 @@ def run_library(name: str, task: Path, environments: Path | None, seconds: float
         done = subprocess.run(command, env=clean, capture_output=True, text=True, timeout=limit)
     except subprocess.TimeoutExpired:
         return {"failed": f"it took more than {limit:.0f} s"}
-    if done.returncode != 0 or not (task / "turn.json").exists():
+    if done.returncode != 0 or not (task / "report.json").exists():
         last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
         return {"failed": last}
     return judged(task)

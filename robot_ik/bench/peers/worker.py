@@ -3,7 +3,7 @@
     python worker.py LIBRARY FOLDER SECONDS
 
 LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS; FOLDER holds what ``tasks`` wrote.  Solutions and times go
-to ``answers.npz`` and ``turn.json`` in it.  Nothing is judged here.  A time is that of the whole Python call:
+to ``solutions.npz`` and ``report.json`` in it.  Nothing is judged here.  A time is that of the whole Python call:
 an array in, joint angles out, with all conversions, restarts and handling of limits.
 """
 
@@ -404,13 +404,13 @@ def run_library(name: str, folder: Path, seconds: float) -> dict[str, Any]:
         solutions, wall, cpu, errors = run_set(
             library.solve, sets[f"{key}_targets"], sets[f"{key}_starts"], seconds
         )
-        saved |= {f"{key}_answers": solutions, f"{key}_wall": wall, f"{key}_cpu": cpu}
+        saved |= {f"{key}_q": solutions, f"{key}_wall": wall, f"{key}_cpu": cpu}
         report["errors"][key] = errors  # type: ignore[index]
-    np.savez(folder / "answers.npz", **saved)  # type: ignore[arg-type]
+    np.savez(folder / "solutions.npz", **saved)  # type: ignore[arg-type]
     return report
 
 
 if __name__ == "__main__":
     _folder = Path(sys.argv[2])
     _report = run_library(sys.argv[1], _folder, float(sys.argv[3]))
-    (_folder / "turn.json").write_text(json.dumps(_report), encoding="utf-8")
+    (_folder / "report.json").write_text(json.dumps(_report), encoding="utf-8")

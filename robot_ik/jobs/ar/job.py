@@ -222,7 +222,7 @@ def _draw(
     report.reprojection_px = float(np.mean(errors)) if errors else float("nan")
 
 
-def marker_places(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
+def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, Array | None]]:
     """Times since the first picture, and where the followed marker is, seen from the robot's base.
 
     Places (3,) in the robot's own metres (``scale``); None where board or marker is not seen.

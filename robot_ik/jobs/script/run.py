@@ -207,7 +207,7 @@ def _report_leaving(now: RunState, row: StepResult) -> None:
     if left is None:  # it was never connected
         return
     row.outcome = PASSED if left.ok else FAILED
-    row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'nobody'}"
+    row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'no servo'}"
     if left.unverified:
         row.found += f"; {left.doubt}"
 
