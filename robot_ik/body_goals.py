@@ -23,8 +23,8 @@ from robot_ik.goals import (
     PoseGoal,
     PositionGoal,
     Rows,
-    numbers,
     nonnegative_number,
+    numbers,
     vector,
 )
 from robot_ik.kernels import residuals as codes

@@ -3,7 +3,7 @@
     python worker.py LIBRARY FOLDER SECONDS
 
 LIBRARY is a row of ``LIBRARIES`` or FILE.py:CLASS; FOLDER holds what ``tasks`` wrote.  Solutions and times go
-to ``solutions.npz`` and ``report.json`` in it.  Nothing is judged here.  A time is that of the whole Python call:
+to ``solutions.npz`` and ``report.json`` in it.  Nothing is judged here.  A time is that of the whole call:
 an array in, joint angles out, with all conversions, restarts and handling of limits.
 """
 
