@@ -119,7 +119,9 @@ def _with_bounds(same: Sequence[Quantity]) -> str:
     """One value and what is wanted of it; each bound comes as a quantity of its own."""
     if not same:
         return ""
-    bounds = ", ".join(one.wanted_text.removesuffix(one.unit).strip() for one in same)
+    bounds = ", ".join(
+        one.wanted_text.removesuffix(one.unit).strip().replace(" ", "\N{NO-BREAK SPACE}") for one in same
+    )
     missed = "; missed" if any(one.passed is False for one in same) else ""
     return f"{same[0].value:.3g} ({bounds}{missed})"
 
