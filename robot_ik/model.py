@@ -75,24 +75,25 @@ def read_model(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.M
         ModelError: With the file and MuJoCo's reason; a joint whose lower limit is not below its upper; a
             number that is not finite or beyond ``LARGEST_NUMBER``.
     """
-    urdf = None
-    if isinstance(source, Path):
-        urdf = _urdf_of(_text_of(source), source.parent)
-    elif isinstance(source, str):
-        urdf = _urdf_of(source)
+    spec, urdf = read_spec(source, path)
     with _as_model_error(path):
-        if isinstance(source, mujoco.MjSpec):
-            spec = source.copy()
-        elif isinstance(source, Path) and urdf is None:
-            spec = mujoco.MjSpec.from_file(str(source))
-        else:
-            spec = mujoco.MjSpec.from_string(str(source) if urdf is None else urdf.text())
         _name_joints(spec)
-        model = _compiled(spec)
+        model = compiled(spec)
     _refuse_numbers(model, path)
     _refuse_ranges(model, path)
     _hint_at_radians(model, spec, path)
     return model, {} if urdf is None else urdf.velocity
+
+
+def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.MjSpec, Urdf | None]:
+    """What ``read_model`` compiles, for who adds to it; and the URDF that it was."""
+    if isinstance(source, mujoco.MjSpec):
+        return source.copy(), None
+    urdf = _urdf_of(_text_of(source), source.parent) if isinstance(source, Path) else _urdf_of(source)
+    with _as_model_error(path):
+        if urdf is None and isinstance(source, Path):
+            return mujoco.MjSpec.from_file(str(source)), None
+        return mujoco.MjSpec.from_string(str(source) if urdf is None else urdf.text()), urdf
 
 
 def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
@@ -111,7 +112,8 @@ def _text_of(path: Path) -> str:
         raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
 
 
-def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """MuJoCo's model, also of moving bodies without mass."""
     try:
         return spec.compile()
     except ValueError as error:

@@ -22,6 +22,7 @@ from robot_ik.hardware.control_table import RADIANS_PER_TICK, OperatingMode
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual import motor as drive
 from robot_ik.hardware.virtual.servo import VirtualServo
+from robot_ik.model import compiled, read_spec
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -357,9 +358,10 @@ def model_with(path: Path, objects: Sequence[WorldObject], floor: float | None =
     ``floor``: height of a plane to lie on, m; None: there is none.
 
     Raises:
+        ModelError: It cannot be read.
         ValueError: MuJoCo cannot compile it, e.g. a name is taken.
     """
-    spec = mujoco.MjSpec.from_file(str(path))
+    spec, _ = read_spec(path, path)
     for key in list(spec.keys):
         spec.delete(key)  # they know nothing of the objects' positions
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -375,4 +377,4 @@ def model_with(path: Path, objects: Sequence[WorldObject], floor: float | None =
         )
         geom.condim, geom.priority, geom.friction = 4, 1, FRICTION
         geom.solref, geom.solimp = SOLREF, SOLIMP
-    return spec.compile()
+    return compiled(spec)

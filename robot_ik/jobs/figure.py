@@ -35,6 +35,7 @@ from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, 
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.ar.output import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
+from robot_ik.model import compiled, read_spec
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
@@ -381,7 +382,7 @@ def _lines(text: str, width: int, size: int) -> list[str]:
 
 def _scene_model(robot: Robot) -> mujoco.MjModel:
     """The robot's model among tiles, with a ball on three slides at the end of qpos."""
-    spec = mujoco.MjSpec.from_file(str(robot.path))
+    spec, _ = read_spec(robot.path, robot.path)
     for key in list(spec.keys):
         spec.delete(key)
     world, kinds = spec.worldbody, mujoco.mjtGeom
@@ -391,7 +392,7 @@ def _scene_model(robot: Robot) -> mujoco.MjModel:
     for axis in np.eye(3):
         body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
     body.add_geom(type=kinds.mjGEOM_SPHERE, size=[BALL_RADIUS, 0, 0], rgba=[0.85, 0.2, 0.15, 1], mass=0.1)
-    return spec.compile()
+    return compiled(spec)
 
 
 def record(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -176,6 +177,19 @@ def world_of(desk: ArmConfig, robot: rik.Robot) -> Callable[..., tuple[World, Vi
         return World(model, desk, bus, contacts=block), bus
 
     return make
+
+
+URDF = """<robot name="arm"><link name="base"/><link name="hand"/>
+<joint name="j" type="revolute"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="2" effort="1"/></joint></robot>"""
+
+
+def test_objects_stand_beside_a_robot_that_is_a_urdf_and_weighs_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(URDF, encoding="utf-8")
+    model = model_with(file, [WorldObject("block", (0.2, 0.0, 0.5), (BLOCK,) * 3, 0.05)], floor=0.0)
+    assert model.body("block").mass == pytest.approx(0.05)
+    assert model.joint("j").range == pytest.approx((-1.0, 1.0)) and model.body("hand").id > 0
 
 
 def test_both_fingers_of_the_world_follow_one_servo(world_of, desk: ArmConfig) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 from robot_ik.environment import probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.geometry import Pose
+from robot_ik.model import compiled, read_spec
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -35,7 +36,6 @@ from robot_ik.testbed.arrangement import (
 )
 from robot_ik.testbed.commands import KEYMAP, MoveGoal
 from robot_ik.testbed.session import Session, View
-from robot_ik.urdf import Urdf
 
 #: Seconds the window may take to appear; it takes about one, several in software on a busy machine.
 OPEN_LIMIT = 20.0
@@ -472,15 +472,11 @@ def _with_ball(robot: Robot, extent: float) -> tuple[Any, int]:
     """
     if not robot.path.is_file():
         raise ViewerError(f"{robot.name} is no file, and the window needs one", hint="--viewer browser")
-    if robot.path.suffix.lower() == ".urdf":
-        urdf = Urdf.of_text(robot.path.read_text(encoding="utf-8", errors="replace"), robot.folder)
-        spec = mujoco.MjSpec.from_string(urdf.text()) if urdf else mujoco.MjSpec.from_file(str(robot.path))
-    else:
-        spec = mujoco.MjSpec.from_file(str(robot.path))
+    spec, _ = read_spec(robot.path, robot.path)
     ball = spec.worldbody.add_body(name=_BALL, mocap=True)
     ball.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[BALL_RADIUS * extent, 0.0, 0.0],
         rgba=list(_rgba(GOAL_COLOUR)), contype=0, conaffinity=0,
     )  # fmt: skip
-    model = spec.compile()
+    model = compiled(spec)
     return model, int(model.body(_BALL).mocapid[0])
