@@ -109,7 +109,7 @@ class Problem:
         self.budget = budget or Budget()
         self.seed = int(seed)
         self.trace = trace
-        rows = workspace.TRACE_ROWS if trace else 0
+        rows = workspace.TRACE_CAPACITY if trace else 0
         compiled = self.compiled = CompiledProblem(robot, self.given, self.tolerance, rows)
         self.made, self.token = compiled.made, compiled.token
         self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes

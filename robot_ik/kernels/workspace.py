@@ -33,7 +33,7 @@ ALL_GOALS, ASKED, SEARCHING, FOUND = range(4)
 NO_LIMIT = 1 << 60
 
 # Rows of a trace that are kept here, before Python takes them away.
-TRACE_ROWS = 1024
+TRACE_CAPACITY = 1024
 # Columns of a trace row.
 TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 
