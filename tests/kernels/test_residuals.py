@@ -46,8 +46,8 @@ def make_goal(data, kind, robot, there, weights):
     frame = data.draw(st.sampled_from(robot.frames))
     pose = robot.forward(there, frame)
     extra = {"length": data.draw(st.sampled_from([None, 0.7]))}
-    if kind is PositionGoal:
-        return PositionGoal(frame, pose.position, weight=weights[0], axes=data.draw(AXES), **extra)
+    if issubclass(kind, PositionGoal):
+        return kind(frame, pose.position, weight=weights[0], axes=data.draw(AXES), **extra)
     free = data.draw(st.one_of(st.none(), AXIS))
     if kind is OrientationGoal:
         return OrientationGoal(frame, pose.wxyz, weight=weights[1], free_axis=free, **extra)
