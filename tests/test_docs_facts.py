@@ -66,6 +66,10 @@ def test_make_reach_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.
     wanted = labels(shown.text)
     assert wanted == labels(printed[printed.index("reach ") :])
     assert {"goal", "solver", "read back", "camera", "result"} <= set(wanted)
+    # What the camera sees does not depend on the machine, but for rounding.
+    for line in (r"^marker 7 .*", r"^ +true at .*", r"^goal .*"):
+        one, other = (re.findall(r"-?\d+\.\d+", re.findall(line, t, re.M)[0]) for t in (shown.text, printed))
+        assert [float(x) for x in one] == pytest.approx([float(x) for x in other], abs=0.11), line
     # Both of the picture's captions and the files are named.
     assert {p.name for p in (tmp_path / "run").iterdir()} == {"reach.png", "trajectory.csv", "summary.json"}
 
