@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,10 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.robot import Robot
+from robot_ik.ports import Array
+
+if TYPE_CHECKING:
+    from robot_ik.robot import Robot
 
 Goals = Goal | Sequence[Goal]
 """One goal or several at once, as ``solve`` takes them; a source does not inspect them."""
@@ -122,8 +126,8 @@ class CurveSource:
 
         It runs counter-clockwise about ``normal``; ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
-        shape = lambda angle: (np.cos(angle), np.sin(angle))  # noqa: E731
-        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
+        point = _in_plane(center, radius, period, normal, lambda angle: (np.cos(angle), np.sin(angle)))
+        return cls(frame, _oriented(point, wxyz))
 
     @classmethod
     def lemniscate(
@@ -136,15 +140,12 @@ class CurveSource:
         ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
         shape = lambda angle: (np.sin(angle), np.sin(angle) * np.cos(angle))  # noqa: E731
-        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
+        return cls(frame, _oriented(_in_plane(center, radius, period, normal, shape), wxyz))
 
     def poll(self, now: float) -> PoseGoal | PositionGoal:
         """Where the curve is at ``now``."""
         self._begin = now if self._begin is None else self._begin
-        there = self.curve(now - self._begin)
-        if isinstance(there, Pose):
-            return PoseGoal.at(self.frame, there)
-        return PositionGoal(self.frame, position=np.asarray(there, dtype=float))
+        return _goal(self.frame, self.curve(now - self._begin))
 
 
 class RandomSource:
@@ -155,6 +156,7 @@ class RandomSource:
         frame: The frame; None means the robot's default tool.
         seed: Same seed, same goals.
         period: Seconds that each goal lasts.
+        free_orientation: Give positions instead of poses.
     """
 
     def __init__(
@@ -164,33 +166,50 @@ class RandomSource:
         *,
         seed: int = 0,
         period: float = 2.0,
+        free_orientation: bool = False,
     ) -> None:
         if not (np.isfinite(period) and period > 0.0):
             raise InvalidGoalError(f"a new goal every {period} s", hint="the period must be above zero")
         self.robot = robot
         self.frame = robot.tool if frame is None else frame
         self.period = period
+        self.free_orientation = free_orientation
         self._rng = np.random.default_rng(seed)
         self._begin: float | None = None
         self._count = 0
-        self._goal: PoseGoal | None = None
+        self._goal: PoseGoal | PositionGoal | None = None
 
-    def poll(self, now: float) -> PoseGoal:
+    def poll(self, now: float) -> PoseGoal | PositionGoal:
         """The goal of the running period."""
         self._begin = now if self._begin is None else self._begin
         due = int((now - self._begin) / self.period) + 1
         while self._goal is None or self._count < due:  # skipped ones are drawn too: the seed decides
             pose = self.robot.forward(self.robot.sample(self._rng), self.frame)
-            self._goal = PoseGoal.at(self.frame, pose)
+            self._goal = _goal(self.frame, pose.position if self.free_orientation else pose)
             self._count += 1
         return self._goal
 
 
+def _goal(frame: str, where: Pose | ArrayLike) -> PoseGoal | PositionGoal:
+    if isinstance(where, Pose):
+        return PoseGoal.at(frame, where)
+    return PositionGoal(frame, position=np.asarray(where, dtype=float))
+
+
+def _oriented(
+    position: Callable[[float], Array], wxyz: ArrayLike | None
+) -> Callable[[float], Pose | ArrayLike]:
+    if wxyz is None:
+        return position
+    rotation = Pose((0.0, 0.0, 0.0), wxyz)
+    return lambda t: Pose(position(t), rotation.wxyz)
+
+
 def _in_plane(
-    center: ArrayLike, radius: float, period: float, normal: ArrayLike, wxyz: ArrayLike | None,
+    center: ArrayLike, radius: float, period: float, normal: ArrayLike,
     shape: Callable[[float], tuple[float, float]],
-) -> Callable[[float], Pose | ArrayLike]:  # fmt: skip
-    """A curve of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
+) -> Callable[[float], Array]:  # fmt: skip
+    """A curve (3,) of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
     middle, axis = np.asarray(center, dtype=float), np.asarray(normal, dtype=float)
     numbers = np.concatenate([middle.ravel(), axis.ravel(), [radius, period]])
     length = float(np.linalg.norm(axis))
@@ -208,10 +227,4 @@ def _in_plane(
     up = np.cross(axis, helper)
     up /= np.linalg.norm(up)
     plane = radius * np.array([np.cross(up, axis), up])  # right-handed with the normal
-    orientation = None if wxyz is None else Pose(wxyz=wxyz)
-
-    def curve(t: float) -> Pose | ArrayLike:
-        position = middle + np.array(shape(2.0 * np.pi * t / period)) @ plane
-        return position if orientation is None else Pose(position, orientation.wxyz)
-
-    return curve
+    return lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane

@@ -129,5 +129,6 @@ def test_random_goals_do_not_depend_on_how_often_one_asks(puma):
 
 def test_random_goals_need_a_frame_and_a_period(puma):
     assert RandomSource(puma, "flange").poll(0.0).frame == "flange"
+    assert type(RandomSource(puma, "flange", free_orientation=True).poll(0.0)).__name__ == "PositionGoal"
     with pytest.raises(InvalidGoalError):
         RandomSource(puma, period=0.0)
