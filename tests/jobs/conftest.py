@@ -98,11 +98,14 @@ def seen_smaller(*of: Any, **rest: Any) -> Scene:
     return replace(scene, intrinsics=scene.intrinsics.scaled(width // 2, height // 2))
 
 
-@pytest.fixture(scope="session", autouse=True)
+COARSE = partial(vision.SyntheticSource, quality="fast")  # robots; the markers in the pictures are exact
+
+
+@pytest.fixture(scope="module", autouse=True)  # and no longer: other folders look at what users see
 def _light_pictures() -> Iterator[None]:
-    """Small ones with a coarse robot; the markers in them are exact."""
+    """Small ones of a coarse robot."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(vision, "SyntheticSource", partial(vision.SyntheticSource, quality="fast"))
+        patch.setattr(vision, "SyntheticSource", COARSE)
         patch.setattr(vision, "scene_for", seen_smaller)
         yield
 
@@ -128,6 +131,7 @@ def reach() -> Callable[..., ReachReport]:
 def healthy() -> ReachReport:
     """One run with nothing wrong, in full pictures; not to be changed."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(vision, "SyntheticSource", COARSE)
         patch.setattr(vision, "scene_for", scene_for)
         return run_reach(ReachRequest(bus="sim"))
 

@@ -10,7 +10,7 @@ import pytest
 from robot_ik.jobs import vision
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def _coarse_robots() -> Iterator[None]:
     """The markers are as exact as in a full picture, only the robot is coarse."""
     with pytest.MonkeyPatch.context() as patch:

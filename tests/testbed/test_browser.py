@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from robot_ik.testbed.commands import (
+    Act,
     DragLink,
     MoveGoal,
     Nudge,
@@ -24,7 +25,7 @@ from robot_ik.testbed.commands import (
     SetRunning,
 )
 from tests.testbed.conftest import Bed
-from tests.waiting import LONG, wait_for
+from tests.waiting import LONG
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.bench.page import CHROMIUM, DRAWN
@@ -84,13 +85,28 @@ class Window:
     ) -> None:
         """Drags what the browser draws at ``position``, a point of the world, by ``way`` pixels.
 
-        Again until it ``came`` to the session: where frames are late, one may miss the press.
+        Where frames are late, one may miss the press.
         """
+        end = time.monotonic() + LONG
+        self.again(lambda: self._drag_once(position, way, end), came, what)
+
+    def press(self, key: str, came: Callable[[], bool], what: str, on: Any = None) -> None:
+        """Presses a key, with the focus ``on`` a widget or where it is."""
+
+        def once() -> None:
+            if on is not None:
+                on.focus()
+            self.page.keyboard.press(key)
+
+        self.again(once, came, what)
+
+    def again(self, act: Callable[[], None], came: Callable[[], bool], what: str) -> None:
+        """Acts until it ``came`` to the session: a busy browser may just have lost its connection."""
         end = time.monotonic() + LONG
         while not came():
             assert time.monotonic() < end, what
-            self._drag_once(position, way, end)
-            for _ in range(20):
+            act()
+            for _ in range(100):
                 if not came():
                     self.page.wait_for_timeout(100)
 
@@ -183,10 +199,8 @@ def test_the_hint_and_the_statistics_are_read(window: Window, bed: Bed) -> None:
 
 def test_a_slider_changes_the_solvers_option(window: Window, bed: Bed) -> None:
     slider = window.page.get_by_role("slider").nth(1)  # the first is the ball's speed
-    slider.focus()
     before = dict(bed.view.instances[0].options)
-    window.page.keyboard.press("ArrowRight")
-    bed.until(lambda view: bed.count(SetOption) > 0)
+    window.press("ArrowRight", lambda: bed.count(SetOption) > 0, "the slider sends nothing", on=slider)
     name = next(command for command in bed.sent if isinstance(command, SetOption)).name
     bed.until(lambda view: dict(view.instances[0].options)[name] != before[name])
 
@@ -201,20 +215,19 @@ def test_a_menu_changes_the_method(window: Window, bed: Bed) -> None:
 
 def test_keys_work(window: Window, bed: Bed) -> None:
     window.leave_fields()
-    window.page.keyboard.press("i")
-    bed.until(lambda view: bed.count(SetMotion) == 1 and view.motion == "curve")
-    window.page.keyboard.press("y")
-    bed.until(lambda view: bed.count(Nudge) > 0 and view.motion == "hand")
-    window.page.keyboard.press("Space")
-    bed.until(lambda view: not view.running)
-    window.page.keyboard.press("r")
-    bed.until(lambda view: view.running and view.motion == "curve")
+    for key, command, holds in (
+        ("i", SetMotion, lambda view: view.motion == "curve"),
+        ("y", Nudge, lambda view: view.motion == "hand"),
+        ("Space", SetRunning, lambda view: not view.running),
+        ("r", Reset, lambda view: view.running and view.motion == "curve"),
+    ):
+        window.press(key, lambda command=command: bed.count(command) > 0, f"{key} sends nothing")
+        bed.until(holds, f"{key} does something else")
 
 
 def test_a_nudge_lifts_the_ball(window: Window, bed: Bed) -> None:
     window.leave_fields()
-    window.page.keyboard.press("y")
-    bed.until(lambda view: view.ball.position[2] > BALL[2] + 0.01, "the key did not lift it")
+    window.press("y", lambda: bed.view.ball.position[2] > BALL[2] + 0.01, "the key did not lift it")
 
 
 def test_dragging_the_ball_moves_ball_and_arm(window: Window, bed: Bed) -> None:
@@ -241,8 +254,7 @@ def test_dragging_a_link_takes_the_arm_along(window: Window, bed: Bed) -> None:
 
 def test_compare_four_shows_four_rows(window: Window, bed: Bed) -> None:
     window.leave_fields()
-    window.page.keyboard.press("4")
-    bed.until(lambda view: view.count == 4)
+    window.press("4", lambda: bed.view.count == 4, "there are not four")
     for name in ("lm", "pseudoinverse", "ccd"):
         window.page.get_by_role("cell", name=name, exact=True).wait_for()
 
@@ -258,13 +270,12 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     bed.session.send(MoveGoal((0.5, -0.3, 1.3)))
     window.page.get_by_text("drag the ball, then press Act now").wait_for()
     window.page.evaluate("document.activeElement && document.activeElement.blur()")
-    window.page.keyboard.press("y")
-    bed.until(lambda view: bed.count(Nudge) == 1 and view.ball.position[2] > 1.31, "the ball stays")
+    window.press("y", lambda: bed.count(Nudge) > 0, "the key does not arrive")
+    bed.until(lambda view: view.ball.position[2] > 1.31, "the ball stays")
     bed.session.send(SetRunning(True))
     button = window.page.get_by_role("button", name="Act now")
-    button.focus()
-    window.page.keyboard.press("Enter")
-    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it was not asked to act")
+    window.press("Enter", lambda: bed.count(Act) > 0, "the button does not arrive", on=button)
+    seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it does not act")
     bed.session.send(SetRunning(False))
     assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
     window.page.get_by_text(seen.figure.reason).first.wait_for()
@@ -273,21 +284,14 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
 
 def test_a_second_browser_watches_and_its_stop_works(chromium: Any, window: Window, bed: Bed) -> None:
 
-    def drives() -> bool:  # again: a busy machine may have lost its connection, and who drove with it
-        window.page.keyboard.press("l")
-        window.page.wait_for_timeout(300)
-        return bed.page.gate.driver is not None
-
-    wait_for(drives, "the first browser does not drive")
+    window.press("l", lambda: bed.page.gate.driver is not None, "the first browser does not drive")
     watcher = open_window(chromium, bed.page.url, scene=False, width=420, height=760)
-    watcher.page.get_by_role("slider").first.focus()
-    watcher.page.keyboard.press("ArrowRight")
-    watcher.page.get_by_text("Another browser drives").first.wait_for()
+    notice, page = watcher.page.get_by_text("Another browser drives"), watcher.page
+    watcher.press("ArrowRight", lambda: notice.count() > 0, "no notice", on=page.get_by_role("slider").first)
     assert bed.sent == [] and bed.view.speed == 1.0
-    watcher.page.get_by_role("button", name="STOP").focus()
-    watcher.page.keyboard.press("Enter")
-    bed.until(lambda view: not view.running, "a watcher's STOP does nothing")
-    watcher.page.close()
+    stop = page.get_by_role("button", name="STOP")
+    watcher.press("Enter", lambda: not bed.view.running, "a watcher's STOP does nothing", on=stop)
+    page.close()
     assert wrong(watcher) == []
 
 
