@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from robot_ik.errors import BusNotOpenError, ConfigError
-from robot_ik.ports import Clock, RealClock, VirtualClock
 
 if __name__ != "robot_ik.hardware":
     raise ImportError(
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
+    from robot_ik.ports import Clock
 
 __all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
 
@@ -82,13 +82,25 @@ def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     return DynamixelBus(name, config.baud)
 
 
+def _real_clock() -> Clock:  # not at the top: it brings numpy, and commands ask for the names only
+    from robot_ik.ports import RealClock
+
+    return RealClock()
+
+
+def _virtual_clock() -> Clock:
+    from robot_ik.ports import VirtualClock
+
+    return VirtualClock()
+
+
 BUSES: Mapping[str, Bus] = MappingProxyType(
     {
         bus.name: bus
         for bus in (
-            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, VirtualClock),
-            Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty, RealClock),
-            Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port, RealClock),
+            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, _virtual_clock),
+            Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty, _real_clock),
+            Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port, _real_clock),
         )
     }
 )

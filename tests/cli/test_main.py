@@ -111,14 +111,29 @@ def test_options_are_frozen_and_explained(name: str) -> None:
     assert callable(getattr(module, command.run))
 
 
-def test_help_imports_nothing_heavy() -> None:
-    heavy = ["mujoco", "numba", "cv2", "serial", "dynamixel_sdk", "tyro", "matplotlib"]
-    code = (
-        "import sys; from robot_ik.cli.main import main; main(['--help']); main(['--version']);"
-        f"bad = [m for m in {heavy} if m in sys.modules]; sys.exit(str(bad) if bad else 0)"
-    )
+HELPS = """
+import contextlib, io, sys
+from robot_ik.cli.main import main
+for line in {lines}:
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+        main(line.split())
+print([name for name in {heavy} if name in sys.modules])
+"""
+HEAVY = ["mujoco", "numba", "cv2", "serial", "dynamixel_sdk", "matplotlib", "viser"]
+
+
+@pytest.mark.parametrize(
+    ("lines", "heavy"),
+    [
+        (["--help", "--version"], [*HEAVY, "numpy", "tyro"]),
+        ([f"{name} --help" for name in ("reach", "solve", "run", "view", "servo move")], [*HEAVY, "numpy"]),
+        ([f"{name} --help" for name in LEAVES], HEAVY),
+    ],
+)
+def test_help_imports_nothing_heavy(lines: list[str], heavy: list[str]) -> None:
+    code = HELPS.format(lines=lines, heavy=heavy)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]", done.stderr
 
 
 def test_version_shows_what_it_stands_on(robot_ik: Any) -> None:
