@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from dynamixel_sdk import Protocol2PacketHandler
 
-from robot_ik import joint_move, load_robot
+from robot_ik import hardware, joint_move, load_robot
 from robot_ik.execution import execute
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import ServoBus
@@ -119,8 +119,11 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     ]
     module = types.ModuleType("logged")
     exec(compile(code, "extend.md", "exec", dont_inherit=True), module.__dict__)
-    servos = Wire.from_config(CONFIG, VirtualClock(), ROBOT.home)
-    bus = module.LoggedBus(servos)
+    (row,) = re.findall(r'```text\n(Bus\("logged".*?),\n```', page)
+    made = {"_logged": lambda name, config, servos: module.LoggedBus(servos)}
+    logged_bus = eval(row, vars(hardware) | made)
+    servos = Wire.from_config(CONFIG, logged_bus.clock(), ROBOT.home)
+    bus = logged_bus.make("logged", CONFIG, servos)
     with (
         caplog.at_level(logging.INFO, logger=module.__name__),
         Arm(CONFIG, bus, virtual_bus=servos) as arm,

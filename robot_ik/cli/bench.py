@@ -106,7 +106,7 @@ def run(options: BenchOptions) -> int:
 def _solvers(options: BenchOptions) -> list[Solver]:
     from robot_ik.solvers import SOLVERS, make_solver
 
-    require(options.count >= 1, "--count", f"{options.count} problems", "1 or more")
+    require(1 <= options.count <= 100_000, "--count", f"{options.count} problems", "1 to 100000")
     require(options.seconds > 0.0, "--seconds", f"{options.seconds:g} s", "above 0")
     # `combined` with its default options is `auto`.
     names = options.solvers or tuple(name for name in SOLVERS if name != "combined")

@@ -166,8 +166,8 @@ def check_kernels(until: float) -> list[CheckRow]:
 
 def check_terminal(until: float) -> list[CheckRow]:
     """Whether colours, progress bars and signs other than ASCII can be shown."""
-    terminal = sys.stdout.isatty()
-    encoding = (getattr(sys.stdout, "encoding", "") or "").lower()
+    stream = sys.__stdout__ or sys.stdout  # a progress bar stands in for sys.stdout
+    terminal, encoding = stream.isatty(), (stream.encoding or "").lower()
     found = f"{'a terminal' if terminal else 'not a terminal'}, TERM={os.environ.get('TERM', '')}, {encoding}"
     if terminal and "utf" not in encoding:
         return [CheckRow("terminal", NOTE, found, "set PYTHONIOENCODING=utf-8 for clean tables")]

@@ -67,21 +67,18 @@ def reach_picture(report: ReachReport) -> Any:
         label = f"marker {report.seen.observation.id}"
         before = draw_marker_outline(before, report.seen.observation.corners, label=label)
     captions = ["Before: " + _seen_text(report)]
-    end = report.q_end
+    end, heading, angles = report.q_end, "After", "read back, drawn over the camera's picture; axes: the goal"
     if end is None and report.solution is not None:
-        end = report.solution.q
+        end, heading = report.solution.q, "Nearest found, not moved"
+        angles = "before the move (left) and of the nearest solution (right)"
     if end is None:
         return before
     after = _drawn(report, report.before if report.after is None else report.after, end)
-    captions.append(
-        ("After: " if report.q_end is not None else "Nearest found, not moved: ") + _outcome(report)
-    )
-    # Drawn without the hand of a designer, but captions and colours say what is measured and what is model.
+    captions.append(f"{heading}: {_outcome(report)}")
     return before_after(
         before, after, captions,
         title=f"{report.robot.file.title or report.robot.name}: {report.frame} to the goal",
-        footer="blue: the robot's model at the joint angles read back, drawn over the camera's picture; "
-        "axes: the goal",
+        footer=f"blue: the robot's model at the joint angles {angles}",
         accents=(ORANGE, GREEN if report.reached else RED),
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from robot_ik.cli.main import main
         ("--robots puma56", "did you mean 'puma560'"),
         ("--sets warmer", "warm"),
         ("--count 0", "--count: 0 problems"),
+        ("--count 999999999999", "1 to 100000"),
         ("--position-tolerance 0", "positive"),
     ],
 )

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pty
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -34,6 +36,26 @@ def test_report_on_this_machine(robot_ik: Any) -> None:
     for row in report["rows"]:
         assert row["found"]
         assert row["status"] == environment.OK or row["do"], row
+
+
+@linux
+def test_the_terminal_is_seen_behind_a_progress_bar() -> None:
+    """Which stands in for ``sys.stdout`` while the checks run."""
+    master, slave = pty.openpty()
+    code = "import sys; from robot_ik.cli.main import main; sys.exit(main(['doctor']))"
+    environ = os.environ | {"TERM": "xterm", "PYTHONIOENCODING": "latin-1"}
+    with open(master, "rb", buffering=0) as screen:
+        child = subprocess.Popen(
+            [sys.executable, "-c", code], stdin=slave, stdout=slave, stderr=slave, env=environ
+        )
+        os.close(slave)
+        shown = b""
+        with contextlib.suppress(OSError):  # its other end is closed
+            while part := screen.read(4096):
+                shown += part
+        child.wait()
+    assert b"a terminal, TERM=xterm, iso8859-1" in shown or b"a terminal, TERM=xterm, latin-1" in shown
+    assert b"not a terminal" not in shown and b"PYTHONIOENCODING=utf-8" in shown
 
 
 def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: environment.CheckRow) -> None:

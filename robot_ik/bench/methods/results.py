@@ -284,7 +284,7 @@ def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[F
 def _png(figure: Figure, axes: list[Axes]) -> bytes:
     lines = {line.get_label(): line for one in axes for line in one.get_lines()}
     shown = {str(name): line for name, line in lines.items() if not str(name).startswith("_")}
-    figure.legend(list(shown.values()), list(shown), loc="outside right upper", frameon=False, fontsize=9)
+    figure.legend(list(shown.values()), list(shown), loc="outside right center", frameon=False, fontsize=9)
     return png_of(figure)
 
 
@@ -307,6 +307,7 @@ def _success(cells: list[Cell], style: Style) -> bytes:
         slowest = max((max(c.microseconds) for c in cells if c.set == name), default=1.0)
         one.set(xscale="log", ylim=(0, 103), xlabel="time of the whole Python call, µs", ylabel="solved, %")
         one.set_xlim(right=2.0 * slowest)
+        one.xaxis.set_minor_formatter("")  # over one decade their labels overlap
         one.set_title(name, fontsize=10)
     for one in axes[len(sets) :]:
         one.set_axis_off()
@@ -328,7 +329,7 @@ def _convergence(results: Results, robot: str, style: Style) -> bytes:
     axes[0].set(
         xscale="log",
         yscale="log",
-        xlabel="step (a sweep or pass for ccd and the methods of bones)",
+        xlabel="step (a sweep of ccd, a pass of fabrik and triangulation)",
         ylabel="position miss of the best so far, m",
         title=f"{robot}, cold: median over problems; grey: the tolerance",
     )

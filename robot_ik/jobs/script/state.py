@@ -40,7 +40,7 @@ def error_classes() -> Mapping[str, type[RobotIkError]]:
     return {
         name: kind
         for name, kind in vars(errors).items()
-        if isinstance(kind, type) and issubclass(kind, errors.RobotIkError)
+        if name[0] != "_" and isinstance(kind, type) and issubclass(kind, errors.RobotIkError)
     }
 
 

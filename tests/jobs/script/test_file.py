@@ -61,6 +61,7 @@ def error_of(text: str) -> ConfigError:
             "steps[0].raises",
             "did you mean MotorFaultError",
         ),
+        (with_step("do = 'hold'", "raises = '_UnknownName'"), "steps[0].raises", "UnknownRobotError"),
         (
             with_step("do = 'pose'", "position = [1, 2]", "wxyz = [1, 0, 0, 0]"),
             "steps[0].position",
