@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, rotation_entries
 from robot_ik.goals import LARGEST, PoseGoal, PositionGoal, Tolerance, numbers
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
@@ -143,15 +143,7 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
             raise InvalidGoalError(
                 f"pose {int(np.argmin(norm))} has a zero quaternion, which is no orientation"
             )
-        w, x, y, z = (array[:, 3:] / norm[:, None]).T
-        rows[:, 3:] = np.stack(
-            [
-                1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-                2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-                2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-            ],
-            axis=1,
-        )  # fmt: skip
+        rows[:, 3:] = np.stack(rotation_entries(*(array[:, 3:] / norm[:, None]).T), axis=1)
         return rows, True
     raise InvalidGoalError(
         f"poses have shape {array.shape}",

@@ -1,4 +1,4 @@
-"""Robots built in memory: of any MuJoCo model, and chains of ball joints, where animation began."""
+"""Robots built in memory: of any MuJoCo model, and chains of ball joints."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class RobotIkError(Exception):
 
 
 class CameraError(RobotIkError):
-    """Root of everything that can go wrong between the lens and the goal."""
+    """Root of the errors of pictures, markers and calibrations."""
 
 
 class CameraNotFoundError(CameraError):

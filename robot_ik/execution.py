@@ -1,4 +1,4 @@
-"""The only run-time loops: `execute` plays a trajectory, `follow` chases a goal.
+"""The run-time loops: `execute` plays a trajectory, `follow` follows a goal.
 
 Both run on absolute deadlines, so lateness below one period is caught up and never adds up.
 Neither hurries: after a longer stall the rest of the schedule moves, because two samples sent at

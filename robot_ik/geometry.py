@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,12 +34,11 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 def quat_to_matrix(wxyz: Array) -> Array:
     """Rotation matrix (3, 3) of a unit quaternion (4,)."""
-    return np.array(rotation_entries(wxyz)).reshape(3, 3)
+    return np.array(rotation_entries(*wxyz.tolist())).reshape(3, 3)
 
 
-def rotation_entries(wxyz: Array) -> tuple[float, ...]:
-    """The nine entries of that matrix, row by row."""
-    w, x, y, z = wxyz.tolist()  # Python's own numbers are quicker one by one than NumPy's
+def rotation_entries(w: Any, x: Any, y: Any, z: Any) -> tuple[Any, ...]:
+    """The nine entries of that matrix, row by row: of numbers (Python's own are quickest), or of arrays."""
     return (
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),

@@ -303,7 +303,7 @@ class Attachment:
 
 def pose_row(pose: Pose) -> Array:
     """(12,): position, then the rotation matrix row by row."""
-    return np.array((*pose.position.tolist(), *rotation_entries(pose.wxyz)))
+    return np.array((*pose.position.tolist(), *rotation_entries(*pose.wxyz.tolist())))
 
 
 def row_pose(row: Array) -> Pose:

@@ -61,7 +61,7 @@ _CAUSE = {
 
 @dataclass(frozen=True)
 class Miss:
-    """Honest distance to the goals, unweighted, m and rad: the largest of those that are not soft."""
+    """Distance to the goals, unweighted, m and rad: the largest of those that are not soft."""
 
     position: float
     angle: float

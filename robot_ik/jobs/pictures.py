@@ -22,7 +22,7 @@ from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, 
 from robot_ik.files import make_folder
 from robot_ik.geometry import Pose
 
-#: More views than these teach nothing.
+#: More views than these make a calibration no better.
 MOST_VIEWS = 40
 #: Pictures of a live camera without the board before that is said.
 UNSEEN = 60

@@ -1,6 +1,6 @@
 """Compiles in a process of its own while this one looks through the camera.
 
-What that has compiled is taken from the cache; should it fail, nothing is lost but time.
+What that has compiled is taken from the cache; where it fails, this process compiles.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -30,6 +28,7 @@ from robot_ik.jobs.ar.output import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
 from robot_ik.jobs.results import save_json
 from robot_ik.jobs.verdict import Judgement
+from robot_ik.motion.trajectory import csv_table
 
 #: Version of summary.json; raised when a field changes its meaning.
 SCHEMA = 1
@@ -124,16 +123,12 @@ def _outcome(report: ReachReport) -> str:
 def _table(report: ReachReport) -> str:
     run = report.execution
     assert run is not None
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     head = ["time_s", *(f"{joint}_commanded" for joint in run.joints)]
     columns = [run.times[:, None], run.commanded]
     if run.measured is not None:
         head += [f"{joint}_measured" for joint in run.joints]
         columns.append(run.measured)
-    writer.writerow(head)
-    writer.writerows([[f"{value:.9g}" for value in row] for row in np.hstack(columns).tolist()])
-    return stream.getvalue()
+    return csv_table(head, np.hstack(columns))
 
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:

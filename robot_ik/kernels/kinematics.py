@@ -45,7 +45,7 @@ def sine_cosine(angle):
 
 
 # Joints that follow another: q = q₀ + Σ aᵢ (leader − leader₀)ⁱ, MuJoCo's joint equality.
-# Only hinges and slides can be coupled; a leader never follows another joint, which ``model`` ensures.
+# Only hinges and slides can be coupled; a leader never follows another joint, which ``couplings`` ensures.
 
 
 @outlined

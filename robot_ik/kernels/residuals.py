@@ -149,7 +149,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
 #     orientation  the whole orientation, one axis along the target's, or one aimed at the target's origin
 #     of           whose position and orientation: the frame, the centre of mass, or the joints themselves
 #
-# The axis that counts is always z: ``Problem`` rotates frame and target so that it is.
+# The axis that counts is always z: ``Goal.fill`` and ``target_row`` rotate frame and target so that it is.
 
 NO_POSITION, WHOLE, SOME_AXES, ONE_SIDE = range(4)
 NO_ORIENTATION, ALL_AXES, ONE_AXIS, AIMED = range(4)
@@ -398,7 +398,7 @@ GOALS = Layout(
     hit_count="ints",  # (nu,) … and how many
     joint_scale="floats",  # (nu,) 1 for the least stiff joint, less for the stiffer ones
     coupled="int_table",  # (c, 3) coupling, column of its leader, degree of freedom that is coupled
-    masses="table 0 4",  # (…, 4) of goals for the centre of mass, see ``partial_rows.mass_center``
+    masses="table 0 4",  # (…, 4) of goals for the centre of mass, see ``mass_center``
     moments="table",  # … and their work space
     posture="table g nq",  # where a posture wants the joints
     joint_weight="table g nv",  # and how much each counts

@@ -40,7 +40,7 @@ TREE = Layout(
     high="floats",  # (nv,)
     dof_node="ints",  # (nv,) node of each degree of freedom
     every="ints",  # (n,) 0, 1, …: the list of all nodes
-    coupled="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``model``
+    coupled="int_table",  # (c, 2) node that follows, node that leads (-1: it stands still); see ``couplings``
     law="table",  # (c, 7) q₀ of the two, a₀ … a₄
 )
 open_tree = TREE.open

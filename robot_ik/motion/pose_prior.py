@@ -2,7 +2,7 @@
 
 Frames in, ``PosePrior`` out, for ``robot_ik.goals.PosePriorGoal``: poses are mirrored, thinned to those that
 differ, scaled by their spread, and a mixture is fitted whose covariances are shrunk towards spheres, so that
-a few hundred poses are enough for forty joints.  It learns the style of what it is shown, no more.
+a few hundred poses are enough for forty joints.  It prefers poses like those that it was shown.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ class IterativeSolver(Solver):
 
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
-        """The compiled loop: takes tree, goals, work, options."""
+        """The compiled loop: takes what ``tables`` gives."""
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
         """The compiled loop that this problem needs, where there are several."""

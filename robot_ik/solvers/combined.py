@@ -62,11 +62,7 @@ class Combined(Solver):
         return any(member.applies(problem) for member in self._members)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
-        return self._run_sequence(self._sequence(problem).members, problem, start, budget)
-
-    def _run_sequence(
-        self, members: tuple[Solver, ...], problem: Problem, start: ArrayLike | None, budget: Budget
-    ) -> Solution:
+        members = self._sequence(problem).members
         solution = members[0].attempt(problem, start, budget)
         if solution.status is _CONVERGED:
             return solution
@@ -184,7 +180,7 @@ class Combined(Solver):
 
 # Asked in each solve: an enumeration takes a tenth of a microsecond to give it.
 _CONVERGED = Status.CONVERGED
-# A method that ends so has not had its say: neither have all of them together.
+# A method that ends so was stopped: it has not failed, nor have all of them together.
 _OVER = (Status.ITERATION_LIMIT, Status.TIME_LIMIT)
 
 

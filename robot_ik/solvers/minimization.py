@@ -155,7 +155,7 @@ def transport(tree, goal, work):
 #
 #     hold      H ← H − H n nᵀH / nᵀH n            release      H ← H + h n nᵀ
 #
-# n is a coordinate for hinges and slides; the cones of balls are below.
+# n is a coordinate for hinges and slides; the cones of balls are above.
 
 # Least cosine between a step and the change of slope along it for the metric to be updated from them.
 _LEAST_CURVATURE = 1e-8

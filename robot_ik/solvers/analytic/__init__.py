@@ -288,21 +288,18 @@ class Analytic(Solver):
             UnsupportedGoalError, ModelError, ProblemInUseError: As ``solve``.
         """
         with problem.in_use():
-            return self._branches(problem, start)
-
-    def _branches(self, problem: Problem, start: ArrayLike | None) -> list[tuple[str, Array]]:
-        prepared = self._require(problem)
-        take_start(problem, start)
-        prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
-        names = BRANCH_NAMES[prepared.form.family]
-        signs = itertools.product("+-", repeat=len(names))
-        found: list[tuple[str, Array]] = []
-        for chosen, angles in zip(signs, prepared.arrays["branches"], strict=False):
-            if not np.isnan(angles[0]):
-                q = problem.arrays["start"].copy()
-                q[prepared.arrays["qadr"]] = angles
-                found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
-        return found
+            prepared = self._require(problem)
+            take_start(problem, start)
+            prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
+            names = BRANCH_NAMES[prepared.form.family]
+            signs = itertools.product("+-", repeat=len(names))
+            found: list[tuple[str, Array]] = []
+            for chosen, angles in zip(signs, prepared.arrays["branches"], strict=False):
+                if not np.isnan(angles[0]):
+                    q = problem.arrays["start"].copy()
+                    q[prepared.arrays["qadr"]] = angles
+                    found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
+            return found
 
 
 def _is_out_of_reach(prepared: Prepared) -> bool:

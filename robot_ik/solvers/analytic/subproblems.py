@@ -112,7 +112,7 @@ FORM = Layout(
     # Of limbs only:
     groups="int_table",  # (2, 2) how shoulder and wrist are joined, column of their first number
     middle_rotations="table",  # (2, 3) ``recognise.middle_rotations``
-    edges="table",  # (m, 8) ``edges.limit_edges``
+    edges="table",  # (m, 8) ``recognise.limit_edges``
     least="floats",  # (n,) -inf: no limits at all
     most="floats",  # (n,) inf
     matrices="table 7 9",  # rotations in use

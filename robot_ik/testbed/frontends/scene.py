@@ -368,11 +368,5 @@ class BrowserScene:
 
 def reach_cloud(robot: Robot) -> Array:
     """(n, 3) positions of the tool at random joint angles within the limits, by MuJoCo."""
-    rng, data, found = np.random.default_rng(0), mujoco.MjData(robot.model), []
-    frame = robot.frame(robot.tool)
-    for _ in range(_CLOUD_POINTS):
-        data.qpos[:] = robot.qpos(robot.sample(rng))
-        mujoco.mj_kinematics(robot.model, data)
-        rotation = data.xmat[frame.body].reshape(3, 3)
-        found.append(data.xpos[frame.body] + rotation @ frame.local.position)
-    return np.array(found)
+    rng = np.random.default_rng(0)
+    return np.array([robot.measure(robot.sample(rng)).position for _ in range(_CLOUD_POINTS)])

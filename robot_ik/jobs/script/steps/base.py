@@ -35,8 +35,7 @@ def _rising(span: tuple[float, float]) -> tuple[float, float]:
     return span
 
 
-# A day: a script that waits longer waits for something else.
-LONGEST = 86_400.0
+LONGEST = 86_400.0  # s: a day
 Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(gt=0.0, le=LONGEST)]
