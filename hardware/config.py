@@ -351,10 +351,6 @@ class ArmConfig:
         )
         return replace(self, joints=joints, auxiliary=auxiliary)
 
-    def auxiliary_of(self, name: str) -> tuple[JointMap, ...]:
-        """The joints of a group that are no part of q."""
-        return tuple(joint for joint in self.auxiliary if joint.group == name)
-
     def group(self, name: str) -> tuple[JointMap, ...]:
         """The joints of a group; none where there is no such group."""
         return tuple(joint for joint in self.whole.joints if joint.group == name)

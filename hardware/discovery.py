@@ -31,9 +31,6 @@ LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000
 
 IDS = range(253)
 
-PING_WAIT = RESPONSE_TIME
-"""s for one id to answer a ping of its own."""
-
 _READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
@@ -143,9 +140,9 @@ def _one_by_one(
     found: dict[int, FoundServo] = {}
     for k, id in enumerate(ids):
         progress(f"{baud} baud, id {id}", k / len(ids))
-        responses, damaged = bus.collect_pings(id, PING_WAIT)
+        responses, damaged = bus.collect_pings(id, RESPONSE_TIME)
         if damaged and id not in responses:
-            responses, damaged = bus.collect_pings(id, PING_WAIT)  # noise can hit one reply
+            responses, damaged = bus.collect_pings(id, RESPONSE_TIME)  # noise can hit one reply
         for other, who in responses.items():
             found[other] = _details(bus, FoundServo(other, baud, *who))
         if damaged and id not in responses:

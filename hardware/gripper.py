@@ -10,10 +10,7 @@ from robot_ik.errors import HardwareError, UnsafeCommandError, apart
 from robot_ik.hardware.bus import ServoBus
 from robot_ik.hardware.config import ArmConfig, current_unit
 from robot_ik.hardware.cycle import Cycle
-from robot_ik.hardware.joint_map import JointMap
-
-GRIPPER = "gripper"
-"""Group of the joints that grip."""
+from robot_ik.hardware.joint_map import GRIPPER, JointMap
 
 REST = 0.15
 """s in which a finger that has not moved by ``STILL_TICKS`` stands: at its goal, or at something."""

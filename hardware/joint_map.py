@@ -40,8 +40,8 @@ RANGE_TOLERANCE_TICKS = 60
 TWIST = 0.1
 """rad (of a slide's pinion) between the two servos of one joint beyond which they fight, or one slips."""
 
-ARM = "arm"
-"""Group of the joints that make up q."""
+ARM, GRIPPER = "arm", "gripper"
+"""Groups: of the joints that make up q, and of those that grip."""
 
 
 Sign = Literal[1, -1]

@@ -38,9 +38,9 @@ class VirtualBus:
         servos: Ids may repeat, as they may by mistake on a real bus: replies then collide.
         clock: Gives the times at which bytes arrive.
         seed: Of the random faults.
-        world: Moves the shafts by a model of the arm; ``None``: their profiles do.
 
     Attributes:
+        world: Moves the shafts by a model of the arm; ``None``: their profiles do.
         wire: Transmits the replies to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.

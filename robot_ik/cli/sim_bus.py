@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import signal
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,16 +15,13 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import joint_degrees, require, several, single, wrong
 from robot_ik.cli.connection import load_arm
 from robot_ik.hardware.virtual.faults import FAULTS
+from robot_ik.hardware.watchdogs import SIGNALS
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.faults import Fault
     from robot_ik.hardware.virtual.pty import PtyPort
-
-
-ENDING = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-"""Signals after which the link is taken away; Windows has no SIGHUP."""
 
 
 def _help(kind: str) -> str:
@@ -97,7 +93,7 @@ def run(options: SimBusOptions) -> int:
     match, baud, late = options.match_baud, options.wire_baud, options.latency_ms
     served = make_port(bus, options.link, match_baud=match, wire_baud=baud, latency_ms=late)
     ended = threading.Event()
-    with console.on_signals(lambda number, frame: ended.set(), *ENDING), served as port:
+    with console.on_signals(lambda number, frame: ended.set(), *SIGNALS), served as port:
         _announce(options.arm, config, port)
         ended.wait()
     console.say("closed", "dim")

@@ -236,19 +236,15 @@ def _lifted(figure: Figure, arm: str, xy: Array, z: float | None, lateral_weight
     return rows.solve(start, stiff, start, speeds=None, steps=6).q[-1]
 
 
-def load_abilities(
-    figure: Figure, *, progress: Callable[[int, int], None] | None = None, folder: Path | None = None
-) -> Abilities:
+def load_abilities(figure: Figure, *, progress: Callable[[int, int], None] | None = None) -> Abilities:
     """Maps that lie beside the model or in the user's cache; made if need be, some minutes, once for a model.
 
     Args:
         figure: Whose.
         progress: Called with points done and points in all.
-        folder: Where maps are kept; default: the user's cache.
     """
-    where = folder or cache_folder().parents[1] / "abilities"
     digest = _digest(figure)
-    cached = where / f"{figure.robot.name}-{digest}.npz"
+    cached = cache_folder().parents[1] / "abilities" / f"{figure.robot.name}-{digest}.npz"
     symmetric = _is_mirrored(figure)
     arms = [arm for arm in figure.hands if not symmetric or arm == "right"]
     keys = [(kind, arm) for arm in arms for kind in (REACH, BEND)]

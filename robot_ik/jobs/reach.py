@@ -33,6 +33,7 @@ from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.verdict import (
     EXACT,
     SIGMAS,
+    SOLVE_TOLERANCE,
     Bound,
     Judgement,
     Verdict,
@@ -92,10 +93,6 @@ class ReachRequest(ArmRequest):
 
 # ------------------------------------------------------------------------------------------
 # What happened in a reach, as far as it got.
-
-
-# The solve is asked for far more than the servos can do, so that its miss does not count.
-SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 
 
 @dataclass(eq=False)

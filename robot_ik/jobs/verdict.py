@@ -22,6 +22,8 @@ from robot_ik.robot import Robot
 # However uncertain the camera, a larger miss than this is no success.
 LARGEST_MISS = 0.005  # metres
 LARGEST_ANGLE = np.deg2rad(1.0)
+# A solve is asked for far more than the servos can do, so that its miss does not count.
+SOLVE_TOLERANCE = Tolerance(position=1e-5, angle=1e-4)
 # Standard deviations within which a measurement is believed.
 SIGMAS = 3.0
 

@@ -98,7 +98,7 @@ class InstanceView:
     miss: float  # m of the tool off what the ball asks, by MuJoCo's kinematics
     angle: float  # rad, likewise
     iterations: int  # steps of the last solve
-    statistics: Statistics  # of the last second
+    statistics: Statistics  # of the last ``WINDOW`` solves
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
     errors: Array  # (n, 2) history: miss in m, manipulability

@@ -25,7 +25,7 @@ def _servos_answer_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     from robot_ik.hardware import discovery
 
     monkeypatch.setattr(discovery, "listening_time", lambda baud: 0.03)
-    monkeypatch.setattr(discovery, "PING_WAIT", 0.006)
+    monkeypatch.setattr(discovery, "RESPONSE_TIME", 0.006)
     monkeypatch.setattr(discovery, "IDS", range(20))
 
 

@@ -172,7 +172,7 @@ def test_the_name_of_a_port_that_is_there_is_not_taken_over(
 def test_all_signals_that_end_it_are_caught_and_given_back() -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         before, ended = signal.getsignal(number), threading.Event()
-        with console.on_signals(lambda number, frame, ended=ended: ended.set(), *sim_bus.ENDING):
+        with console.on_signals(lambda number, frame, ended=ended: ended.set(), *sim_bus.SIGNALS):
             assert signal.getsignal(number) is not before and not ended.is_set()
             signal.raise_signal(number)
             assert ended.is_set()

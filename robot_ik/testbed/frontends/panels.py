@@ -95,7 +95,7 @@ class RunPanel:
         )
 
     def show(self, view: View) -> None:
-        """State line and menus, once a second and when something changed."""
+        """State line and menus, five times a second."""
         dot, label = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
         if view.dragged:
             dot, label = "#f58220", f"{view.dragged} is dragged"

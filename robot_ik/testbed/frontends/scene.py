@@ -45,7 +45,6 @@ _CLOUD_POINTS = 4000
 _PLATE_RADIUS = 0.21  # of the extent
 _BALL_FACES = 36  # round it
 _NOWHERE = -1e3  # metres: where what is not shown lies
-_GIZMO = 0.22  # of the extent, times 1.5
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from robot_ik.errors import apart
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
@@ -252,10 +252,6 @@ class Tolerant(ScriptStep):
 # Grippers: of a servo of the arm's q, or of an auxiliary one that can be asked how hard to press.
 
 
-GRIPPER = "gripper"
-"""Group of ``robot.toml`` and of the arm file."""
-
-
 def gripper_joints(robot: Robot) -> list[str]:
     """The joints of the group ``gripper`` that are part of q and have servos."""
     return [name for name in robot.file.groups.get(GRIPPER, ()) if name in robot.joints]
@@ -271,7 +267,7 @@ def fingers_on(robot: Robot, joint: JointMap) -> int:
 def width_mm(now: RunState) -> float:
     """Millimetres between the fingers, measured."""
     at = now.arm.positions()
-    joints = now.config.auxiliary_of(GRIPPER)
+    joints = now.config.group(GRIPPER)
     return sum(1e3 * at[joint.name] * fingers_on(now.robot, joint) for joint in joints)
 
 
@@ -295,7 +291,7 @@ class GripperWidth(ScriptStep):
 
     def check_gripper(self, now: RunState) -> None:
         """Whether there is a gripper, and one that can do this; else WrongKey."""
-        joints = now.config.auxiliary_of(GRIPPER)
+        joints = now.config.group(GRIPPER)
         if not joints and (not self.by_opening or not gripper_joints(now.robot)):
             problem = f"the arm of {now.robot.name!r} has no gripper"
             allowed = "an arm file with a servo for a joint of the group gripper (robot.toml)"

@@ -14,12 +14,10 @@ from robot_ik.errors import apart
 from robot_ik.execution import FollowReport, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.hardware.joint_map import JointMap
-from robot_ik.jobs.reach import SOLVE_TOLERANCE
+from robot_ik.hardware.joint_map import GRIPPER, JointMap
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed
 from robot_ik.jobs.script.steps.base import (
-    GRIPPER,
     Action,
     Finding,
     Framed,
@@ -40,6 +38,7 @@ from robot_ik.jobs.script.steps.base import (
     require_keyframe,
     width_mm,
 )
+from robot_ik.jobs.verdict import SOLVE_TOLERANCE
 from robot_ik.motion.line import line_move
 from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import Trajectory, joint_move
@@ -276,7 +275,7 @@ class GripStep(GripperWidth, Move):
             StepFailed: Something is between them that should not be, or nothing that should.
             RobotIkError: Of the arm.
         """
-        joints = now.config.auxiliary_of(GRIPPER)
+        joints = now.config.group(GRIPPER)
         if not joints:
             super().run(now, result)
             return
