@@ -102,18 +102,6 @@ def fitted_camera(
     return target - (away + depth) * forward, target
 
 
-def bodies_shown(model: mujoco.MjModel, body: int) -> list[int]:
-    """Geoms of a body that MuJoCo shows by default, floors left out."""
-    first, count = int(model.body_geomadr[body]), int(model.body_geomnum[body])
-    return [
-        g
-        for g in range(first, first + count)
-        if model.geom_group[g] < 3
-        and model.geom_rgba[g, 3] > 0
-        and model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE
-    ]
-
-
 def hexadecimal(colour: Colour) -> str:
     """As CSS has it."""
     return "#{:02x}{:02x}{:02x}".format(*colour)

@@ -7,8 +7,8 @@ import io
 import numpy as np
 import pytest
 
+from robot_ik.camera.drawing.meshes import visible_geoms
 from robot_ik.robot import load_robot
-from robot_ik.testbed.arrangement import bodies_shown
 
 pytest.importorskip("viser", reason="needs the extra web")
 import trimesh
@@ -24,10 +24,12 @@ def test_a_robot_has_the_shape_of_its_geoms_in_few_enough_faces_for_a_browser(na
     drawn = list(body_meshes(model))
     assert sum(len(mesh.faces) for _, mesh in drawn) < most
     bodies = [body for body, _ in drawn]
-    assert sorted(set(bodies)) == [body for body in range(model.nbody) if bodies_shown(model, body)]
+    assert sorted(set(bodies)) == sorted(set(model.geom_bodyid[visible_geoms(model)]))
     for body, mesh in drawn if name == "panda" else ():  # of the figure mjviser's own take seconds
         if bodies.count(body) == 1:
-            fine = conversions.merge_geoms(model, bodies_shown(model, body))
+            fine = conversions.merge_geoms(
+                model, [g for g in visible_geoms(model) if model.geom_bodyid[g] == body]
+            )
             seen = trimesh.load(io.BytesIO(mesh.glb), file_type="glb", force="mesh", process=False)
             assert np.abs(seen.bounds - fine.bounds).max() < 0.004
             colours = [set(map(tuple, one.visual.vertex_colors)) for one in (seen, fine)]

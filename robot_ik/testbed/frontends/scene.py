@@ -18,7 +18,7 @@ import viser
 from numpy.typing import NDArray
 from viser import _messages as vm
 
-from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere
+from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere, visible_geoms
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -27,7 +27,6 @@ from robot_ik.testbed.arrangement import (
     INSTANCE_COLOURS,
     Colour,
     arranged,
-    bodies_shown,
     linear,
 )
 from robot_ik.testbed.session import View
@@ -58,9 +57,9 @@ class BodyMesh:
 
 def body_meshes(model: mujoco.MjModel) -> Iterator[tuple[int, BodyMesh]]:
     """(body, mesh) with what MuJoCo shows by default; a body is one mesh, but for what has a texture."""
-    whole = cached_mesh(model)
+    whole, visible = cached_mesh(model), visible_geoms(model)
     for body in range(model.nbody):
-        geoms = bodies_shown(model, body)
+        geoms = [g for g in visible if model.geom_bodyid[g] == body]
         plain = [g for g in geoms if not _is_patterned(model, g)]
         if others := [g for g in geoms if g not in plain]:
             yield from ((body, mesh) for mesh in _patterned_meshes(model, others))
