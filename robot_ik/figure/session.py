@@ -168,9 +168,10 @@ class FigureSession:
 
     def send(self, command: Command) -> None:
         """Queues a command for the next frame; raises ``TypeError`` for what is none."""
-        if not isinstance(command, Command):
-            known = ", ".join(kind.__name__ for kind in get_args(Command))
-            raise TypeError(f"{command!r} is no command of a figure; there are {known}")
+        known = get_args(Command)
+        if not isinstance(command, known):
+            names = ", ".join(kind.__name__ for kind in known)
+            raise TypeError(f"{command!r} is no command of a figure; there are {names}")
         self._commands.append(command)
 
     def step(self) -> FigureFrame:
