@@ -52,7 +52,8 @@ class ArOptions:
     scale: Annotated[float, single(None, "1; what fits the synthetic table")] = 0.0
     """Drawn size over true size."""
     motion: Annotated[str, arg(metavar="home|wave|follow|FILE.csv|SCRIPT|ARM.toml@PORT")] = "wave"
-    """What the robot does: follow reaches for --marker; a trajectory is replayed; a script (as for
+    """What the robot does: follow reaches for --marker; a trajectory (time_s, and radians for
+    each joint; or a recording of --record) is replayed; a script (as for
     robot-ik run) is played on simulated servos; a live arm is mirrored."""
     marker: int = 9
     """Id of the marker to follow."""
@@ -80,7 +81,7 @@ class ArOptions:
     """A film (extra `video`), the last picture, or a folder of pictures."""
     overwrite: bool = False
     """Replace that file, or such pictures in that folder."""
-    seconds: Annotated[float, single(None, "all; synthetic: the motion, or 4")] = 0.0
+    seconds: Annotated[float | None, single("FLOAT", "all; synthetic: the motion, or 4")] = None
     """How long."""
     size: Annotated[tuple[int, ...], single("W H", "the camera's")] = ()
     """Size of synthetic and live pictures."""
@@ -154,6 +155,7 @@ def make_request(options: ArOptions) -> ArRequest:
         latency_options=LatencyOptions(options.sync, options.predict, options.shift),
         out=Path(options.out or _default_out()),
         size=options.size or None,
+        seconds=options.seconds or 0.0,
     )
 
 
@@ -165,9 +167,11 @@ def _check(options: ArOptions) -> None:
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in size)
     require(len(size) in (0, 2) and fits, "--size", f"{size}", sides)
     require(0.0 <= options.alpha <= 1.0, "--alpha", f"{options.alpha:g}", "0 to 1")
-    for name in ("scale", "delay", "seconds"):
+    for name in ("scale", "delay"):
         value = getattr(options, name)
         require(0.0 <= value < np.inf, f"--{name}", f"{value:g}", "0 or more")
+    seconds = options.seconds
+    require(seconds is None or 0.0 < seconds < np.inf, "--seconds", f"{seconds}", "above 0; left out: all")
     late = options.predict or options.shift or options.delay
     require(
         not late or options.sync == "latest", "--sync",

@@ -16,6 +16,7 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -272,6 +273,18 @@ def counted_on(bar: Progress, what: str) -> Callable[[int, int], None]:
     """A job's count of pictures on a bar: how many are done, and of how many (0: unknown)."""
     task = bar.add_task(what, total=None, note="")
     return lambda done, whole: bar.update(task, completed=done, total=whole or None, note=f"{done} pictures")
+
+
+@contextlib.contextmanager
+def kept(out: Path) -> Iterator[None]:
+    """Says what is in a film, a picture or a folder of pictures where the block ends early."""
+    before = out.stat().st_mtime_ns if out.exists() else 0
+    try:
+        yield
+    except BaseException:
+        if out.exists() and out.stat().st_mtime_ns != before:
+            say(f"kept until here: {out}", "yellow")
+        raise
 
 
 @contextlib.contextmanager

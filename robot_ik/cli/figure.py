@@ -41,7 +41,8 @@ class FigureOptions:
         robot-ik figure --balls balls.csv > decisions.jsonl
         robot-ik figure --ar --camera 0 --intrinsics camera.yaml
 
-    Exit code 0: every hand came to its ball within 5 mm. 1: one did not. 2: wrong input or environment.
+    Exit code 0: every hand came to its ball within 5 mm; none need come to a ball that moves. 1: one did not.
+    2: wrong input or environment.
     """
 
     ball: Annotated[tuple[float, float, float] | None, single("X Y Z")] = None
@@ -118,15 +119,19 @@ def run(options: FigureOptions) -> int:
 
 def _checked(options: FigureOptions) -> FigureOptions:
     """The options, with what they imply; raises ``ConfigError`` where some contradict each other."""
-    if (options.camera or options.ar) and not options.path:
+    for name in (name for name in ("ar", "camera") if getattr(options, name)):
+        other = next((other for other in ("ball", "balls", "tour") if getattr(options, other)), "")
+        require(not other, f"--{name}", f"--{other} is given, too", "one of both; the ball is a marker there")
+        seen = "--path marker: the ball is a marker that it sees"
+        require(options.path in ("", "marker"), f"--{name}", f"--path is {options.path}", seen)
         options = replace(options, path="marker")
     if options.path == "marker" and not options.camera:
         options = replace(options, camera="synthetic")
     asked = [name for name in ("ball", "balls", "path", "tour") if getattr(options, name)]
     if len(asked) > 1:
         raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path, --tour")
-    seen = "--path marker: the ball is a marker that it sees"
-    require(options.path == "marker" or not options.camera, "--camera", f"--path is {options.path}", seen)
+    finite = options.ball is None or bool(np.isfinite(options.ball).all())
+    require(finite, "--ball", f"{options.ball}", "three finite numbers, metres")
     numbers = "three finite numbers: metres, metres, degrees"
     require(bool(np.isfinite(options.place).all()), "--place", f"{options.place}", numbers)
     require(0.0 < options.seconds < np.inf, "--seconds", f"{options.seconds:g}", "more than 0")
@@ -161,11 +166,12 @@ def _finish(robot: Robot, report: FigureReport, options: FigureOptions) -> int:
     if options.record is not None and not options.ar:
         from robot_ik.jobs.figure import record
 
-        with console.progress() as bar:
+        with console.kept(options.record), console.progress() as bar:
             progress = console.counted_on(bar, f"painting {options.record}")
             record(robot, report.frames, options.record, progress, overwrite=options.overwrite)
     _print(report, options)
-    return console.DONE if report.worst <= 0.005 else console.NOT_ACHIEVED
+    came = bool(report.misses) or options.ball is None
+    return console.DONE if came and report.worst <= 0.005 else console.NOT_ACHIEVED
 
 
 def _abilities(robot: Robot) -> Abilities:
@@ -218,6 +224,8 @@ def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFram
     if report.notice:
         console.say(report.notice, style="yellow")
     console.say(f"{report.pictures} pictures, the figure in {report.drawn}: {report.file}")
+    if report.interrupted:
+        raise KeyboardInterrupt
     return iter(frames)
 
 

@@ -79,6 +79,8 @@ class ViewOptions:
     """End by itself."""
     seed: int = 1
     """Of the ball's random places."""
+    overwrite: bool = False
+    """The log, or the recorder's film, may be there from an earlier run: it is replaced."""
 
 
 def run(options: ViewOptions) -> int:
@@ -91,7 +93,7 @@ def run(options: ViewOptions) -> int:
     endless = "above 0, at most 1e6; left out: until Ctrl-C"
     require(0.0 <= options.seconds <= 1e6, "--seconds", f"{options.seconds:g} s", endless)
     viewer = choose_viewer(options.viewer)
-    with claimed(options.log, overwrite=True):
+    with claimed(options.log, overwrite=options.overwrite):
         return _view(options, viewer)
 
 
@@ -115,11 +117,18 @@ def choose_viewer(asked: str) -> str:
     return "recorder"
 
 
+def require_methods_fit(methods: tuple[str, ...], count: int) -> None:
+    """Raises ``ConfigError`` for a method that no robot would have."""
+    many = f"{len(methods)} methods for {count} robot{'s' * (count > 1)}"
+    require(len(methods) <= count, "--method", many, "--count 2 or 4, or fewer methods")
+
+
 def _view(options: ViewOptions, viewer: str) -> int:
     from robot_ik.testbed.commands import CommandLog, Start, checked_start
 
     robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
+    require_methods_fit(options.method, options.count)
     start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
     with contextlib.ExitStack() as stack:
         server = None
@@ -129,7 +138,8 @@ def _view(options: ViewOptions, viewer: str) -> int:
             from robot_ik.jobs.testbed import film
 
             out = Path("testbed.mp4")
-            film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=True)
+            with console.kept(out):
+                film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
             console.say(f"filmed: {out}")
             return console.DONE
         return _run(start, options, viewer, server)
@@ -146,6 +156,8 @@ def _open_server(options: ViewOptions) -> PageServer:
         shadows=options.shadows,
     )  # fmt: skip
     console.result(f"the testbed is at {server.url}")
+    if server.url_outside:
+        console.result(f"from other machines: {server.url_outside}")
     if options.open:
         webbrowser.open(server.url)
     return server
@@ -300,7 +312,11 @@ def run_video(options: VideoOptions) -> int:
     log, out = _log(options), options.files[-1]
     from robot_ik.jobs.testbed import film
 
-    with claimed(options.csv, options.record, overwrite=options.overwrite), console.progress() as bar:
+    with (
+        claimed(options.csv, options.record, overwrite=options.overwrite),
+        console.kept(out),
+        console.progress() as bar,
+    ):
         task = bar.add_task("filming", total=None, note="")
         view = film(
             log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
@@ -325,5 +341,6 @@ def _log(options: VideoOptions) -> CommandLog:
     require(options.seconds > 0.0, "--seconds", "no log and no length", "--seconds N, above 0")
     if options.count not in COUNTS:
         raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
+    require_methods_fit(options.method, options.count)
     start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
     return CommandLog(replace(start, count=options.count), ())

@@ -139,6 +139,10 @@ class Abilities:
         """The natural pose at a ball, or the one that comes nearest."""
         return find_pose(self.figure, ball, arm, kind, self.maps[kind, arm].nearby(ball))
 
+    def top(self, arm: str) -> float:
+        """No jump brings a palm higher, m."""
+        return highest_take_off(self.figure) + TAKE_OFF**2 / (2 * GRAVITY) + _summit(self.figure, arm)
+
     def _highest(self, arm: str, xy: Array) -> Array:
         """(3,) as high as a palm comes at (2,) over the centre of mass; the latest point is remembered."""
         known = self.figure.memory.setdefault(f"highest {arm}", {})

@@ -37,8 +37,9 @@ _HEADINGS = np.radians(np.arange(-180.0, 180.0, 15.0))
 _RADIUS, _PER_RADIAN, _TALL = 0.35, 0.35, 1.9
 _CELL = 0.1
 # How many of the best stand points are looked at, how many balls seen from there are tried by a solve, and
-# each from so many poses.
+# each from so many poses; so many times more of both for a ball this near, m, for the best are on its feet.
 _TRIES, _SOLVES, _FEW = 6, 3, 3
+_MORE, _AT_FEET = 4, 0.3
 
 
 @dataclass(frozen=True)
@@ -187,21 +188,25 @@ class Decider:
 
     def _walk(self, ball: Array, stance: Array) -> Decision:
         """To the cheapest free stand point from which the ball can be had, on a free path."""
+        away = float(np.linalg.norm(ball[:2] - stance[:2]))
+        more = _MORE if away < _AT_FEET else 1
         for kind, verb in ((REACH, "reached"), (BEND, "reached bending"), ("jump", "reached jumping")):
             able: dict[tuple[str, bytes], bool] = {}  # many stand points see the ball alike
-            for stand, arm, local in self._stands(kind, ball, stance)[:_TRIES]:
+            for stand, arm, local in self._stands(kind, ball, stance, more)[: more * _TRIES]:
                 seen = arm, local.tobytes()
-                if seen not in able and len(able) < _SOLVES:
+                if seen not in able and len(able) < more * _SOLVES:
                     able[seen] = self._able(kind, local, arm)
                 if not able.get(seen):
                     continue
                 waypoints = self.path(stance, stand)
                 if waypoints is not None:
-                    away = f"{float(np.linalg.norm(ball[:2] - stance[:2])):.2f} m away"
-                    reason = f"the ball is {away}: it can be {verb} with the {arm} hand from nearer"
+                    nearer = float(np.linalg.norm(ball[:2] - stand[:2])) < away
+                    how = f"{verb} with the {arm} hand from {'nearer' if nearer else 'farther off'}"
+                    reason = f"the ball is {away:.2f} m away: it can be {how}"
                     return Decision("walk", arm, reason, waypoints[-1], waypoints, kind)
-        reason = "no free stand point brings the ball within reach"
-        if not self.obstacles:
+        free = "free " if self.obstacles else ""
+        reason = f"no {free}stand point was found from which a hand reaches the ball"
+        if ball[2] > max(map(self.abilities.top, self.figure.hands)):
             reason = f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
         return Decision("nothing", None, reason)
 
@@ -210,7 +215,7 @@ class Decider:
             return self.abilities.take_off(local, arm) is not None
         return self.abilities.can(kind, local, arm, _FEW) is not None
 
-    def _stands(self, kind: str, ball: Array, stance: Array) -> list[tuple[Array, str, Array]]:
+    def _stands(self, kind: str, ball: Array, stance: Array, more: int = 1) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
         stands, balls, sides, arms = [], [], [], list(self.figure.hands)
         headings = _HEADINGS + stance[2]
@@ -234,7 +239,7 @@ class Decider:
         comfort = np.abs(locals_[:, 0] - 0.4) + np.abs(locals_[:, 1] - lateral)
         cost = distance + _PER_RADIAN * angle + 0.8 * comfort
         cost[~self.free(points[:, :2])] = np.inf
-        few = min(4 * _TRIES, len(cost))
+        few = min(4 * more * _TRIES, len(cost))
         least = np.sort(np.argpartition(cost, few - 1)[:few])
         order = least[np.argsort(cost[least], kind="stable")]
         picks = [i for i in order if np.isfinite(cost[i])]

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,14 +23,23 @@ from robot_ik.figure.frames import SLICE, Slices
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
+from robot_ik.goals import vector
 from robot_ik.ports import Array
 
 
 @dataclass(frozen=True)
 class SetBall:
-    """Puts the ball somewhere, m; None takes it away."""
+    """Puts the ball somewhere, m; None takes it away.
+
+    Raises:
+        InvalidGoalError: Not three finite numbers.
+    """
 
     ball: tuple[float, float, float] | None
+
+    def __post_init__(self) -> None:
+        if self.ball is not None:
+            vector(self.ball, 3, "ball")
 
 
 @dataclass(frozen=True)
@@ -157,7 +167,11 @@ class FigureSession:
         return self._planning is not None
 
     def send(self, command: Command) -> None:
-        """Queues a command for the next frame."""
+        """Queues a command for the next frame; raises ``TypeError`` for what is none."""
+        known = get_args(Command)
+        if not isinstance(command, known):
+            names = ", ".join(kind.__name__ for kind in known)
+            raise TypeError(f"{command!r} is no command of a figure; there are {names}")
         self._commands.append(command)
 
     def step(self) -> FigureFrame:

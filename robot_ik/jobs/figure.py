@@ -99,17 +99,17 @@ def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
     """Balls of a CSV file: x, y, z in each row, m; a first row of names may be there.
 
     Raises:
-        ConfigError: No row, or not three numbers in one.
+        ConfigError: No row, or not three finite numbers in one.
     """
     rows = [row for row in read_csv(file, "table of balls") if row]
     if rows and not _number(rows[0][0]):
         rows = rows[1:]
     found = []
     for number, row in enumerate(rows, start=1):
-        if len(row) != 3 or not all(_number(cell) for cell in row):
+        if len(row) != 3 or not all(_number(cell) and math.isfinite(float(cell)) for cell in row):
             raise ConfigError(
                 f"row {number} is {shown(', '.join(row))}",
-                file=file, key="x, y, z", allowed="three numbers, metres",
+                file=file, key="x, y, z", allowed="three finite numbers, metres",
             )  # fmt: skip
         found.append((float(row[0]), float(row[1]), float(row[2])))
     if not found:

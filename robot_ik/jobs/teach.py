@@ -125,8 +125,9 @@ def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
             raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error
     if sorted(motion.joints) != sorted(joints):
         raise ConfigError(
-            f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}"
-        )
+            f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}",
+            hint="servo teach records the gripper, too; what a reach recorded is drawn by ar --motion",
+        )  # fmt: skip
     order = [motion.joints.index(name) for name in joints]
     return Trajectory(motion.times, motion.q[:, order], joints)
 

@@ -27,6 +27,7 @@ from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
+from robot_ik.robot_file import catalogue
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.arrangement import GOAL_COLOUR
 from robot_ik.testbed.commands import CommandLog
@@ -44,11 +45,9 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
     robot = load_robot(name)
     path = arm_file or robot.arm_file
     if path is None:
-        raise ConfigError(
-            f"{robot.name} comes without an arm file",
-            file=robot.folder, key="arm.toml",
-            allowed="--arm FILE, or a robot that has one: tabletop_puma, koch_v11, omx_f, wx250s, vx300s",
-        )  # fmt: skip
+        having = [known for known, folder in catalogue().items() if (folder / "arm.toml").is_file()]
+        allowed = f"--arm FILE, or a robot that has one: {', '.join(having)}"
+        raise ConfigError("comes without an arm file", file=robot.name, allowed=allowed)
     config = ArmConfig.load(path)
     require_joints(robot, config, path)
     start = robot.home[[robot.joints.index(joint) for joint in config.names]]

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import io
 import math
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,9 @@ def checked_samples(
     return t, rows
 
 
-_TIME_COLUMN = "time_s"
+_TIME_COLUMN, _ROBOT_COLUMN = "time_s", "robot"
+_COMMANDED = re.compile(r"commanded\.(.+)$|(.+)_commanded$")
+"""A column of what ``jobs.recording`` and ``jobs.reach_files`` write, beside what was measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,6 +238,9 @@ class Trajectory:
     def load_csv(cls, path: Path | str) -> Trajectory:
         """Reads what `save_csv` wrote.
 
+        Of a recording, or of the table of a reach, what was commanded (``commanded.JOINT``,
+        ``JOINT_commanded``), without the rows in which nothing was.
+
         Raises:
             ConfigError: The file is missing or is not such a table; names the line.
         """
@@ -243,13 +249,20 @@ class Trajectory:
         head = rows[0] if rows else []
         if head[:1] != [_TIME_COLUMN] or len(head) < 2:
             raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
-        columns = range(len(head))
-        samples = [csv_numbers(row, columns, len(head), source, k) for k, row in enumerate(rows[1:], 2)]
+        names = {k: found[1] or found[2] for k, name in enumerate(head) if (found := _COMMANDED.match(name))}
+        width, columns = len(head), names or dict(enumerate(head[1:], 1))
+        kept = [
+            (k, row) for k, row in enumerate(rows[1:], 2)
+            if not names or len(row) != width or any(row[c] for c in names)
+        ]  # fmt: skip
+        samples = [csv_numbers(row, [0, *columns], width, source, k) for k, row in kept]
         if not samples:
             raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
+        if names and head[1] == _ROBOT_COLUMN and len({row[1] for _, row in kept}) > 1:
+            raise ConfigError("is of several robots", file=source, key=_ROBOT_COLUMN, allowed="of one robot")
         table = np.array(samples)
         try:
-            return cls(table[:, 0], table[:, 1:], head[1:])
+            return cls(table[:, 0], table[:, 1:], columns.values())
         except TrajectoryError as error:
             raise ConfigError(str(error), file=source) from error
 

@@ -161,6 +161,7 @@ def test_wrong_input(
         ("[]", "recording"),
         ('{"joints": ["joint1"], "time_s": [0]}', "q_rad"),
         ('{"joints": ["a"], "time_s": [0.0], "q_rad": [[0.0]]}', "joint1"),
+        ('{"joints": ["a"], "time_s": [0.0], "q_rad": [[0.0]]}', "ar --motion"),
         ('{"joints": ["joint1"], "time_s": [0.0], "q_rad": [["x"]]}', "recording"),
         ('{"joints": ["joint1"], "time_s": [0.0, 0.0], "q_rad": [[1.0], [1.0]]}', "increase"),
     ],

@@ -54,12 +54,20 @@ def test_every_action_is_decided_anywhere(
     [
         (None, "no ball is seen"), ((np.nan, 0, 1), "no ball is seen"), ((0.0, 0.0, 1.3), "inside its torso"),
         ((1.0, 0.0, -0.1), "10 cm under the floor"), ((30.0, 0.0, 1.0), "outside the workspace of 8 m"),
-        ((0.5, 0.5, 3.2), "out of reach, jumping too"),
+        ((0.5, 0.5, 3.2), "out of reach, jumping too"), ((0.0, 0.0, 0.0), "no stand point was found"),
     ],
 )  # fmt: skip
 def test_nothing_says_why(decider: Decider, ball: tuple[float, ...] | None, reason: str) -> None:
     found = decider.decide(ball)
     assert found.action == "nothing" and reason in found.reason
+
+
+@pytest.mark.parametrize("ball", [(0.0, 0.0, 0.05), (-0.05, 0.0, 0.05), (-0.05, 0.1, 0.05)])
+def test_a_ball_between_the_feet_is_stepped_away_from(
+    decider: Decider, ball: tuple[float, float, float]
+) -> None:
+    found = decider.decide(ball)
+    assert found.action == "walk" and found.then == BEND and "from farther off" in found.reason
 
 
 def test_two_balls_are_refused(decider: Decider) -> None:

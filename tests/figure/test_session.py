@@ -14,7 +14,7 @@ from PIL import Image as Pictures
 
 from robot_ik.bench.figure import measure_motion
 from robot_ik.cli.main import main
-from robot_ik.errors import ConfigError, OutputError
+from robot_ik.errors import ConfigError, InvalidGoalError, OutputError
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.session import (
     FigureFrame,
@@ -129,19 +129,30 @@ def test_the_command_prints_decisions_and_writes_frames(
     abilities: Abilities, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     balls = tmp_path / "balls.csv"
-    balls.write_text("x,y,z\n0.45,-0.25,1.2\n0.5,-0.2,0.3\nnan,0,1\n")
+    balls.write_text("x,y,z\n0.45,-0.25,1.2\n0.5,-0.2,0.3\n0.5,0.5,3.2\n")
     assert main(["figure", "--balls", str(balls)]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
-    assert rows[2]["ball"] == [None, 0.0, 1.0]  # JSON knows no NaN
+    assert rows[2]["ball"] == [0.5, 0.5, 3.2]
+    assert main(["figure", "--ball", "0.5", "0.5", "3.2", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["misses"] == []
     out = tmp_path / "frames.csv"
     assert main(["figure", "--ball", "0.45", "0.25", "1.1", "--frames", str(out), "--json"]) == 0
     reported = json.loads(capsys.readouterr().out)
     assert reported["decisions"][0]["arm"] == "left" and reported["misses"][0]["miss_m"] < 0.005
     assert len(out.read_text().splitlines()) == reported["frames"] + 3
-    balls.write_text("1,2\n")
-    with pytest.raises(ConfigError, match="row 1"):
-        read_balls(balls)
+    for row in ("1,2", "nan,0,1", "0.5,0,inf"):
+        balls.write_text(f"{row}\n")
+        with pytest.raises(ConfigError, match="row 1"):
+            read_balls(balls)
+
+
+def test_a_session_takes_only_its_commands(abilities: Abilities) -> None:
+    with pytest.raises(TypeError, match=r"'jump' is no command .* SetBall, SetMode"):
+        FigureSession(abilities).send("jump")  # type: ignore[arg-type]
+    for ball in ((np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 1.0)):
+        with pytest.raises(InvalidGoalError, match="ball"):
+            SetBall(ball)  # type: ignore[arg-type]
 
 
 def test_a_film_shows_the_figure_its_ball_and_the_whole_reason(abilities: Abilities, tmp_path: Path) -> None:
@@ -193,17 +204,21 @@ def test_the_lion_is_a_figure_of_the_command(tmp_path: Path, capsys: pytest.Capt
 
 
 @pytest.mark.parametrize(
-    "argv",
+    ("argv", "said"),
     [
-        ["--ball", "1", "2", "3", "--path", "circle"], ["--camera", "synthetic", "--path", "circle"],
-        ["--place", "nan", "0", "0"], ["--seconds", "0"], ["--path", "circle", "--seconds", "nan"],
-        ["--model", "puma560"], ["--model", "lion", "--path", "circle"], ["--balls", "missing.csv"],
-        ["--ar", "--viewer"], ["--camera", "missing.mp4", "--ar"], ["--ar", "--scale", "-1"],
+        ("--ball 1 2 3 --path circle", "--path: --ball"), ("--ball nan 0 0", "--ball"),
+        ("--ball 0 inf 0", "--ball"), ("--camera synthetic --path circle", "--camera: --path is circle"),
+        ("--ar --path circle", "--ar: --path is circle"), ("--place nan 0 0", "--place"),
+        ("--ar --ball 0.5 0 1", "--ar: --ball is given, too"), ("--camera 0 --tour x", "--camera: --tour is"),
+        ("--seconds 0", "--seconds"), ("--path circle --seconds nan", "--seconds"), ("--model puma560", ""),
+        ("--model lion --path circle", "--model"), ("--balls missing.csv", "missing.csv"),
+        ("--ar --viewer", "--viewer"), ("--camera missing.mp4 --ar", "missing.mp4"), ("--ar --scale -1", ""),
     ],
 )  # fmt: skip
-def test_wrong_input_is_refused(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["figure", *argv]) == 2
-    assert capsys.readouterr().err.strip()
+def test_wrong_input_is_refused(argv: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["figure", *argv.split()]) == 2
+    complaint = capsys.readouterr().err.strip()
+    assert complaint and said in complaint
 
 
 def test_the_figure_knows_no_front_end_camera_or_bus() -> None:

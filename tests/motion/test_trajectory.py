@@ -257,6 +257,21 @@ def test_csv_has_a_header_that_a_person_reads(tmp_path):
     assert Trajectory.load_csv(tmp_path / "t.csv").joints == ("waist", "arm, upper")
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s,robot,commanded.a,commanded.b,measured.a,measured.b,text\n0,0,1,2,,,\n1,0,,,5,6,on\n2,0,3,4,7,8,\n",
+        "time_s,a_commanded,b_commanded,a_measured,b_measured\n0,1,2,5,6\n2,3,4,7,8\n",
+    ],
+    ids=["recording", "reach"],
+)
+def test_what_was_commanded_is_read_from_tables_of_what_was_measured(tmp_path, text):
+    (tmp_path / "t.csv").write_text(text)
+    again = Trajectory.load_csv(tmp_path / "t.csv")
+    assert again.joints == ("a", "b") and again.times.tolist() == [0.0, 2.0]
+    assert again.q.tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
 def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
     path = Trajectory([0.0], [[0.0]], ["a"])
     with pytest.raises(OutputError, match="cannot write"):
@@ -277,6 +292,9 @@ def test_csv_into_nowhere_is_said_and_leaves_nothing(tmp_path):
         ("time_s,a\n0,1\n1\n", "line 3"),
         ("time_s,a\n1,1\n0,1\n", "must increase"),
         ("time_s,a\n0,nan\n", "not finite"),
+        ("time_s,robot,commanded.a,measured.a\n0,0,1,\n0,1\n", "line 3"),
+        ("time_s,robot,commanded.a,measured.a\n0,1,1,\n0,2,1,\n", "several robots"),
+        ("time_s,robot,commanded.a,measured.a\n0,0,,1\n", "no samples"),
     ],
 )
 def test_a_broken_csv_names_the_line(tmp_path, text, said):

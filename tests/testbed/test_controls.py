@@ -5,14 +5,18 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.bench.page import PageClient
+from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.panels import joint_bars
 from robot_ik.testbed.session import Session
 from tests.waiting import LONG, wait_for
 
@@ -123,3 +127,20 @@ def test_a_model_is_loaded_by_its_path(controls: tuple[Page, PageClient, Sent]) 
         session.send(SetRobot("arms/mine.xml"))
         session.tick()
         assert session.view().message == "there is no file arms/mine.xml"
+
+
+def test_a_plot_of_distances_has_ticks_at_decades_only(controls: tuple[Page, PageClient, Sent]) -> None:
+    plots = controls[0]._measured._plots
+    for (_, name), plot in plots.items():
+        splits = plot.axes[1].get("splits")
+        assert (splits is not None) == name.startswith("distance")
+        if splits is not None:
+            assert np.diff(np.log10(splits)) == pytest.approx(1.0)
+
+
+def test_no_joint_stands_at_minus_zero() -> None:
+    robot = load_robot("tabletop_puma")
+    q = np.full(robot.nq, -1e-9)
+    view = SimpleNamespace(instances=[SimpleNamespace(q=q)])
+    shown = joint_bars(view, robot)  # type: ignore[arg-type]
+    assert ">0.0°<" in shown and "-0.0" not in shown

@@ -17,7 +17,7 @@ from robot_ik.jobs.testbed import film
 from robot_ik.testbed.arrangement import GOAL_COLOUR, INSTANCE_COLOURS
 from robot_ik.testbed.commands import KEYMAP, CommandLog, MoveGoal, SetCount, SetMethod, SetSpeed, Start
 from robot_ik.testbed.frontends.recorder import Recorder
-from robot_ik.testbed.session import Session, replayed
+from robot_ik.testbed.session import Session, View, replayed
 
 SCRIPT = CommandLog(
     Start("tabletop_puma"),
@@ -139,6 +139,44 @@ def test_view_opens_the_page_writes_its_log_and_ends(
     assert "http://127.0.0.1:87" in capsys.readouterr().out
     again = CommandLog.load(log)
     assert again.start.robot == "tabletop_puma" and again.digest
+    assert main([*arguments.split(), str(log)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert main([*arguments.split(), str(log), "--overwrite"]) == 0
+
+
+def test_a_film_of_the_recorder_is_overwritten_only_when_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("av", reason="needs the extra video")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "testbed.mp4").write_text("mine")
+    arguments = ["view", "--robot", "tabletop_puma", "--viewer", "recorder", "--seconds", "0.02"]
+    assert main(arguments) == 2
+    assert "--overwrite" in capsys.readouterr().err and (tmp_path / "testbed.mp4").read_text() == "mine"
+    assert main([*arguments, "--overwrite"]) == 0
+    assert (tmp_path / "testbed.mp4").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("suffix", [".gif", ""])
+def test_a_film_that_is_interrupted_says_what_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    if suffix:
+        pytest.importorskip("av", reason="needs the extra video")
+    drawn: list[View] = []
+    draw = Recorder.draw
+
+    def interrupted(self: Recorder, view: View) -> object:
+        drawn.append(view)
+        if len(drawn) > 3:
+            raise KeyboardInterrupt
+        return draw(self, view)
+
+    monkeypatch.setattr(Recorder, "draw", interrupted)
+    out = tmp_path / f"film{suffix}"
+    small = ["--robot", "tabletop_puma", "--seconds", "2", "--size", "96", "64", "--backend", "painter"]
+    assert main(["video", str(out), *small]) == 130
+    assert f"kept until here: {out}" in capsys.readouterr().err.replace("\n", "") and out.exists()
 
 
 def test_the_viewer_is_chosen_and_said(
@@ -164,6 +202,7 @@ def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -
     assert main(["view", "--count", "3", "--no-open"]) == 2
     assert main(["view", "--robot", "puma561", "--no-open"]) == 2
     for wrong, said in (
+        ("--method lm ccd", "2 methods for 1 robot"),
         ("--method newton", "newton"), ("--method dls lm ccd sdls bfgs", "methods"), ("--seed -5", "seed"),
         ("--seconds -1", "--seconds"), ("--port 99999", "99999"), ("--host 192.0.2.1", "192.0.2.1"),
     ):  # fmt: skip
@@ -171,4 +210,5 @@ def test_wrong_options_of_view_are_refused(capsys: pytest.CaptureFixture[str]) -
         assert main(arguments.split()) == 2
         assert said in capsys.readouterr().err
     assert main(["view", "--bus", "sim", "--robot", "panda", "--no-open"]) == 2
-    assert "arm file" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "panda: comes without an arm file" in said and "puma560" in said and "arm.toml" not in said

@@ -10,6 +10,7 @@ pytest.importorskip("viser", reason="needs the extra web")
 from viser._messages import EnableLightsMessage
 
 from robot_ik.bench.page import PageClient
+from robot_ik.cli.main import main
 from robot_ik.testbed.frontends import page_server
 from robot_ik.testbed.frontends.page_server import PageServer
 from tests.waiting import wait_for
@@ -23,6 +24,18 @@ def _lights(opened: PageServer) -> list[bool]:
     ]  # fmt: skip
     messages = [message for buffer in buffers for message in list(buffer.message_from_id.values())]
     return [message.cast_shadow for message in messages if isinstance(message, EnableLightsMessage)]
+
+
+def test_the_address_for_other_machines_is_named_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(page_server, "own_address", lambda: "192.0.2.7")
+    argv = "--robot tabletop_puma --no-open --no-camera --viewer browser --seconds 0.1 --port 8795"
+    for host, outside in (("0.0.0.0", True), ("127.0.0.1", False)):
+        assert main(["view", "--host", host, *argv.split()]) == 0
+        said = capsys.readouterr().out
+        assert "http://127.0.0.1:879" in said and ("http://192.0.2.7:879" in said) == outside
+        assert said.count("token=") == 2 * outside
 
 
 def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,7 +122,9 @@ class Gate:
         """Why a request is refused, as text; empty when it may pass."""
         host = request.headers.get_all("Host")
         if len(host) != 1 or host[0].lower() not in self._hosts(connection):
-            return "this server is not known under that name"
+            return (
+                "this server is not known under that name: use its address, or start it with --host-name NAME"
+            )
         upgrade = _is_upgrade(request)
         origin = request.headers.get_all("Origin")
         if (upgrade and not origin) or any(one.lower() != f"http://{host[0].lower()}" for one in origin):

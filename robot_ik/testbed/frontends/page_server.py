@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import socket
 import zipfile
 from collections.abc import Iterator
 from typing import Any
@@ -37,6 +38,7 @@ class PageServer(contextlib.AbstractContextManager["PageServer"]):
     Attributes:
         server, gate: See ``open_server``.
         url: Where a browser finds the page, with its token if it needs one.
+        url_outside: Where other machines find it; empty: nowhere, or ``url`` is it.
         dark: Whether it is.
 
     Raises:
@@ -55,8 +57,10 @@ class PageServer(contextlib.AbstractContextManager["PageServer"]):
     ) -> None:
         self.server, self.gate = open_server(host, port, token=token, names=names)
         query = f"?token={self.gate.token}" if self.gate.token else ""
-        shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-        self.url = f"http://{shown}:{self.server.get_port()}/{query}"
+        every = host in ("0.0.0.0", "::")
+        outside, behind = own_address() if every else "", f":{self.server.get_port()}/{query}"
+        self.url = f"http://{'127.0.0.1' if every else host}{behind}"
+        self.url_outside = f"http://{outside}{behind}" if outside else ""
         with self.server.atomic():
             self.server.gui.set_panel_label("robot_ik testbed")
             self.server.scene.configure_environment_map("warehouse", environment_intensity=0.45)
@@ -95,6 +99,14 @@ class PageServer(contextlib.AbstractContextManager["PageServer"]):
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+def own_address() -> str:
+    """This machine's address in its network; empty where it is in none."""
+    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # of documentation: chooses the way there, and sends nothing
+        return str(probe.getsockname()[0])
+    return ""
 
 
 @contextlib.contextmanager

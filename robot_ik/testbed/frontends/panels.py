@@ -46,6 +46,7 @@ _ARM_LABELS = {
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
+_DECADES = (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)  # its ticks: those between become grey blocks
 _JOINTS_SHOWN = 8
 _STOP_HEIGHT = 52  # px
 
@@ -361,7 +362,7 @@ class ArmPanel:
 
 
 def _cell(value: float | None, digits: int = 0, unit: str = "") -> str:
-    return "–" if value is None else f"{value:.{digits}f}{unit}"
+    return "–" if value is None else f"{value:z.{digits}f}{unit}"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -393,10 +394,11 @@ class MeasuredPanel:
             "font": "11px system-ui",
         }  # fmt: skip
         scale: Any = {"distr": 3, "range": _ERROR_RANGE} if self._PLOTS[name][1] else {"range": (0.0, 1.0)}
+        decades: Any = {"splits": _DECADES} if self._PLOTS[name][1] else {}
         return gui.add_uplot(
             (np.linspace(0.0, 1.0, 2), *(np.ones(2) for _ in range(n))), ({"label": "s"}, *lines),
             height=190, title=f"{name}, over seconds", scales={"x": {"time": False}, "y": scale},
-            axes=(axis, axis | {"size": 56}), legend=uplot.Legend(show=False),
+            axes=(axis, axis | {"size": 56} | decades), legend=uplot.Legend(show=False),
             cursor=uplot.Cursor(show=False), padding=(12, 14, 0, 0), visible=False,
         )  # fmt: skip
 
@@ -473,7 +475,7 @@ def joint_bars(view: View, robot: Robot) -> str:
     for i in order:
         marks = "".join(_mark(k, share) for k, share in enumerate(shares[:, i].tolist()))
         angle = model.jnt_type[ids[i]] == _HINGE
-        value = f"{np.degrees(angles[0, i]):.1f}°" if angle else f"{1e3 * angles[0, i]:.0f} mm"
+        value = f"{np.degrees(angles[0, i]):z.1f}°" if angle else f"{1e3 * angles[0, i]:z.0f} mm"
         name = html.escape(model.joint(ids[i]).name)
         rows += f'<tr><td>{name}</td><td class="w"><div class="bar">{marks}</div></td><td>{value}</td></tr>'
     head = "joint" if len(ids) <= _JOINTS_SHOWN else f"nearest to a limit, of {len(ids)}"
