@@ -19,10 +19,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import require
 from robot_ik.errors import (
     BusNotOpenError,
-    ConfigError,
     HardwareError,
     RobotIkError,
-    UnknownRobotError,
     UnsafeCommandError,
 )
 from robot_ik.hardware import BUSES, bus_row
@@ -51,15 +49,13 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
 
 
 def resolved_robot(arm: Path | None, bus: str) -> str:
-    """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
+    """The robot where none is named: the arm's; at a port the one that servos move; else the shown one.
 
     Raises:
-        ConfigError: The arm file is wrong.
+        UnknownRobotError, ConfigError: As ``ArmConfig.load``.
     """
     if arm:
-        from robot_ik.hardware.config import ArmConfig
-
-        return ArmConfig.load(arm).robot
+        return load_arm(arm).robot
     return SHOWN_ROBOT if bus == NONE or bus_row(bus).virtual else SERVO_ROBOT
 
 
@@ -114,28 +110,11 @@ def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
         yield port.path
 
 
-def load_arm(name: str) -> ArmConfig:
-    """The arm file of that path, or the one beside a robot of the catalogue.
-
-    Raises:
-        UnknownRobotError: Neither a file nor a robot of the catalogue.
-        ConfigError: The robot has no arm file, or the file is wrong.
-    """
+def load_arm(name: str | Path) -> ArmConfig:
+    """``ArmConfig.load``, which is imported when an arm is asked for and not before."""
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.robot_file import catalogue
 
-    require(bool(name), "--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
-    known = catalogue()
-    path = Path(name).expanduser()
-    if name in known:
-        path = known[name] / "arm.toml"
-        if not path.is_file():
-            raise ConfigError(
-                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
-            )
-    elif not path.suffix and not path.exists() and path.name == name:
-        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
-    return ArmConfig.load(path)
+    return ArmConfig.load(name)
 
 
 @contextmanager

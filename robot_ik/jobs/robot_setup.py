@@ -56,7 +56,7 @@ class ArmRequest:
         robot: Catalogue name, or path of an MJCF or URDF file.
         frame: What shall be moved; None: the tool, or what carries the scene's markers.
         bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
+        arm_file: As for ``ArmConfig.load``; None: the one beside the model, else a generic one.
         speed: Share of the joints' speed limits.
         seed: Of planning, restarts and simulated noise.
         view: Mirror the motion in a window.
@@ -289,12 +289,12 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 
-def require_joints(robot: Robot, config: ArmConfig, path: Path) -> None:
+def require_joints(robot: Robot, config: ArmConfig) -> None:
     """Raises ``ConfigError`` where an arm file has joints that the robot has not."""
     if strangers := [joint for joint in config.names if joint not in robot.joints]:
         raise ConfigError(
             f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
-            file=path, key="joints", allowed=", ".join(robot.joints),
+            file=config.file or config.name, key="joints", allowed=", ".join(robot.joints),
         )  # fmt: skip
 
 
@@ -319,7 +319,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
     if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
         with contextlib.suppress(UnknownJointError):
             robot = load_robot(name, joints=config.names)
-    require_joints(robot, config, path)
+    require_joints(robot, config)
     if len(config.joints) < len(robot.joints):
         robot = load_robot(name, joints=config.names)
     by_name = {joint.name: joint for joint in config.joints}

@@ -126,6 +126,8 @@ def arm_file(tmp_path: Path, old: str, new: str) -> Path:
         (["--bus", "/dev/null"], ["not a serial port"]),
         (["--bus", "plain.txt"], ["not a serial port"]),
         (["--arm", "nowhere.toml"], ["nowhere.toml"]),
+        (["--arm", "nowhere"], ["unknown robot 'nowhere'", "the name of a robot that has one"]),
+        (["--arm", "ur5e"], ["without an arm file"]),
         (["--out", "plain.txt"], ["plain.txt", "cannot write"]),
         (["--out", "plain.txt/deeper"], ["cannot write"]),
         (["--speed", "0"], ["--speed", "above 0"]),
@@ -256,6 +258,7 @@ def test_the_robot_meant_where_none_is_named(tmp_path: Path) -> None:
         assert make_request(ReachOptions(bus=bus)).robot == "puma560"
     assert make_request(ReachOptions(bus="/dev/ttyUSB0")).robot == "tabletop_puma"
     assert make_request(ReachOptions(bus="/dev/ttyUSB0", robot="ur5e")).robot == "ur5e"
+    assert make_request(ReachOptions(arm=Path("omx_f"))).robot == "omx_f"
     other = arm_file(tmp_path, 'robot = "puma560"', 'robot = "panda"')
     for bus in ("sim", "/dev/ttyUSB0"):
         assert make_request(ReachOptions(bus=bus, arm=other)).robot == "panda"

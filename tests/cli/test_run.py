@@ -94,6 +94,11 @@ def test_interrupted_is_130_and_leaves_its_report(
     assert "torque_off" in said["steps"][-1]["found"]
 
 
+def test_the_arm_may_be_named_by_its_robot(script: Path, robot_ik: Any) -> None:
+    run = robot_ik("run", script, "--arm", "tabletop_puma")
+    assert run.code == 0 and "tabletop_puma on sim" in run.out
+
+
 def test_another_robot_and_a_pty(script: Path, robot_ik: Any, real_time: None) -> None:
     run = robot_ik("run", script, "--robot", "puma560", "--bus", "pty")
     assert run.code == 0 and "puma560 on pty" in run.out

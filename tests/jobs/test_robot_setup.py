@@ -59,6 +59,11 @@ def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path])
     assert [limit.unit for limit in setup.limits] == ["rad"] * 4 + ["m"]
 
 
+def test_an_arm_file_may_be_the_one_of_a_robot() -> None:
+    setup = prepare_robot(ReachRequest(robot="tabletop_puma", bus="sim", arm_file=Path("tabletop_puma")))
+    assert setup.config is not None and setup.config.file == load_robot("tabletop_puma").arm_file
+
+
 def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> None:
     blocks = arm_text().split("[[joints]]")
     file = tmp_path / "arm.toml"
