@@ -167,8 +167,10 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
                 console.say(f"command log: {options.log}")
     finally:
         if link is not None:
-            link.close()
-            console.say(link.left, "dim")
+            try:
+                link.close()
+            finally:  # a signal that has waited comes out of it
+                console.say(link.left, "dim")
     return console.DONE
 
 

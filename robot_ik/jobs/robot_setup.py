@@ -163,13 +163,18 @@ class RobotSetup:
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[None]:
-        """Checks and sets up the servos; leaves them as the exit policy says."""
+        """Checks and sets up the servos; leaves them as the exit policy says, and logs how after an error."""
         if self.arm is None:
             yield
             return
-        with self.arm:
-            self.stand()
-            yield
+        try:
+            with self.arm:
+                self.stand()
+                yield
+        except BaseException:
+            if self.arm.exit_report is not None:
+                _log.warning(self.arm.exit_report.text)
+            raise
 
     def stand(self) -> None:
         """From here on the arm counts as sent to where it is."""

@@ -87,7 +87,7 @@ def test_interrupted_is_130_and_leaves_its_report(
     monkeypatch.setattr(RobotSetup, "repeat", interrupted)
     script.write_text(FAIL)
     run = robot_ik("run", script, "--json", tmp_path / "r.json")
-    assert run.code == 130 and run.err == "interrupted\n"
+    assert run.code == 130 and run.err == "torque is off\ninterrupted\n"
     said = json.loads((tmp_path / "r.json").read_text())
     assert said["interrupted"] and not said["passed"]
     assert [step["outcome"] for step in said["steps"]] == ["failed", "not run", "not run", "passed"]
