@@ -8,7 +8,7 @@ import select
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -75,8 +75,8 @@ class BusOptions:
     """Arm file (TOML), or a robot of the catalogue that has one."""
 
 
-def port_name(bus: str) -> str:
-    """The port meant: the one named, else the only one there is.
+def port_name(bus: str, option: str = "--bus") -> str:
+    """The port meant: the one named with ``option``, else the only one there is.
 
     Raises:
         BusNotOpenError: None is named and there is none, or more than one.
@@ -91,7 +91,8 @@ def port_name(bus: str) -> str:
     found = f"{len(ports)} serial ports are there: {', '.join(ports)}" if ports else "there is no serial port"
     raise BusNotOpenError(
         f"which port are the servos on? {found}",
-        hint="name one with --bus PORT; without servos: --bus pty" + ("" if ports else ", or plug one in"),
+        hint=f"name one with {option} PORT; without servos: {option} pty"
+        + ("" if ports else ", or plug one in"),
     )
 
 
@@ -207,14 +208,17 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
 
 
 @contextmanager
-def driving(arm: Arm) -> Iterator[None]:
-    """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
+def driving(arm: Arm, *, space: bool = True) -> Iterator[None]:
+    """The arm connected, and left by its policy; says how it was left, also after a signal or an error.
+
+    ``space``: as ``stop_on_space``.
+    """
     try:
-        with arm, stop_on_space(arm):
+        with arm, stop_on_space(arm) if space else nullcontext():
             yield
     finally:
-        if text := exit_text(arm):
-            console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
+        if (left := arm.exit_report) is not None:  # it was connected
+            console.say(left.text, "dim" if left.ok else "bold red")
 
 
 def require_model(config: ArmConfig) -> None:
@@ -246,8 +250,3 @@ def model_limits(config: ArmConfig) -> Limits:
         j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
         for j in config.joints
     }
-
-
-def exit_text(arm: Arm) -> str:
-    """How an arm was left, as text; empty where it was never connected."""
-    return arm.exit_report.text if arm.exit_report is not None else ""

@@ -13,6 +13,7 @@ import pytest
 
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.hardware import ports
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.teleop import (
@@ -232,12 +233,18 @@ def test_a_blend_begins_where_the_follower_is_and_ends_where_it_is_led() -> None
     assert (speed <= 0.26 * config.velocity).all()
 
 
-def test_wrong_options_of_teleop_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_of_teleop_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["teleop", "--follower", "tabletop_puma", "--follower-bus", "sim", "--scale", "0"]) == 2
     assert main(["teleop", "--leader", "nobody", "--follower-bus", "sim"]) == 2
     same = ["--leader", "koch_v11", "--leader-bus", "/dev/tty1", "--follower-bus", "/dev/tty1"]
     assert main(["teleop", *same]) == 2
     assert "two ports" in capsys.readouterr().err
+    monkeypatch.setattr(ports, "serial_ports", list)
+    for words, option in (([], "--follower-bus"), (["--leader", "koch_v11"], "--leader-bus")):
+        assert main(["teleop", *words]) == 2
+        assert f"name one with {option} PORT; without servos: {option} pty" in capsys.readouterr().err
 
 
 def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -> None:
