@@ -200,11 +200,21 @@ def test_a_window_needs_a_display(robot_ik: Any, monkeypatch: pytest.MonkeyPatch
     assert "DISPLAY" in run.err and left(tmp_path) == []
 
 
-def test_the_limits_name_the_side_that_gave_way(robot_ik: Any, tmp_path: Path) -> None:
-    file = arm_file(tmp_path, "upper_deg = 160.0", "upper_deg = 100.0")
-    run = robot_ik("reach", *SIM, *GOAL, "--arm", file)
+@pytest.mark.parametrize(
+    ("bus", "old", "new", "by"),
+    [
+        ("sim", "upper_deg = 160.0", "upper_deg = 100.0", "the arm file"),
+        ("none", "upper_deg = 160.0", "upper_deg = 100.0", "the arm file"),
+        ("sim", "zero_ticks = 2048", "zero_ticks = 3000", "the servo's mode"),
+    ],
+)
+def test_the_limits_name_the_side_that_gave_way_and_to_what(
+    bus: str, old: str, new: str, by: str, robot_ik: Any, tmp_path: Path
+) -> None:
+    file = arm_file(tmp_path, old, new)
+    run = robot_ik("reach", "--bus", bus, *GOAL, "--arm", file)
     line = next(line for line in run.out.splitlines() if line.startswith("joint1"))
-    assert run.code == 0 and "upper end" in line and "160.0" in line
+    assert run.code == 0 and f"upper end by {by} (model: 160.0°)" in line and "lower" not in line
     line = next(line for line in run.out.splitlines() if line.startswith("joint2"))
     assert "end" not in line
 
