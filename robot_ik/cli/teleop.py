@@ -41,6 +41,8 @@ class TeleopOptions:
         robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
 
+    Time is real, but where leader and follower are both on `sim`.
+
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
     leader is back they are engaged anew. Ctrl-C ends it.
