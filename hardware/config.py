@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, model_validator
 
-from robot_ik.errors import ConfigError, UnknownJointError
+from robot_ik.errors import ConfigError, UnknownJointError, UnknownRobotError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
@@ -28,6 +28,7 @@ from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, Sign, StopA
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import parse_toml, read_text
+from robot_ik.robot_file import catalogue
 from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
 
 MAX_SERVOS = 252
@@ -177,12 +178,14 @@ class ArmConfig:
 
     @classmethod
     def load(cls, path: Path | str) -> ArmConfig:
-        """Reads an arm file.
+        """Reads an arm file: that of a path, or the one of a robot of the catalogue.
 
         Raises:
-            ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+            ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range; or the
+                robot has none.
+            UnknownRobotError: A mere name, and neither a robot of the catalogue nor a file.
         """
-        path = Path(path)
+        path = _find_arm_file(str(path))
         return cls.parse(read_text(path, "the arm file"), path)
 
     @classmethod
@@ -358,6 +361,19 @@ class ArmConfig:
 
 # ------------------------------------------------------------------------------------------
 # From the keys to an arm, and from an arm to the keys.
+
+
+def _find_arm_file(name: str) -> Path:
+    """The file of that path, or the one beside a robot of the catalogue."""
+    known, path = catalogue(), Path(name).expanduser()
+    hint = "an arm is an arm file (TOML), or the name of a robot that has one"
+    if name in known:
+        path = known[name] / "arm.toml"
+        if not path.is_file():
+            raise ConfigError("this robot comes without an arm file", file=path, hint=hint)
+    elif not name or not (path.suffix or path.exists() or path.name != name):
+        raise UnknownRobotError(name, known, hint=hint)
+    return path
 
 
 def _from_file(arm: ArmFile, file: Path) -> ArmConfig:

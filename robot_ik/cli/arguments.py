@@ -62,7 +62,8 @@ _BOARD = (
     "chessboard:COLUMNSxROWS:SQUARE_MM or FILE.toml[:NAME]."
 )
 ArmFile = Annotated[
-    Path | None, single("FILE.toml", "beside the model", "Servo ids, signs, zeros and limits.")
+    Path | None,
+    single("FILE|NAME", "beside the model", "Servo ids, signs, zeros and limits: a file, or a robot's."),
 ]
 OnExit = Annotated[
     str,

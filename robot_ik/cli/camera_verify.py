@@ -132,7 +132,7 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
         changed = [f"{name} {before} -> {after}" for name, before, after in zeros if before != after]
     if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
-    elif config is None or not options.arm:
+    elif config is None or not options.arm or config.file != options.arm.expanduser():  # a robot's, not yours
         console.say("nothing is written: to keep these zeros, give your arm file with --arm", "yellow")
     elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")

@@ -8,7 +8,7 @@ import select
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,10 +19,8 @@ from robot_ik.cli import console
 from robot_ik.cli.arguments import require
 from robot_ik.errors import (
     BusNotOpenError,
-    ConfigError,
     HardwareError,
     RobotIkError,
-    UnknownRobotError,
     UnsafeCommandError,
 )
 from robot_ik.hardware import BUSES, bus_row
@@ -51,15 +49,13 @@ def bus_argument(*, none: bool = False, default: str = "") -> Any:
 
 
 def resolved_robot(arm: Path | None, bus: str) -> str:
-    """The robot where none is named: the arm file's; at a port the one that servos move; else the shown one.
+    """The robot where none is named: the arm's; at a port the one that servos move; else the shown one.
 
     Raises:
-        ConfigError: The arm file is wrong.
+        UnknownRobotError, ConfigError: As ``ArmConfig.load``.
     """
     if arm:
-        from robot_ik.hardware.config import ArmConfig
-
-        return ArmConfig.load(arm).robot
+        return load_arm(arm).robot
     return SHOWN_ROBOT if bus == NONE or bus_row(bus).virtual else SERVO_ROBOT
 
 
@@ -79,8 +75,8 @@ class BusOptions:
     """Arm file (TOML), or a robot of the catalogue that has one."""
 
 
-def port_name(bus: str) -> str:
-    """The port meant: the one named, else the only one there is.
+def port_name(bus: str, option: str = "--bus") -> str:
+    """The port meant: the one named with ``option``, else the only one there is.
 
     Raises:
         BusNotOpenError: None is named and there is none, or more than one.
@@ -95,7 +91,8 @@ def port_name(bus: str) -> str:
     found = f"{len(ports)} serial ports are there: {', '.join(ports)}" if ports else "there is no serial port"
     raise BusNotOpenError(
         f"which port are the servos on? {found}",
-        hint="name one with --bus PORT; without servos: --bus pty" + ("" if ports else ", or plug one in"),
+        hint=f"name one with {option} PORT; without servos: {option} pty"
+        + ("" if ports else ", or plug one in"),
     )
 
 
@@ -114,28 +111,11 @@ def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
         yield port.path
 
 
-def load_arm(name: str) -> ArmConfig:
-    """The arm file of that path, or the one beside a robot of the catalogue.
-
-    Raises:
-        UnknownRobotError: Neither a file nor a robot of the catalogue.
-        ConfigError: The robot has no arm file, or the file is wrong.
-    """
+def load_arm(name: str | Path) -> ArmConfig:
+    """``ArmConfig.load``, which is imported when an arm is asked for and not before."""
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.robot_file import catalogue
 
-    require(bool(name), "--arm", "no file and no robot", "an arm file (TOML), or a robot that has one")
-    known = catalogue()
-    path = Path(name).expanduser()
-    if name in known:
-        path = known[name] / "arm.toml"
-        if not path.is_file():
-            raise ConfigError(
-                "this robot comes without an arm file", file=path, hint="name one with --arm FILE"
-            )
-    elif not path.suffix and not path.exists() and path.name == name:
-        raise UnknownRobotError(name, known, hint="--arm takes an arm file (TOML) or a robot that has one")
-    return ArmConfig.load(path)
+    return ArmConfig.load(name)
 
 
 @contextmanager
@@ -228,14 +208,17 @@ def stop_on_space(arm: Arm) -> Iterator[None]:
 
 
 @contextmanager
-def driving(arm: Arm) -> Iterator[None]:
-    """The arm connected, and left by its policy; says how it was left, also after a signal or an error."""
+def driving(arm: Arm, *, space: bool = True) -> Iterator[None]:
+    """The arm connected, and left by its policy; says how it was left, also after a signal or an error.
+
+    ``space``: as ``stop_on_space``.
+    """
     try:
-        with arm, stop_on_space(arm):
+        with arm, stop_on_space(arm) if space else nullcontext():
             yield
     finally:
-        if text := exit_text(arm):
-            console.say(text, "dim" if arm.exit_report is None or arm.exit_report.ok else "bold red")
+        if (left := arm.exit_report) is not None:  # it was connected
+            console.say(left.text, "dim" if left.ok else "bold red")
 
 
 def require_model(config: ArmConfig) -> None:
@@ -267,8 +250,3 @@ def model_limits(config: ArmConfig) -> Limits:
         j.name: found[j.name] if all(map(math.isfinite, found[j.name])) else (j.lower, j.upper)
         for j in config.joints
     }
-
-
-def exit_text(arm: Arm) -> str:
-    """How an arm was left, as text; empty where it was never connected."""
-    return arm.exit_report.text if arm.exit_report is not None else ""

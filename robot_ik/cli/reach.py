@@ -321,12 +321,13 @@ def _judgement_rows(report: ReachReport) -> list[tuple[str, str]]:
 
 
 def _narrowed(limit: JointLimits) -> str:
-    """Which side gave way to the servo, and what the model alone would allow."""
-    sides = [
-        f"{name} end by the servo (model: {_limit(model, limit.unit)})"
-        for name, model, used in zip(("lower", "upper"), limit.model, limit.used, strict=True)
-        if abs(model - used) > 1e-9
-    ]
+    """Which side gave way to what, and what the model alone would allow."""
+    sides = []
+    file = limit.arm_file or (math.nan, math.nan)
+    for name, model, said, used in zip(("lower", "upper"), limit.model, file, limit.used, strict=True):
+        if abs(model - used) > 1e-9:
+            by = "the arm file" if abs(said - used) < 1e-9 else "the servo's mode"
+            sides.append(f"{name} end by {by} (model: {_limit(model, limit.unit)})")
     return ", ".join(sides) or ("-" if limit.servo is not None else "")
 
 

@@ -38,8 +38,8 @@ class RunOptions:
     """The script, or the name of one that comes along."""
     bus: Annotated[str, bus_argument()] = "sim"
     robot: Annotated[str, robot_argument("the script's")] = ""
-    arm: Annotated[Path | None, single("FILE.toml", "the script's")] = None
-    """Servo ids, signs, zeros and limits."""
+    arm: Annotated[Path | None, single("FILE|NAME", "the script's")] = None
+    """Servo ids, signs, zeros and limits: a file, or a robot's."""
     seed: Annotated[int | None, single("N", "the script's")] = None
     """Of random faults, of restarts and of the synthetic camera's noise."""
     junit: Annotated[Path | None, single("FILE", "none")] = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import select
 import sys
 import threading
 from collections.abc import Callable, Mapping
@@ -43,6 +44,9 @@ if TYPE_CHECKING:
 # Steps in which a person does something to the arm, until Enter or for a time; meanwhile it is sampled.
 
 
+_NO_ENTER = "standard input has ended, so nobody can press Enter"
+
+
 class Prompts:
     """Asks for one step after the other.
 
@@ -50,6 +54,9 @@ class Prompts:
         clock: Paces the samples.
         seconds: Each step lasts so long; None: until Enter (a line on standard input).
         period: s between two samples.
+
+    Raises:
+        ConfigError: Steps until Enter, and standard input has ended already.
     """
 
     def __init__(self, clock: Clock, seconds: float | None = None, period: float = 0.02) -> None:
@@ -58,6 +65,9 @@ class Prompts:
         self._seconds = seconds
         self._lines: queue.Queue[bool] = queue.Queue()
         self._reader: threading.Thread | None = None
+        with contextlib.suppress(OSError):  # Windows asks only sockets whether there is something to read
+            if seconds is None and select.select([_input()], [], [], 0.0)[0] and not self._more():
+                raise wrong("--seconds", _NO_ENTER, "--seconds S")
 
     def step(self, text: str, sample: Callable[[], object]) -> None:
         """Says what to do and samples until it is done, and once more then.
@@ -97,18 +107,26 @@ class Prompts:
             return False
         if not more:
             self._lines.put(False)
-            raise HardwareError("the input ended before all steps were done", hint="or let steps take a time")
+            raise HardwareError(_NO_ENTER, hint="give --seconds S")
         return True
 
     def _read(self) -> None:
         # Not sys.stdin: at the end of the interpreter a thread that waits inside it would hold its lock.
-        try:
-            while data := os.read(sys.__stdin__.fileno() if sys.__stdin__ else 0, 1024):
-                for _ in range(data.count(b"\n")):
-                    self._lines.put(True)
-        except (OSError, ValueError):
-            pass
+        with contextlib.suppress(OSError, ValueError):
+            while self._more():
+                pass
         self._lines.put(False)
+
+    def _more(self) -> bool:
+        """Takes what was typed; False: standard input has ended."""
+        data = os.read(_input(), 1024)
+        for _ in range(data.count(b"\n")):
+            self._lines.put(True)
+        return bool(data)
+
+
+def _input() -> int:
+    return sys.__stdin__.fileno() if sys.__stdin__ else 0
 
 
 @dataclass(frozen=True)
@@ -250,10 +268,9 @@ def run_teach(options: ServoTeachOptions) -> int:
     config = load_arm(options.arm).whole
     require_model(config)
     with claimed(options.file, overwrite=options.overwrite), arm_on(options, config) as arm:
-        taught = TaughtMotion(arm)
+        taught, prompts = TaughtMotion(arm), Prompts(arm.clock, options.seconds, 1.0 / options.rate)
         with attempt():
             try:
-                prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)
                 prompts.step("recording: guide the arm by hand", taught.sample)
             finally:
                 _keep(options.file, taught.motion(), arm.config)

@@ -253,6 +253,9 @@ def run_stop(options: StopOptions) -> int:
     arms = running_arms(os.path.expanduser(options.bus) or None)
     if not arms:
         console.say("no arm runs" + (f" on {options.bus}" if options.bus else ""), "yellow")
+        if options.torque_off:
+            port = options.bus or "PORT"
+            console.say(f"servos may hold without a program: robot-ik servo torque off --bus {port}", "cyan")
         return console.NOT_ACHIEVED
     if options.torque_off and not options.yes:
         require(sys.stdin.isatty(), "--torque-off", "there is no terminal to ask at", "--torque-off --yes")

@@ -18,7 +18,6 @@ from robot_ik.cli.connection import (
     attempt,
     bus_argument,
     driving,
-    exit_text,
     load_arm,
     port_name,
     require_model,
@@ -41,6 +40,8 @@ class TeleopOptions:
 
         robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
+
+    Time is real, but where leader and follower are both on `sim`.
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
@@ -75,8 +76,8 @@ def run(options: TeleopOptions) -> int:
     follower_file = load_arm(options.follower)
     require_model(follower_file)
     leader_file = None if options.leader in (KEYS, GAMEPAD) else load_arm(options.leader)
-    leader_port = "" if leader_file is None else port_name(options.leader_bus)
-    follower_port = port_name(options.follower_bus)
+    leader_port = "" if leader_file is None else port_name(options.leader_bus, "--leader-bus")
+    follower_port = port_name(options.follower_bus, "--follower-bus")
     leader, follower = open_pair(leader_file, follower_file, leader_port, follower_port, options.on_exit)
     with contextlib.ExitStack() as stack:
         if leader is None:
@@ -121,8 +122,7 @@ def _led_by_keys(stack: contextlib.ExitStack, follower: Arm, file: ArmConfig, op
     console.say("joints: " + ", ".join(f"{pair[0]}/{pair[1]} {joint.name}" for joint, pair in pairs), "dim")
     console.say("hand: w/s x, a/d y, r/f z; i/k, j/l, u/o turn about x, y, z", "dim")
     console.say(f"Tab: {_other(keys)}; - finer, + coarser; space: stop and hold; Esc ends", "dim")
-    stack.callback(lambda: console.say(exit_text(follower), "dim"))
-    stack.enter_context(follower)  # not ``driving``: the keys of the terminal have another reader
+    stack.enter_context(driving(follower, space=False))  # the keys of the terminal have another reader
     return _lead(keys, follower, options, lambda: keys.over)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require, robot_argument, several, single, wrong
+from robot_ik.cli.arguments import ArmFile, require, robot_argument, several, single, wrong
 from robot_ik.cli.connection import NONE, bus_argument
 from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
@@ -53,8 +53,7 @@ class ViewOptions:
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Methods to begin with."""
     bus: Annotated[str, bus_argument(none=True)] = NONE
-    arm: Annotated[Path | None, single("FILE.toml", "beside the model")] = None
-    """Servo ids, signs, zeros and limits."""
+    arm: ArmFile = None
     on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
     """How the arm is left."""
     replay: Annotated[Path | None, single("FILE", "none")] = None
@@ -180,8 +179,10 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
                 console.say(f"command log: {options.log}")
     finally:
         if link is not None:
-            link.close()
-            console.say(link.left, "dim")
+            try:
+                link.close()
+            finally:  # a signal that has waited comes out of it
+                console.say(link.left, "dim")
     return console.DONE
 
 

@@ -56,7 +56,8 @@ class ArmRequest:
         robot: Catalogue name, or path of an MJCF or URDF file.
         frame: What shall be moved; None: the tool, or what carries the scene's markers.
         bus: ``pty``, ``sim``, ``none`` or a serial port.
-        arm_file: None: the one beside the model, else a generic one.
+        arm_file: As for ``ArmConfig.load``; None: the one beside the model, else a generic one; without a
+            bus none.
         speed: Share of the joints' speed limits.
         seed: Of planning, restarts and simulated noise.
         view: Mirror the motion in a window.
@@ -74,12 +75,18 @@ class ArmRequest:
 
 @dataclass(frozen=True)
 class JointLimits:
-    """Where the limits of one joint come from: rad (m for slides), ``servo`` None without a bus."""
+    """Where the limits of one joint come from: rad (m for slides).
+
+    Attributes:
+        servo: What the servo's mode and the arm file leave together; None without servos.
+        arm_file: What the arm file alone says; None without one.
+    """
 
     joint: str
     unit: str
     model: tuple[float, float]
     servo: tuple[float, float] | None
+    arm_file: tuple[float, float] | None
     used: tuple[float, float]
 
 
@@ -163,13 +170,18 @@ class RobotSetup:
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[None]:
-        """Checks and sets up the servos; leaves them as the exit policy says."""
+        """Checks and sets up the servos; leaves them as the exit policy says, and logs how after an error."""
         if self.arm is None:
             yield
             return
-        with self.arm:
-            self.stand()
-            yield
+        try:
+            with self.arm:
+                self.stand()
+                yield
+        except BaseException:
+            if self.arm.exit_report is not None:
+                _log.warning(self.arm.exit_report.text)
+            raise
 
     def stand(self) -> None:
         """From here on the arm counts as sent to where it is."""
@@ -216,8 +228,12 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     if request.bus == "none":
         _refuse_servo_faults(rehearsal)
         clock: Clock = RealClock() if request.view else VirtualClock()
-        robot = _only_what_moves(robot, request.robot, frame)
-        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
+        if request.arm_file is None:
+            robot = _only_what_moves(robot, request.robot, frame)
+            return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
+        robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
+        limited = robot.with_limits(config.lower, config.upper)
+        return RobotSetup(limited, frame, _joint_limits(robot, limited, config), None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
@@ -241,11 +257,13 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
     """Of the model, of the servos, and of both together."""
-    servos = {} if config is None else {joint.name: joint.limits for joint in config.joints}
+    joints = () if config is None else config.joints
+    servos = {joint.name: joint.limits for joint in joints}
+    file = {j.name: (j.lower, j.upper) for j in joints if config is not None and config.file is not None}
     return [
         JointLimits(
             joint, "m" if kind == SLIDE else "rad", (float(robot.lower[k]), float(robot.upper[k])),
-            servos.get(joint), (float(limited.lower[k]), float(limited.upper[k])),
+            servos.get(joint), file.get(joint), (float(limited.lower[k]), float(limited.upper[k])),
         )
         for joint, kind, k in zip(robot.joints, robot.tree.kind, robot.tree.vadr, strict=True)
     ]  # fmt: skip
@@ -289,12 +307,12 @@ def _only_what_moves(robot: Robot, name: str, frame: str) -> Robot:
     return robot if not chain or chain == robot.joints else load_robot(name, joints=chain)
 
 
-def require_joints(robot: Robot, config: ArmConfig, path: Path) -> None:
+def require_joints(robot: Robot, config: ArmConfig) -> None:
     """Raises ``ConfigError`` where an arm file has joints that the robot has not."""
     if strangers := [joint for joint in config.names if joint not in robot.joints]:
         raise ConfigError(
             f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
-            file=path, key="joints", allowed=", ".join(robot.joints),
+            file=config.file or config.name, key="joints", allowed=", ".join(robot.joints),
         )  # fmt: skip
 
 
@@ -319,7 +337,7 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
     if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
         with contextlib.suppress(UnknownJointError):
             robot = load_robot(name, joints=config.names)
-    require_joints(robot, config, path)
+    require_joints(robot, config)
     if len(config.joints) < len(robot.joints):
         robot = load_robot(name, joints=config.names)
     by_name = {joint.name: joint for joint in config.joints}

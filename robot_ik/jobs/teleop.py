@@ -474,12 +474,13 @@ def open_pair(
     on_exit: str = "",
     starts: Sequence[Array | None] = (None, None),
 ) -> tuple[Arm | None, Arm]:
-    """Both arms, disconnected; simulated ones in one process share a clock.
+    """Both arms, disconnected; simulated ones in one process share a clock, and it is virtual.
 
-    ``leader`` None: the keyboard leads.  ``on_exit`` is how the follower is left, empty: as its file says;
-    ``starts`` (n,) rad where simulated servos of leader and follower stand at first.
+    ``leader`` None: a person leads, by keys or a gamepad, and time is real: nobody leads in virtual time.
+    ``on_exit`` is how the follower is left, empty: as its file says; ``starts`` (n,) rad where simulated
+    servos of leader and follower stand at first.
     """
-    in_process = follower_bus == "sim" and (leader is None or leader_bus == "sim")
+    in_process = leader is not None and leader_bus == follower_bus == "sim"
     clock: Clock = VirtualClock() if in_process else RealClock()
 
     def made(config: ArmConfig, bus: str, start: Array | None, way_out: str | None) -> Arm:

@@ -49,7 +49,7 @@ def arm_link(name: str, arm_file: Path | None, bus: str, on_exit: str = "") -> A
         allowed = f"--arm FILE, or a robot that has one: {', '.join(having)}"
         raise ConfigError("comes without an arm file", file=robot.name, allowed=allowed)
     config = ArmConfig.load(path)
-    require_joints(robot, config, path)
+    require_joints(robot, config)
     start = robot.home[[robot.joints.index(joint) for joint in config.names]]
     arm = open_arm(config, bus, on_exit=on_exit or None, start=start if bus_row(bus).virtual else None)
     link = ArmLink(arm, robot, bus)

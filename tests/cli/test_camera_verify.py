@@ -136,8 +136,9 @@ def test_zeros_are_written_after_a_yes_and_only_then(
     robot_ik: Any, arm: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = arm.read_bytes()
-    run = robot_ik("camera", "verify", "--fit")
-    assert run.code == 1 and "give your arm file with --arm" in run.err
+    for named in ((), ("--arm", "puma560")):  # a robot's arm file is none of the user's
+        run = robot_ik("camera", "verify", "--fit", *named)
+        assert run.code == 1 and "give your arm file with --arm" in run.err
     for answer in ("n", "", None):
         monkeypatch.setattr("builtins.input", lambda answer=answer: _answer(answer))
         run = robot_ik("camera", "verify", "--fit", "--arm", arm)

@@ -87,11 +87,16 @@ def test_interrupted_is_130_and_leaves_its_report(
     monkeypatch.setattr(RobotSetup, "repeat", interrupted)
     script.write_text(FAIL)
     run = robot_ik("run", script, "--json", tmp_path / "r.json")
-    assert run.code == 130 and run.err == "interrupted\n"
+    assert run.code == 130 and run.err == "torque is off\ninterrupted\n"
     said = json.loads((tmp_path / "r.json").read_text())
     assert said["interrupted"] and not said["passed"]
     assert [step["outcome"] for step in said["steps"]] == ["failed", "not run", "not run", "passed"]
     assert "torque_off" in said["steps"][-1]["found"]
+
+
+def test_the_arm_may_be_named_by_its_robot(script: Path, robot_ik: Any) -> None:
+    run = robot_ik("run", script, "--arm", "tabletop_puma")
+    assert run.code == 0 and "tabletop_puma on sim" in run.out
 
 
 def test_another_robot_and_a_pty(script: Path, robot_ik: Any, real_time: None) -> None:

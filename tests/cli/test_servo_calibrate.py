@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_ik.errors import HardwareError
+from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.config import ArmConfig
 
@@ -193,12 +193,16 @@ def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
     from robot_ik.cli.servo_hand import Prompts
     from robot_ik.ports import RealClock
 
-    with open(os.devnull) as nothing:
-        monkeypatch.setattr(sys, "__stdin__", nothing)
+    reader, writer = os.pipe()
+    with open(reader) as typed:
+        monkeypatch.setattr(sys, "__stdin__", typed)
         prompts = Prompts(RealClock(), period=0.001)
+        os.close(writer)
         for _ in range(2):
-            with pytest.raises(HardwareError, match="input ended"):
+            with pytest.raises(HardwareError, match="nobody can press Enter"):
                 prompts.step("turn it", lambda: None)
+        with pytest.raises(ConfigError, match="nobody can press Enter; allowed: --seconds S"):
+            Prompts(RealClock())
 
 
 def test_steps_that_take_a_time() -> None:

@@ -236,3 +236,12 @@ def test_a_value_just_outside_shows_the_digits_that_differ(robot_ik: Any, desk: 
     asked, allowed = run.err.partition(" deg is outside its limits; allowed: ")[::2]
     assert run.code == 2 and asked.split()[-1] not in allowed.partition(" deg")[0], run
     assert float(asked.split()[-1]) == pytest.approx(upper + 0.01, abs=0.006)
+
+
+# ------------------------------------------------------------------------------------------ stop
+
+
+def test_a_stop_that_finds_no_program_says_who_takes_torque(robot_ik: Any) -> None:
+    run = robot_ik("stop", "--torque-off", "--bus", "/dev/nowhere")
+    assert run.code == 1 and "robot-ik servo torque off --bus /dev/nowhere" in run.err
+    assert "torque" not in robot_ik("stop", "--bus", "/dev/nowhere").err

@@ -200,6 +200,12 @@ def test_ctrl_c_while_recording_keeps_what_was_recorded(desk: Any, tmp_path: Pat
     assert len(teach.load_motion(file, JOINTS)) > 2
 
 
+def test_where_nobody_can_press_enter_nothing_is_recorded(robot_ik_child: Any, tmp_path: Path) -> None:
+    run = robot_ik_child("servo", "teach", tmp_path / "m.csv", "--bus", "sim")
+    run.assert_one_screen_error()
+    assert "--seconds S" in run.err and "recording" not in run.err and not list(tmp_path.iterdir())
+
+
 def test_in_process(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("servo", "teach", tmp_path / "m.json", "--bus", "sim", "--seconds", 1)
     assert run.code == 0, run.err

@@ -12,10 +12,11 @@ import pytest
 from robot_ik.cli.main import main
 from robot_ik.errors import HardwareError
 from robot_ik.geometry import Pose
+from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.jobs.teleop import Jog, TeleopTick, open_pair, teleoperate
+from robot_ik.jobs.teleop import Jog, TeleopTick, teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
 from tests.jobs.test_teleop import arm_file, home
@@ -26,7 +27,7 @@ def led(
 ) -> tuple[Array, Array, dict[str, float], ArmConfig]:
     """Where the follower was, (n,), where it is after some seconds, that by joint, and its arm file."""
     begin = home("tabletop_puma")
-    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    follower = open_arm(arm_file("tabletop_puma"), "sim", on_exit="hold", start=begin)
     pad = Gamepad(follower.config, read, stop=follower.request_stop, hand=hand)
     with follower:
         teleoperate(pad, follower, seconds=seconds, over=lambda: pad.over)
@@ -143,7 +144,7 @@ def test_a_device_is_read_and_found_missing(virtual_pad: Callable[..., None]) ->
 
 def test_a_gamepad_that_is_lost_commands_nothing(virtual_pad: Callable[..., None]) -> None:
     begin = home("tabletop_puma")
-    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    follower = open_arm(arm_file("tabletop_puma"), "sim", on_exit="hold", start=begin)
     with PadDevice() as device, follower:
         pad = Gamepad(follower.config, device.read, recover=device.recover)
         virtual_pad(axis=1, value=-32768)

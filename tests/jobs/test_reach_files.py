@@ -84,6 +84,7 @@ def test_the_summary_says_what_happened(healthy: ReachReport, saved: Path) -> No
         "unit",
         "model",
         "servo",
+        "arm_file",
         "used",
     }
     assert np.shape(facts["marker"]["covariance"]) == (6, 6) and np.shape(facts["marker"]["corners_px"]) == (

@@ -20,10 +20,11 @@ def arm_text() -> str:
     return file.read_text()
 
 
-def test_the_narrower_limit_counts(tmp_path: Path) -> None:
+@pytest.mark.parametrize("bus", ["sim", "none"])
+def test_the_narrower_limit_counts(bus: str, tmp_path: Path) -> None:
     file = tmp_path / "arm.toml"
     file.write_text(arm_text().replace("upper_deg = 160.0", "upper_deg = 45.0", 1))
-    setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    setup = prepare_robot(ReachRequest(bus=bus, arm_file=file))
     first, others = setup.limits[0], setup.limits[1:]
     assert np.rad2deg(setup.robot.upper[0]) == pytest.approx(45.0, abs=0.1)
     assert first.used[1] == setup.robot.upper[0] < first.model[1] and first.servo is not None
@@ -59,6 +60,11 @@ def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path])
     assert [limit.unit for limit in setup.limits] == ["rad"] * 4 + ["m"]
 
 
+def test_an_arm_file_may_be_the_one_of_a_robot() -> None:
+    setup = prepare_robot(ReachRequest(robot="tabletop_puma", bus="sim", arm_file=Path("tabletop_puma")))
+    assert setup.config is not None and setup.config.file == load_robot("tabletop_puma").arm_file
+
+
 def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> None:
     blocks = arm_text().split("[[joints]]")
     file = tmp_path / "arm.toml"
@@ -70,8 +76,9 @@ def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> 
     setup = prepare_robot(ReachRequest(bus="sim", arm_file=file))
     assert setup.config is not None and setup.config.names == setup.robot.joints
     file.write_text(arm_text().replace('"joint6"', '"joint9"'))
-    with pytest.raises(ConfigError, match="joint9"):
-        prepare_robot(ReachRequest(bus="sim", arm_file=file))
+    for bus in ("sim", "none"):
+        with pytest.raises(ConfigError, match="joint9"):
+            prepare_robot(ReachRequest(bus=bus, arm_file=file))
 
 
 @pytest.mark.parametrize("bus", ["none", "/dev/ttyUSB9"])

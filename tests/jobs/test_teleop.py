@@ -13,6 +13,7 @@ import pytest
 
 from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, HardwareError
+from robot_ik.hardware import open_arm, ports
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.teleop import (
@@ -24,7 +25,7 @@ from robot_ik.jobs.teleop import (
     open_pair,
     teleoperate,
 )
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.robot import load_robot
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
@@ -190,7 +191,7 @@ def test_force_feedback_needs_servos_that_push_gently() -> None:
 
 def keyed(text: str, hand: bool, seconds: float = 1.5) -> tuple[Array, Array, Arm]:
     begin = home("tabletop_puma")
-    _, follower = open_pair(None, arm_file("tabletop_puma"), "", "sim", "hold", (None, begin))
+    follower = open_arm(arm_file("tabletop_puma"), "sim", on_exit="hold", start=begin)
     waiting = list(text)
     keys = KeyboardJog(follower.config, lambda: waiting.pop(0) if waiting else "", hand=hand)
     with follower:
@@ -232,18 +233,34 @@ def test_a_blend_begins_where_the_follower_is_and_ends_where_it_is_led() -> None
     assert (speed <= 0.26 * config.velocity).all()
 
 
-def test_wrong_options_of_teleop_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_options_of_teleop_are_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["teleop", "--follower", "tabletop_puma", "--follower-bus", "sim", "--scale", "0"]) == 2
     assert main(["teleop", "--leader", "nobody", "--follower-bus", "sim"]) == 2
     same = ["--leader", "koch_v11", "--leader-bus", "/dev/tty1", "--follower-bus", "/dev/tty1"]
     assert main(["teleop", *same]) == 2
     assert "two ports" in capsys.readouterr().err
+    monkeypatch.setattr(ports, "serial_ports", list)
+    for words, option in (([], "--follower-bus"), (["--leader", "koch_v11"], "--leader-bus")):
+        assert main(["teleop", *words]) == 2
+        assert f"name one with {option} PORT; without servos: {option} pty" in capsys.readouterr().err
 
 
 def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -> None:
     words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
     assert "engaged 1 times" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("leader", "leader_bus", "clock"),
+    [(None, "", RealClock), ("koch_v11", "pty", RealClock), ("koch_v11", "sim", VirtualClock)],
+)
+def test_nobody_leads_in_virtual_time(leader: str | None, leader_bus: str, clock: type[Clock]) -> None:
+    config = None if leader is None else arm_file(leader)
+    _, follower = open_pair(config, arm_file("tabletop_puma"), leader_bus, "sim")
+    assert isinstance(follower.clock, clock)
 
 
 def test_keys_from_a_closed_input_are_refused_and_an_input_that_ends_ends_it(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import time
 from collections.abc import Callable, Iterator
@@ -9,6 +10,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from robot_ik.cli import view as view_command
+from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.motion import Trajectory
@@ -155,3 +158,19 @@ def test_closing_leaves_the_arm_by_its_policy() -> None:
 def test_a_robot_without_an_arm_file_is_said() -> None:
     with pytest.raises(ConfigError, match="arm file"):
         arm_link("panda", None, "sim")
+
+
+def test_a_signal_while_the_arm_is_left_hides_not_how(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    leave = ArmLink.close
+
+    def close(self: ArmLink) -> None:
+        leave(self)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ArmLink, "close", close)
+    monkeypatch.setattr(view_command, "_opened", lambda *rest: contextlib.nullcontext())
+    monkeypatch.setattr(view_command, "_loop", lambda *rest: None)
+    assert main(["view", "--bus", "sim", "--viewer", "window"]) == 130
+    assert capsys.readouterr().err.endswith("not touched\ninterrupted\n")
