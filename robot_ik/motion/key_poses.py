@@ -153,7 +153,7 @@ class KeyPoses:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        content = read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+        content = _content(file)
         book = cls(robot)
         for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
@@ -165,13 +165,17 @@ class KeyPoses:
         return book
 
 
+def _content(file: Path) -> _KeyPosesFile:
+    return read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+
+
 def robot_named_in(path: Path | str) -> str:
     """The robot of the catalogue that a file of key poses names; empty: it names none.
 
     Raises:
         ConfigError: It names another one, or as ``KeyPoses.load``.
     """
-    name = read_table(_KeyPosesFile, Path(path), "the key poses").robot
+    name = _content(Path(path)).robot
     known = catalogue()
     if name and name not in known:
         raise ConfigError(
