@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import MissingExtraError, ModelError, UnknownRobotError
+from robot_ik.errors import InvalidModelError, MissingExtraError, ModelError, UnknownRobotError
 
 NAMELESS = """<mujoco model="nameless"><worldbody><body name="base" pos="0 0 1"><freejoint/>
 <geom type="box" size=".1 .1 .1"/><body><joint axis="0 0 1" range="-170 170"/><geom size=".05"/>
@@ -157,9 +157,11 @@ def test_a_number_that_is_none_is_named(where: str) -> None:
 
 @pytest.mark.parametrize("value", [5, None, 2.5, b"puma560", ["puma560"]])
 def test_what_is_no_name_at_all_is_a_value_error(value: object) -> None:
-    with pytest.raises(UnknownRobotError, match="unknown robot") as caught:
+    with pytest.raises(
+        InvalidModelError, match="is no robot\na robot is a name of the catalogue or"
+    ) as caught:
         rik.load_robot(value)  # type: ignore[arg-type]
-    assert isinstance(caught.value, ValueError)
+    assert isinstance(caught.value, ValueError) and repr(value) in str(caught.value)
 
 
 def test_a_missing_file_is_not_taken_for_an_unknown_name(nameless: Path) -> None:
