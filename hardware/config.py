@@ -176,12 +176,18 @@ class ArmConfig:
         _check_arm(self)
 
     @classmethod
-    def load(cls, path: Path | str) -> ArmConfig:
-        """Reads an arm file.
+    def load(cls, path: Path | str | None) -> ArmConfig:
+        """Reads an arm file, such as ``robot.arm_file``.
 
         Raises:
-            ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
+            ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range; None,
+                which is the ``arm_file`` of a robot without one.
         """
+        if path is None:
+            hint = (
+                "a robot without arm.toml beside its model has arm_file None; ArmConfig.generic needs no file"
+            )
+            raise ConfigError("there is no arm file to read", file="ArmConfig.load(None)", hint=hint)
         path = Path(path)
         return cls.parse(read_text(path, "the arm file"), path)
 
