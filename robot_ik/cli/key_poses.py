@@ -188,7 +188,7 @@ def run_record(options: PosesRecordOptions) -> int:
     except TrajectoryError as error:
         raise wrong("pose", str(error.args[0]), hint=error.hint) from error
     book.save(path)
-    console.say(f"{options.name} is in {path}, which has {len(book.poses)} poses")
+    console.say(f"{options.name} is in {path}, which has {console.count_of(len(book.poses), 'pose')}")
     return console.DONE
 
 

@@ -26,7 +26,8 @@ def test_the_poses_that_ship_are_listed(robot_ik: Any) -> None:
 def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any, tmp_path: Path) -> None:
     file, robot = tmp_path / "my.toml", load_robot("humanoid")
     words = ("poses", "record", file)
-    assert robot_ik(*words, "squat", "--begin", "squat").code == 0
+    run = robot_ik(*words, "squat", "--begin", "squat")
+    assert run.code == 0 and run.err.endswith("which has 1 pose\n")
     assert robot_ik(*words, "wave", "--set", "left_elbow_pitch=90", "head_yaw=-20").code == 0
     assert robot_ik(*words, "up", "--begin", "wave", "--reach", "right_hand", 0.3, -0.3, 1.6).code == 0
     book = KeyPoses.load(file, robot)
