@@ -172,7 +172,7 @@ def test_a_model_that_is_missing_is_likened_to_models_only(folder):
     (folder / "my_arm.toml").touch()
     with pytest.raises(ModelError, match="my_arm") as caught:
         load_robot(folder / "my_arm.xml")
-    assert "did you mean" not in str(caught.value) or "my_arm.toml" not in str(caught.value)
+    assert "my_arm.toml" not in str(caught.value)
     for wrong in ("armm.xml", "robto.toml"):
         with pytest.raises(ModelError, match=r"did you mean .*/(arm\.xml|robot\.toml)\?"):
             load_robot(folder / wrong)
