@@ -184,7 +184,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
         **{key: getattr(parsed, key) for key in _Keys.model_fields},
-        name=path.parent.name,
+        name=path.resolve().parent.name,
         path=path,
         velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
         acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),

@@ -43,8 +43,9 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_everything_said_is_heard(folder):
-    for asked in (folder, folder / "robot.toml", folder / "arm.xml"):
+def test_everything_said_is_heard(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    for asked in (folder, folder / "robot.toml", folder / "arm.xml", "."):
         robot = load_robot(asked)
         assert robot.name == "small" and robot.joints == ("one", "two") and robot.tool == "grip"
         np.testing.assert_allclose(robot.velocity, np.radians([90, 180]))
