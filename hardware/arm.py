@@ -47,6 +47,7 @@ LOCK_PATIENCE = 0.5
 
 _AT_REST = 1e-3  # rad/s (m/s): slower than this a joint stands still
 _POLL_PERIOD = 0.02  # s between two polls for a request to stop
+_GO_ON = "to go on give the command again; in a program reset_fault(), then enable(), or close()"
 
 T = TypeVar("T")
 
@@ -359,9 +360,9 @@ class Arm:
             return allowed[self.state]
         if self.state is ArmState.FAULT and self.fault is not None:
             raise self.fault.with_traceback(None)
-        need = " or ".join(state.value for state in allowed)
+        need = ", ".join(state.value for state in allowed)
         steps = "connect(), enable(), then send(); after a fault reset_fault() or close()"
-        raise ArmStateError(f"cannot {event}: the arm is {self.state.value}, not {need}", hint=steps)
+        raise ArmStateError(f"cannot {event}: the arm is {self.state.value}; allowed: {need}", hint=steps)
 
     # ----------------------------------------------------------------------------- what goes wrong
 
@@ -474,7 +475,7 @@ class Arm:
         report = self._leave("torque_off", parked=parked)
         self.fault = HardwareError(
             f"no command came for {idle:.1f} s: {report.text}",
-            hint="reset_fault(), then enable(), or close(); on_stale and stale_ms are in the arm file",
+            hint=f"{_GO_ON}; on_stale and stale_ms are in the arm file",
         )
         self.state = ArmState.FAULT
         log.error("%s", self.fault)
@@ -509,9 +510,7 @@ class Arm:
         report = self._leave(self._stop_policy)
         self._stop_acknowledged = True
         self._stop_file.acknowledge(ok=report.ok, text=report.text)
-        stopped = StopRequestedError(
-            f"stopped on request: {report.text}", hint="reset_fault(), then enable(), or close()"
-        )
+        stopped = StopRequestedError(f"stopped on request: {report.text}", hint=_GO_ON)
         if self.state is not ArmState.FAULT:  # an earlier one says more
             self.state, self.fault = ArmState.FAULT, stopped
         log.info("%s", stopped)

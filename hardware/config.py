@@ -177,14 +177,19 @@ class ArmConfig:
         _check_arm(self)
 
     @classmethod
-    def load(cls, path: Path | str) -> ArmConfig:
-        """Reads an arm file: that of a path, or the one of a robot of the catalogue.
+    def load(cls, path: Path | str | None) -> ArmConfig:
+        """Reads an arm file: that of a path (such as ``robot.arm_file``), or the one of a robot's name.
 
         Raises:
             ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range; or the
-                robot has none.
+                robot has none, whose ``arm_file`` is None.
             UnknownRobotError: A mere name, and neither a robot of the catalogue nor a file.
         """
+        if path is None:
+            hint = (
+                "a robot without arm.toml beside its model has arm_file None; ArmConfig.generic needs no file"
+            )
+            raise ConfigError("there is no arm file to read", file="ArmConfig.load(None)", hint=hint)
         path = _find_arm_file(str(path))
         return cls.parse(read_text(path, "the arm file"), path)
 

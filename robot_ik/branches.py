@@ -9,6 +9,7 @@ from typing import cast, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from robot_ik.errors import UnsupportedGoalError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal
 from robot_ik.inverse_kinematics import borrowed_problem
@@ -99,7 +100,11 @@ def _branches(
     wanted = PoseGoal.at(None, pose) if isinstance(pose, Pose) else pose
     with borrowed_problem(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):
         origin = robot.home if start is None else robot.check_q(start, "start")
-        branches = cast(Analytic, solver).branches(problem, origin)
+        try:
+            branches = cast(Analytic, solver).branches(problem, origin)
+        except UnsupportedGoalError as error:
+            error.able, error.hint = (), "no other method knows every solution; solve(…) finds one"
+            raise
     if not branches:
         return ()
     qs = np.array([q for _, q in branches])

@@ -56,7 +56,8 @@ def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[s
     for name, coupling in file.couplings.items():
         for joint_name in (name, coupling.follows):
             if joint_name not in names:
-                raise UnknownJointError(joint_name, names)
+                hint = f"named by couplings.{name} of {file.path}"
+                raise UnknownJointError(joint_name, names, hint=hint)
         law = Polynomial([coupling.offset, coupling.ratio])
         found.append(Coupling(names.index(name), names.index(coupling.follows), law))
     return _resolved(found, names)

@@ -223,7 +223,7 @@ class ModelError(RobotIkError):
 
 
 class InvalidModelError(ModelError, ValueError):
-    """No model can be made of these values."""
+    """No model can be made of these values, or what was given as a robot is no name, path, text or spec."""
 
 
 class InvalidPoseError(RobotIkError, ValueError):
@@ -240,7 +240,7 @@ class _UnknownName(RobotIkError, LookupError):
 
 
 class UnknownRobotError(_UnknownName, ModelError, ValueError):
-    """No robot of that name in the catalogue, or what was given is no name at all."""
+    """No robot of that name in the catalogue."""
 
     kind = "robot"
 

@@ -207,15 +207,15 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     """Whole qpos (model.nq,) of the home keyframe: the named one, "home", the first, else qpos0."""
     home = file.home
     if isinstance(home, tuple):
-        if len(home) != model.nq:
-            raise ModelError(f"{path}: home has {len(home)} numbers, the model {model.nq}", path=path)
-        return np.array(home, dtype=float)
+        from robot_ik.home import checked_home  # most name a keyframe
+
+        return checked_home(model, file, home)
     keys = {model.key(k).name: k for k in range(model.nkey)}
     if home is None:
         home = "home" if "home" in keys else next(iter(keys), None)
     elif home not in keys:
         known = ", ".join(keys) or "none"
-        raise ModelError(f"{path} has no keyframe {home!r}; it has: {known}", path=path)
+        raise ModelError(f"{file.path}: home: {path} has no keyframe {home!r}; it has: {known}", path=path)
     return np.array(model.qpos0 if home is None else model.key_qpos[keys[home]], dtype=float)
 
 
@@ -252,14 +252,14 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
     """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
-    wanted = file.groups.get("arm", names) if joints is None else joints
-    if isinstance(wanted, str):
-        if wanted not in file.groups:
-            raise UnknownJointError(wanted, file.groups, hint="a single string names a joint group")
-        wanted = file.groups[wanted]
+    group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
+    if group is not None and group not in file.groups:
+        raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
+    wanted = file.groups[group] if group is not None else names if joints is None else joints
+    hint = f"named by groups.{group} of {file.path}" if group is not None else ""
     for joint in wanted:
         if joint not in names:
-            raise UnknownJointError(joint, names)
+            raise UnknownJointError(joint, names, hint=hint)
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 
@@ -278,7 +278,7 @@ def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
     """Stiffness (nv,): from robot.toml where it names the joint, else 1; ``names`` of all joints."""
     for name in file.stiffness:
         if name not in names:
-            raise UnknownJointError(name, names)
+            raise UnknownJointError(name, names, hint=f"named by stiffness of {file.path}")
     each = [file.stiffness.get(names[joint], 1.0) for joint in tree.joint_ids]
     return np.array(each)[tree.dof_node]
 

@@ -267,8 +267,8 @@ class Robot:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
         except (TypeError, ValueError) as error:
             raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
-        if np.isnan([low, high]).any():
-            raise ModelError(f"limits must be numbers, not {low.tolist()}, {high.tolist()}")
+        if not (low <= high).all():
+            raise ModelError(f"limits must be numbers, lower <= upper, not {low.tolist()}, {high.tolist()}")
         low, high = np.maximum(self.lower, low), np.minimum(self.upper, high)
         for v in np.flatnonzero(low > high):
             other = (np.ravel(end)[v % np.size(end)] for end in (lower, upper))
@@ -360,7 +360,7 @@ def make_robot(
     frames = mjcf.model_frames(model, file)
     default_tool = tool or file.tool or mjcf.guess_tool(model, frames)
     if default_tool not in frames:
-        raise UnknownFrameError(default_tool, frames)
+        raise UnknownFrameError(default_tool, frames, hint="" if tool else f"named by tool of {file.path}")
     active = tuple(names[j] for j in tree.joint_ids)
     speed, acceleration = mjcf.motion_limits(tree, active, file)
     robot = Robot(

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from robot_ik.errors import ConfigError, ModelError, UnknownRobotError, close_matches
+from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
 from robot_ik.tables import Pair, Position, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
@@ -19,7 +19,7 @@ SERVO_ROBOT = "tabletop_puma"
 """What stands at a servo bus where nothing else is said: X servos move it, and no real PUMA 560."""
 DESCRIPTIONS = "robot_descriptions:"
 """What the name of a robot of that package begins with."""
-_MODEL_SUFFIXES = (".xml", ".mjcf", ".urdf", ".toml")
+_MODELS = {".xml", ".mjcf", ".urdf", "robot.toml"}
 _WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
 
 
@@ -184,7 +184,7 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     order = parsed.groups.get("arm", ())
     return path.parent / parsed.model, RobotFile(
         **{key: getattr(parsed, key) for key in _Keys.model_fields},
-        name=path.parent.name,
+        name=path.resolve().parent.name,
         path=path,
         velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
         acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
@@ -201,11 +201,11 @@ def _per_joint(
 ) -> dict[str, float]:
     if values is None:
         return {}
-    if len(values) != len(joints) or not all(v > 0 for v in values):
+    wrong = [f"{v:g} of joint {j!r}" for j, v in zip(joints, values, strict=False) if not v > 0]
+    if len(values) != len(joints) or wrong:
         allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm"
-        raise ConfigError(
-            f"{len(values)} numbers for {len(joints)} joints", file=path, key=key, allowed=allowed
-        )
+        problem = wrong[0] if wrong else f"{len(values)} numbers for {len(joints)} joints"
+        raise ConfigError(problem, file=path, key=key, allowed=allowed)
     return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}
 
 
@@ -218,7 +218,7 @@ def find_robot(name: str | os.PathLike[str]) -> tuple[Path, RobotFile]:
     known = catalogue()
     given: object = name
     if not isinstance(given, str | os.PathLike):
-        raise UnknownRobotError(repr(given), known, hint=_WHAT_A_ROBOT_IS)
+        raise InvalidModelError(f"{given!r} is no robot", hint=_WHAT_A_ROBOT_IS)
     if str(name).startswith(DESCRIPTIONS):
         from robot_ik.urdf import described_model  # which few robots need
 
@@ -245,8 +245,8 @@ def _refuse_missing(path: Path) -> None:
     if path.is_dir():
         hint = "name the MJCF or URDF file in it"
         raise ModelError(f"the folder {path} has no robot.toml", path=path, hint=hint)
-    if len(path.parts) > 1 or path.suffix.lower() in _MODEL_SUFFIXES:
-        beside = [p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODEL_SUFFIXES]
+    if len(path.parts) > 1 or path.suffix.lower() in _MODELS | {".toml"}:
+        beside = [p.name for p in path.parent.glob("*") if {p.suffix.lower(), p.name} & _MODELS]
         close = close_matches(path.name, beside)
         hint = f"did you mean {path.parent / close[0]}?" if close else f"from {Path.cwd()}"
         raise ModelError(f"there is no file {path}", path=path, hint=hint)

@@ -80,7 +80,7 @@ class Urdf:
                     mesh.set("filename", str(found))
         if missing:
             _log.warning(
-                "%d meshes are left out, since they are not there or neither STL nor OBJ: %s%s",
+                "meshes left out, since not there or neither STL nor OBJ: %d (%s%s)",
                 len(missing), ", ".join(missing[:3]), ", …" if len(missing) > 3 else "",
             )  # fmt: skip
 

@@ -9,8 +9,9 @@ from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJ
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue, find_robot, read_robot_file
 
-MODEL = """<mujoco><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
-<body name="b" pos="1 0 0"><joint name="two"/><joint name="finger" type="slide"/><geom size="0.1"/>
+MODEL = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
+<body name="b" pos="1 0 0"><joint name="two" range="-2 2"/><joint name="finger" type="slide" range="0 0.4"/>
+<geom size="0.1"/>
 <site name="tip" pos="0 0 1"/></body></body></worldbody>
 <keyframe><key name="ready" qpos="0.1 0.2 0.3"/></keyframe></mujoco>"""
 FILE = """schema = 1
@@ -42,8 +43,9 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_everything_said_is_heard(folder):
-    for asked in (folder, folder / "robot.toml", folder / "arm.xml"):
+def test_everything_said_is_heard(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    for asked in (folder, folder / "robot.toml", folder / "arm.xml", "."):
         robot = load_robot(asked)
         assert robot.name == "small" and robot.joints == ("one", "two") and robot.tool == "grip"
         np.testing.assert_allclose(robot.velocity, np.radians([90, 180]))
@@ -79,7 +81,25 @@ def test_every_shipped_robot_loads_and_tells_where_its_numbers_come_from():
         ("schema = 1", "schema = 2", "schema", "1"),
         ('title = "a small arm"', "", "title", "missing"),
         ("velocity_deg = [90, 180]", "velocity_deg = [90]", "motion.velocity_deg", "1 numbers for 2 joints"),
-        ("velocity_deg = [90, 180]", "velocity_deg = [90, -1]", "motion.velocity_deg", "positive"),
+        (
+            "velocity_deg = [90, 180]",
+            "velocity_deg = [90, 0]",
+            "motion.velocity_deg",
+            "0 of joint 'two'; allowed: one positive",
+        ),
+        (
+            'home = "ready"',
+            "home = [1, 2]",
+            "home",
+            "2 numbers; allowed: 3, rad and m, for the joints one, two",
+        ),
+        (
+            'home = "ready"',
+            "home = [0.1, 90, 0]",
+            "home",
+            "joint 'two' at 90 rad is outside its limits; allowed: -2 to 2 rad\n90 degrees are 1.571 rad",
+        ),
+        ('home = "ready"', "home = [0, 0, -0.5]", "home", "joint 'finger' at -0.5 m is outside its limits"),
         ("velocity_deg = [90, 180]", 'velocity_deg = "fast"', "motion.velocity_deg", "a list"),
     ],
 )
@@ -104,14 +124,56 @@ def test_what_is_no_toml_or_no_file_is_reported(folder):
     ("before", "after", "error", "says"),
     [
         ('site = "tip"', 'site = "tipp"', UnknownFrameError, "did you mean 'tip'"),
-        ('arm = ["one", "two"]', 'arm = ["one", "too"]', UnknownJointError, "did you mean 'two'"),
-        ('home = "ready"', 'home = "redy"', ModelError, "no keyframe 'redy'; it has: ready"),
-        ('home = "ready"', "home = [1, 2]", ModelError, "home has 2 numbers, the model 3"),
+        (
+            'arm = ["one", "two"]',
+            'arm = ["one", "too"]',
+            UnknownJointError,
+            r"did you mean 'two'(?s:.*)\nnamed by groups\.arm of .*robot\.toml",
+        ),
+        (
+            "[motion]",
+            "[stiffness]\ntoo = 4\n[motion]",
+            UnknownJointError,
+            r"named by stiffness of .*robot\.toml",
+        ),
+        (
+            "[motion]",
+            "[couplings]\none = { follows = 'too', ratio = 1 }\n[motion]",
+            UnknownJointError,
+            r"named by couplings\.one of .*robot\.toml",
+        ),
+        (
+            'home = "ready"',
+            'home = "redy"',
+            ModelError,
+            r"robot\.toml: home: .*no keyframe 'redy'; it has: ready",
+        ),
         ('model = "arm.xml"', 'model = "none.xml"', ModelError, r"none\.xml"),
-        ('tool = "grip"', 'tool = "gripp"', UnknownFrameError, "did you mean 'grip'"),
+        (
+            'tool = "grip"',
+            'tool = "gripp"',
+            UnknownFrameError,
+            r"did you mean 'grip'(?s:.*)\nnamed by tool of .*robot\.toml",
+        ),
     ],
 )
 def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, error, says):
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(error, match=says):
         load_robot(folder)
+
+
+def test_numbers_of_home_count_and_may_be_rounded_at_a_limit(folder):
+    (folder / "robot.toml").write_text(FILE.replace('home = "ready"', "home = [0.3, 2.0004, 0.1]"))
+    robot = load_robot(folder)
+    assert robot.home.tolist() == [0.3, 2.0] and robot.qpos(robot.home)[2] == 0.1
+
+
+def test_a_model_that_is_missing_is_likened_to_models_only(folder):
+    (folder / "my_arm.toml").touch()
+    with pytest.raises(ModelError, match="my_arm") as caught:
+        load_robot(folder / "my_arm.xml")
+    assert "my_arm.toml" not in str(caught.value)
+    for wrong in ("armm.xml", "robto.toml"):
+        with pytest.raises(ModelError, match=r"did you mean .*/(arm\.xml|robot\.toml)\?"):
+            load_robot(folder / wrong)

@@ -96,8 +96,11 @@ def test_limits_intersect_and_home_moves_inside(arm_file):
     rng = np.random.default_rng(0)
     samples = np.array([narrow.sample(rng) for _ in range(300)])
     assert samples[:, 0].max() <= 0.4 and samples[:, 0].max() > 0.3 and samples[:, 0].min() < -0.9
-    lower[1] = 0.3
-    with pytest.raises(ModelError, match=r"no range is left for joint 'rail'.*0\.3"):
+    for low, high in ((0.2, 0.1), (np.nan, 1.0)):
+        with pytest.raises(ModelError, match=f"lower <= upper, not .{low}.*{high}"):
+            robot.with_limits(low, high)
+    lower[1], upper[1] = 0.5, 0.6
+    with pytest.raises(ModelError, match=r"no range is left for joint 'rail'.*0\.5"):
         robot.with_limits(lower, upper)
 
 

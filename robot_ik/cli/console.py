@@ -233,6 +233,11 @@ def facts(*rows: tuple[object, object]) -> Table:
     return made
 
 
+def count_of(count: int, one: str) -> str:
+    """A number of things: ``1 pose``, ``2 poses``."""
+    return f"{count} {one}{'' if count == 1 else 's'}"
+
+
 def verdict_mark(passed: bool | None) -> Text:
     """Of a row that is as wanted, or not; None: nothing is wanted."""
     if passed is None:

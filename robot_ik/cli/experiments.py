@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExperimentsOptions:
-    """Repeats the experiments of two theses, harder: every goal can be met, and MuJoCo judges.
+    """Repeats the experiments of two theses by stricter rules: all goals are within reach, and MuJoCo judges.
 
     a00: thirteen courses of chains of ball joints (Aho 2000), every frame to 0.1 mm and 1 mrad; lm, dls, bfgs
     and auto have to meet all. s12: four methods on an arm of seven segments (Simunic 2012), beside his

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, require, several, single, wrong
+from robot_ik.cli.arguments import Json, require, require_share, several, single, wrong
 from robot_ik.errors import TrajectoryError, did_you_mean
 from robot_ik.files import claimed
 
@@ -22,8 +23,9 @@ if TYPE_CHECKING:
 
 #: Version of the JSON object; raised when a field changes its meaning.
 SCHEMA = 1
+_FIGURE = "humanoid"
 
-_RobotName = Annotated[str, arg(metavar="NAME|PATH")]
+_RobotName = Annotated[str, single("NAME|PATH", f"that of the file, else {_FIGURE}")]
 _BookName = Annotated[str, single(None, "the file beside the robot's model", "Key poses, TOML.")]
 
 
@@ -37,7 +39,7 @@ class PosesListOptions:
     """
 
     file: Positional[_BookName] = ""
-    robot: _RobotName = "humanoid"
+    robot: _RobotName = ""
     """Whose poses."""
     json: Json = False
 
@@ -59,7 +61,7 @@ class PosesRecordOptions:
     """Key poses, TOML."""
     name: Annotated[Positional[str], arg(metavar="NAME")]
     """What the pose is called."""
-    robot: _RobotName = "humanoid"
+    robot: _RobotName = ""
     """Whose pose."""
     begin: Annotated[str, single("POSE", "home")] = ""
     """A pose of the file or a keyframe of the model."""
@@ -82,7 +84,7 @@ class _MotionOptions:
     motion: Annotated[Positional[str], arg(metavar="MOTION")]
     """A motion or pose of the file, or a file of frames (.csv)."""
     file: _BookName = ""
-    robot: _RobotName = "humanoid"
+    robot: _RobotName = ""
     """Whose motion."""
     speed: float = 1.0
     """Part of the joints' speed limits that may be used."""
@@ -131,7 +133,7 @@ class PosesImportOptions:
     """The motion: any skeleton whose joints the map names."""
     out: Annotated[Positional[str], arg(metavar="OUT")]
     """FILE.csv: frames of the figure."""
-    robot: _RobotName = "humanoid"
+    robot: Annotated[str, arg(metavar="NAME|PATH")] = _FIGURE
     """Who shall move."""
     map: Annotated[str, single(None, "bvh.toml beside the robot's model")] = ""
     """Which joint of the file is which part of the figure."""
@@ -145,7 +147,7 @@ class PosesImportOptions:
 
 def run_list(options: PosesListOptions) -> int:
     """Prints them."""
-    robot = _load(options.robot)
+    robot = _load(options.robot, options.file)
     book = _book(robot, options.file)
     motions = {name: (motion, book.motion(name)) for name, motion in book.motions.items()}
     if options.json:
@@ -169,9 +171,11 @@ def run_record(options: PosesRecordOptions) -> int:
     """Records it; 1 when a position is out of reach."""
     from robot_ik.motion import KeyPoses
 
-    robot = _load(options.robot)
+    robot = _load(options.robot, options.file)
     path = Path(options.file)
     book = KeyPoses.load(path, robot) if path.exists() else KeyPoses(robot)
+    taken = options.name in book.poses and not options.replace
+    require(not taken, "NAME", f"there is a pose {options.name!r} already", hint="another name, or --replace")
     q = _changed(robot, _start(robot, book, options), options.set)
     if options.reach:
         found = _reached(robot, q, options.reach)
@@ -184,13 +188,13 @@ def run_record(options: PosesRecordOptions) -> int:
     except TrajectoryError as error:
         raise wrong("pose", str(error.args[0]), hint=error.hint) from error
     book.save(path)
-    console.say(f"{options.name} is in {path}, which has {len(book.poses)} poses")
+    console.say(f"{options.name} is in {path}, which has {console.count_of(len(book.poses), 'pose')}")
     return console.DONE
 
 
 def run_play(options: PosesPlayOptions) -> int:
     """Plays it in a window."""
-    robot = _load(options.robot)
+    robot = _load(options.robot, options.file)
     motion = _motion(robot, options)
     require(options.times >= 1, "--times", f"{options.times}", "1 or more")
     from robot_ik.execution import execute
@@ -211,7 +215,7 @@ def run_export(options: PosesExportOptions) -> int:
 
     out = _out(options.out, ".csv", ".bvh")
     with claimed(out, overwrite=options.overwrite):
-        motion = _motion(_load(options.robot), options)
+        motion = _motion(_load(options.robot, options.file), options)
         if out.suffix == ".bvh":
             export_bvh(motion, options.rate).save(out)
         else:
@@ -225,6 +229,8 @@ def run_import(options: PosesImportOptions) -> int:
     from robot_ik.motion.bvh import Bvh
     from robot_ik.motion.retarget import SkeletonMap, retarget
 
+    rate_is_right = 0.0 <= options.rate < math.inf
+    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0, or 0: the file's")
     out = _out(options.out, ".csv")
     with claimed(out, overwrite=options.overwrite):
         robot = _load(options.robot)
@@ -244,10 +250,12 @@ def run_import(options: PosesImportOptions) -> int:
 # ------------------------------------------------------------------------------ parts
 
 
-def _load(name: str) -> Robot:
+def _load(name: str, file: str = "") -> Robot:
+    """The robot of that name, else that of the file of key poses, else the figure."""
+    from robot_ik.motion.key_poses import robot_named_in
     from robot_ik.robot import load_robot
 
-    return load_robot(name)
+    return load_robot(name or (Path(file).is_file() and robot_named_in(file)) or _FIGURE)
 
 
 def _book(robot: Robot, file: str) -> KeyPoses:
@@ -264,6 +272,9 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     from robot_ik.motion import Keyframes
 
     name = options.motion
+    require_share("--speed", options.speed)
+    rate_is_right = 0.0 < options.rate < math.inf
+    require(rate_is_right, "--rate", f"{options.rate:g} Hz", "a number above 0")
     if name.endswith(".csv"):
         return Keyframes.load_csv(name, robot)
     book = _book(robot, options.file)

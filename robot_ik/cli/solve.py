@@ -100,8 +100,9 @@ def make_goal(numbers: Sequence[float], frame: str | None = None) -> PositionGoa
     from robot_ik.goals import PoseGoal, PositionGoal
 
     if len(numbers) not in (3, 7):
+        given = f"was given {console.count_of(len(numbers), 'number')}" if numbers else "is missing"
         raise InvalidGoalError(
-            f"--goal was given {len(numbers)} numbers; it takes 3 (x y z, metres) or 7 (x y z, then w x y z)",
+            f"--goal {given}; it takes 3 (x y z, metres) or 7 (x y z, then w x y z)",
             hint="for example: --goal -0.4 -0.1 0.7",
         )
     if len(numbers) == 3:
@@ -160,10 +161,11 @@ def solution_facts(problem: Problem, solution: Solution) -> dict[str, Any]:
 
 def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
     miss = facts["miss"]
+    effort = [console.count_of(facts[f"{what}s"], what) for what in ("iteration", "restart")]
     head = (
         ("status", f"{facts['status']}: {facts['meaning']}"),
         ("miss", f"{1e3 * miss['position']:.4f} mm, {math.degrees(miss['angle']):.4f} deg"),
-        ("effort", f"{facts['iterations']} iterations, {facts['restarts']} restarts"),
+        ("effort", ", ".join(effort)),
         ("time", f"{1e6 * facts['seconds']:.0f} µs"),
     )
     rows = []
@@ -171,8 +173,8 @@ def _print_table(robot: Robot, facts: dict[str, Any]) -> None:
     for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
         values = [next(numbers) for _ in range({"free": 7, "ball": 4}.get(kind, 1))]
         unit = {"hinge": "deg", "slide": "m", "ball": "wxyz", "free": "m, wxyz"}[kind]
-        plain = " ".join(f"{value:9.5f}" for value in values)
-        rows.append((name, f"{math.degrees(values[0]):9.3f}" if kind == "hinge" else plain, unit))
+        plain = " ".join(f"{value:z9.5f}" for value in values)
+        rows.append((name, f"{math.degrees(values[0]):z9.3f}" if kind == "hinge" else plain, unit))
     console.show(
         console.table("solver", facts["solver"], rows=head),
         "",

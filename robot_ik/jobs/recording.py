@@ -175,9 +175,8 @@ def open_recording(path: Path, joints: Sequence[str]) -> Recording:
         OutputError: It cannot be written.
     """
     if path.suffix not in SUFFIXES:
-        raise ConfigError(
-            f"{path} says no form", file="command line", key="--record", allowed=" or ".join(SUFFIXES)
-        )
+        problem = f"the format is not clear from the name {path.name!r}"
+        raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
     return (TableRecording if path.suffix == ".csv" else McapRecording)(path, joints)
 
 

@@ -89,10 +89,11 @@ class _MotionFile(Table):
 
 
 def require_suffix(path: Path) -> None:
-    """Raises ``ConfigError`` unless the name says one of the two forms."""
+    """Raises ``ConfigError`` unless the name says one of the two formats."""
     if path.suffix not in SUFFIXES:
         allowed = f"a name that ends in {' or '.join(SUFFIXES)}"
-        raise ConfigError(f"{path} says no form", file="command line", key="FILE", allowed=allowed)
+        problem = f"the format is not clear from the name {path.name!r}"
+        raise ConfigError(problem, file="command line", key="FILE", allowed=allowed)
 
 
 def save_motion(path: Path, motion: Trajectory) -> None:

@@ -23,6 +23,7 @@ from robot_ik.motion.keyframes import Keyframes
 from robot_ik.ports import Array
 from robot_ik.reading import shown
 from robot_ik.robot import Robot
+from robot_ik.robot_file import catalogue
 from robot_ik.tables import Several, Table, keys_of, read_table
 
 
@@ -152,7 +153,7 @@ class KeyPoses:
             ConfigError: With file, key and what is allowed.
         """
         file = Path(path)
-        content = read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+        content = _content(file)
         book = cls(robot)
         for name, joints in content.poses.items():
             q = _pose_of(robot, joints, file, name)
@@ -162,6 +163,26 @@ class KeyPoses:
             with _in_file(file, f"motions.{name}"):
                 book.record_motion(name, motion.poses, motion.durations, loop=motion.loop)
         return book
+
+
+def _content(file: Path) -> _KeyPosesFile:
+    return read_table(_KeyPosesFile, file, "the key poses", "robot-ik poses record makes one")
+
+
+def robot_named_in(path: Path | str) -> str:
+    """The robot of the catalogue that a file of key poses names; empty: it names none.
+
+    Raises:
+        ConfigError: It names another one, or as ``KeyPoses.load``.
+    """
+    name = _content(Path(path)).robot
+    known = catalogue()
+    if name and name not in known:
+        raise ConfigError(
+            f"no robot of the catalogue is called {name!r}", file=path, key="robot", allowed=", ".join(known),
+            hint="of a model of your own say which file it is: --robot PATH",
+        )  # fmt: skip
+    return name
 
 
 class _KeyPosesFile(Table):

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.errors import ConfigError, TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
-from robot_ik.kernels.tree import BALL, FREE
+from robot_ik.kernels.tree import BALL, FREE, SLIDE
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import (
     Trajectory,
@@ -485,10 +485,8 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
     rows = sign_continuous(robot, rows)
     for k, row in enumerate(rows):
         if outside := robot.outside(row, _SLACK):
-            raise TrajectoryError(
-                f"key {k} has {', '.join(map(repr, outside))} outside its limits",
-                hint="robot.clip(q) is the nearest pose inside",
-            )
+            key = f"key {k}: " if len(rows) > 1 else ""
+            raise TrajectoryError(key + "; ".join(_outside_text(robot, row, joint) for joint in outside))
     if loop and not _closed(robot, rows[0], rows[-1]):
         raise TrajectoryError(
             "the last key of a loop must be the first again (but for position and heading of a free base)",
@@ -497,6 +495,19 @@ def _checked_keys(robot: Robot, times: ArrayLike, q: ArrayLike, loop: bool) -> t
     t = t - t[0]
     t.flags.writeable = rows.flags.writeable = False
     return t, rows
+
+
+def _outside_text(robot: Robot, q: Array, joint: str) -> str:
+    """That a joint stands outside its limits: where, and what they are; of a ball the angle of its cone."""
+    k = robot.joints.index(joint)
+    a, v, kind = int(robot.tree.qadr[k]), int(robot.tree.vadr[k]), int(robot.tree.kind[k])
+    at, low = float(q[a]), float(robot.lower[v])
+    if kind == BALL:
+        at, low = 2.0 * math.atan2(float(np.linalg.norm(q[a + 1 : a + 4])), abs(at)), 0.0
+    unit, one = ("m", 1.0) if kind == SLIDE else ("deg", math.pi / 180.0)
+    values = (value / one for value in (at, low, float(robot.upper[v])))
+    asked, lower, upper = apart(*values, digits=6, form="g")
+    return f"joint {joint!r} at {asked} {unit} is outside its limits; allowed: {lower} to {upper} {unit}"
 
 
 def _closed(robot: Robot, first: Array, last: Array) -> bool:

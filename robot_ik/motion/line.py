@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import TrajectoryError, apart
+from robot_ik.errors import InvalidGoalError, TrajectoryError, apart
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.goals import PoseGoal, Tolerance
 from robot_ik.motion.timing import Timing, fastest_timing
@@ -114,7 +114,9 @@ def line_move(
         TrajectoryError: A point on the line cannot be reached, or only by a jump of a joint; states
             how far the line is possible and which joint is in the way.
         UnsupportedJointError: The robot has ball or free joints.
+        InvalidGoalError: ``goal_pose`` is no ``Pose``.
     """
+    _require_pose(goal_pose)
     first = joint_vector(robot, start, "start")
     top, push = motion_limits(robot, speed, velocity, acceleration)
     for what, value, unit in (
@@ -136,6 +138,12 @@ def line_move(
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
     timing = fastest_timing(knots, path, top, push, fastest)
     return _sampled(tracer, timing, path, top, push, rate, deviation)
+
+
+def _require_pose(goal: object) -> None:
+    if not isinstance(goal, Pose):
+        hint = "Pose(position, wxyz), or Pose(position, robot.forward(start).wxyz) to keep the orientation"
+        raise InvalidGoalError(f"goal_pose is to be a Pose, not {goal!r}", hint=hint)
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,8 @@ def test_the_poses_that_ship_are_listed(robot_ik: Any) -> None:
 def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any, tmp_path: Path) -> None:
     file, robot = tmp_path / "my.toml", load_robot("humanoid")
     words = ("poses", "record", file)
-    assert robot_ik(*words, "squat", "--begin", "squat").code == 0
+    run = robot_ik(*words, "squat", "--begin", "squat")
+    assert run.code == 0 and run.err.endswith("which has 1 pose\n")
     assert robot_ik(*words, "wave", "--set", "left_elbow_pitch=90", "head_yaw=-20").code == 0
     assert robot_ik(*words, "up", "--begin", "wave", "--reach", "right_hand", 0.3, -0.3, 1.6).code == 0
     book = KeyPoses.load(file, robot)
@@ -47,7 +48,10 @@ def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any,
         (("record", "my.toml", "a", "--begin", "squad"), "did you mean squat"),
         (("record", "my.toml", "a", "--set", "left_elbow=90"), "left_elbow_pitch"),
         (("record", "my.toml", "a", "--set", "left_elbow_pitch=much"), "HINGE=DEGREES"),
-        (("record", "my.toml", "a", "--set", "left_elbow_pitch=300"), "outside its limits"),
+        (
+            ("record", "my.toml", "a", "--set", "left_elbow_pitch=300"),
+            "pose: joint 'left_elbow_pitch' at 300 deg is outside its limits; allowed: 0 to 150 deg",
+        ),
         (("record", "my.toml", "a", "--reach", "right_hand", "1"), "FRAME X Y Z"),
         (("export", "walk", "walk.txt"), ".csv or .bvh"),
         (("export", "wlak", "walk.csv"), "did you mean walk"),
@@ -55,6 +59,11 @@ def test_poses_are_recorded_by_joints_by_reaching_and_from_frames(robot_ik: Any,
         (("list", "none.toml"), "cannot be read"),
         (("import", "none.bvh", "clip.csv"), "cannot be read"),
         (("play", "walk", "--times", "0"), "1 or more"),
+        (("play", "walk", "--rate", "nan"), "--rate: nan Hz; allowed: a number above 0"),
+        (("export", "walk", "walk.csv", "--rate", "0"), "--rate: 0 Hz; allowed: a number above 0"),
+        (("export", "walk", "walk.csv", "--rate=-3"), "--rate: -3 Hz; allowed: a number above 0"),
+        (("export", "walk", "walk.csv", "--speed", "0"), "--speed: 0 is no share"),
+        (("import", "none.bvh", "clip.csv", "--rate=-3"), "--rate: -3 Hz"),
     ],
 )
 def test_what_is_wrong_is_said(
@@ -64,6 +73,24 @@ def test_what_is_wrong_is_said(
     run = robot_ik("poses", *words)
     run.assert_one_screen_error()
     assert says in " ".join(run.err.split()), run.err
+
+
+def test_a_file_knows_whose_poses_it_holds(robot_ik: Any, tmp_path: Path) -> None:
+    """Without --robot it is that of the file; a name that is taken is answered with the option that helps."""
+    file, out = tmp_path / "my.toml", tmp_path / "up.csv"
+    assert robot_ik("poses", "record", file, "up", "--robot", "puma560", "--set", "joint1=30").code == 0
+    assert robot_ik("poses", "record", file, "down", "--set", "joint1=-30").code == 0
+    assert json.loads(robot_ik("poses", "list", file, "--json").out)["robot"] == "puma560"
+    assert robot_ik("poses", "export", "up", out, "--file", file).code == 0
+    assert Keyframes.load_csv(out, load_robot("puma560")).q[0, 0] == pytest.approx(np.pi / 6)
+    run = robot_ik("poses", "record", file, "up")
+    run.assert_one_screen_error()
+    assert "another name, or --replace" in run.err and "True" not in run.err
+    file.write_text(file.read_text().replace("puma560", "my_arm"))
+    run = robot_ik("poses", "list", file)
+    run.assert_one_screen_error()
+    assert "my.toml: robot: no robot of the catalogue is called 'my_arm'" in " ".join(run.err.split())
+    assert "--robot PATH" in run.err
 
 
 def test_a_motion_is_exported_and_imported(robot_ik: Any, tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_a_recording_beyond_the_limits_says_so_at_once(robot_ik: Any, desk: Any,
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (("teach", "m.txt"), ".csv or .json"),
+        (("teach", "m.txt"), "not clear from the name 'm.txt'; allowed: a name that ends in .csv or .json"),
         (("teach", "m.csv", "--seconds", "nan"), "--seconds"),
         (("teach", "m.csv", "--rate", 0), "--rate"),
         (("teach", "no/m.csv"), "folder"),

@@ -115,10 +115,14 @@ def test_an_unreachable_goal_is_a_result(puma: Robot, robot_ik: Any) -> None:
     assert facts["miss"]["position"] < np.linalg.norm(at_home - [9, 0, 0])  # the nearest found is kept
 
 
-def test_the_table_for_people(robot_ik: Any) -> None:
+def test_the_table_for_people(puma: Robot, robot_ik: Any) -> None:
     run = robot_ik("solve", "--goal", *GOAL, "--no-json")
     assert run.code == 0 and len(run.out.splitlines()) < 25
     assert "converged" in run.out and "joint6" in run.out and "deg" in run.out
+    assert "1 iteration, 0 restarts" in robot_ik("solve", "--goal", *GOAL, "--no-json", "--iterations", 1).out
+    there = puma.forward(puma.home)
+    words = ("--goal", *there.position, *there.wxyz, "--start", *(puma.home - 1e-9))
+    assert "-0.000" not in robot_ik("solve", *words, "--no-json").out
     assert robot_ik("solve", "--goal", 9, 0, 0, "--no-json").code == 1
 
 
@@ -149,7 +153,7 @@ def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> N
         (["--goal", *GOAL, "1", "0", "0", "nan"], ["nan"]),
         (["--goal", "1", "2"], ["2 numbers", "3", "7"]),
         (["--goal", *GOAL, "1"], ["4 numbers"]),
-        ([], ["--goal", "for example"]),
+        ([], ["--goal is missing; it takes 3", "for example"]),
         (["--robot", "nowhere/arm.xml", "--goal", *GOAL], ["nowhere/arm.xml"]),
         (["--goal", *GOAL, "--start", "1", "2"], ["start", "joint6"]),
         (["--goal", *GOAL, "--start", *["nan"] * 6], ["start", "nan"]),

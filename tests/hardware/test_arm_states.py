@@ -22,7 +22,7 @@ def test_each_step_needs_the_one_before(arm_config, start):
         with pytest.raises(ArmStateError):
             arm.connect()
         for action in (arm.hold, lambda: arm.send(start, 0.0)):
-            with pytest.raises(ArmStateError, match="connected, not enabled"):
+            with pytest.raises(ArmStateError, match="the arm is connected; allowed: enabled, hold"):
                 action()
     assert arm.exit_report.done == "untouched"
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import robot_ik as rik
 from robot_ik.errors import ConfigError, OutputError, UnknownJointError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
@@ -241,6 +242,11 @@ def test_joints_by_name(arm_config: ArmConfig) -> None:
 
 
 # ----------------------------------------------------------------------------------------- generic
+
+
+def test_a_robot_without_an_arm_file_has_none_to_load() -> None:
+    with pytest.raises(ConfigError, match=r"no arm file to read\na robot without .* ArmConfig\.generic"):
+        ArmConfig.load(rik.load_robot("panda").arm_file)
 
 
 def test_generic_arm_for_any_robot() -> None:

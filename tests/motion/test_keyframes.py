@@ -153,7 +153,7 @@ def test_a_motion_asked_too_fast_says_how_long_it_takes(humanoid: rik.Robot) -> 
         (lambda t, q: (t[::-1], q), "times must increase"),
         (lambda t, q: (t, q[:, :-1]), "keys of 'puma560' got times"),
         (lambda t, q: (t, np.where(q == q[1, 2], np.nan, q)), "not finite"),
-        (lambda t, q: (t, q + 10.0), "outside its limits"),
+        (lambda t, q: (t, q + 10.0), "key 0: joint .* is outside its limits; allowed: .* deg"),
     ],
 )
 def test_keys_that_make_no_motion_are_refused(change: object, message: str) -> None:
@@ -214,7 +214,10 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
         ("schema = 1\n[poses.a]\njoint9 = 1.0", r"poses.a.joint9: unknown joint \(did you mean 'joint\d'"),
         ("schema = 1\n[poses.a]\njoint1 = true", "poses.a.joint1: True is not right; allowed: a number"),
-        ("schema = 1\n[poses.a]\njoint1 = 99.0", "poses.a: .*'joint1' outside its limits"),
+        (
+            "schema = 1\n[poses.a]\njoint1 = 99.0",
+            "poses.a: joint 'joint1' at 5672.28 deg is outside its limits; allowed: -160 to 160 deg",
+        ),
         ("schema = 1\nposes = 3", "poses: 3 is not right; allowed: a table"),
         ("schema = 1\n[motions.m]\nposes = ['a', 'b']", "motions.m: there is no pose 'a'"),
         (

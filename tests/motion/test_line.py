@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from robot_ik.errors import TrajectoryError
+from robot_ik.errors import InvalidGoalError, TrajectoryError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
 from robot_ik.motion import line_move
 from robot_ik.solvers import make_solver
@@ -195,6 +195,11 @@ def test_random_lines_are_straight_or_refused(puma):
 def test_malformed_options_are_refused(puma, options):
     with pytest.raises(TrajectoryError):
         line_move(puma, puma.home, puma.forward(puma.home), **options)
+
+
+def test_a_goal_that_is_no_pose_is_refused(puma):
+    with pytest.raises(InvalidGoalError, match=r"a Pose, not \(1, 2, 3\)\nPose\(position, wxyz\)"):
+        line_move(puma, puma.home, (1, 2, 3))
 
 
 def test_malformed_starts_are_refused(puma):

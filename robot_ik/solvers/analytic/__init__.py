@@ -232,7 +232,7 @@ class Analytic(Solver):
             raise UnsupportedGoalError(
                 self.name,
                 f"{' and '.join('a ' + g.name for g in problem.goals)} on {problem.robot.name}: "
-                "no closed form is known for this chain of joints",
+                + _what_has_a_form(problem),
                 tuple(name for name in able_solvers(problem) if name != self.name),
             )
         return prepared
@@ -330,6 +330,17 @@ def _prepare(problem: Problem) -> Prepared | None:
     addresses = (tree, goals, space, numbers)
     proof = jit.entry(prove, goals, numbers)
     return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, proof)
+
+
+def _what_has_a_form(problem: Problem) -> str:
+    """What goals of the problem's frame have a closed form, of which its own are none."""
+    goal, tree = problem.given[0], problem.robot.tree
+    node, local = problem.robot.attachment(goal.frame)
+    texts = {True: "one pose: give position and orientation", False: "one position: give no orientation"}
+    known = [text for whole, text in texts.items() if recognise(tree, node, local, whole=whole)]
+    if not known:
+        return "no closed form is known for this chain of joints"
+    return f"its closed form is for {', or '.join(known)}"
 
 
 def _form_of(problem: Problem) -> Form | None:

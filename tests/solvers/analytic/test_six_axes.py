@@ -122,6 +122,11 @@ def test_goals_without_a_closed_form_are_refused_by_name():
         with pytest.raises(UnsupportedGoalError, match="lm"):
             solve(robot, goal, solver="analytic")
         assert solve(robot, goal).converged
+    with pytest.raises(UnsupportedGoalError, match=r"its closed form is for one pose: give .*\n.*lm"):
+        solve(robot, goal, solver="analytic")
+    with pytest.raises(UnsupportedGoalError, match="\nno other method knows every solution") as caught:
+        solve_all(robot, goal)
+    assert caught.value.able == ()
 
 
 @pytest.mark.parametrize("robot_name", ["puma560", "ur5e"])
