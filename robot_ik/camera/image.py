@@ -139,7 +139,18 @@ _WANTED = 2000
 
 
 def to_gray(image: Image) -> Image:
-    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture."""
+    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture.
+
+    Raises:
+        CameraError: It is no such picture.
+    """
+    known = isinstance(image, np.ndarray)
+    if not known or image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+        found = f"{image.shape} of {image.dtype}" if known else type(image).__name__
+        raise CameraError(
+            f"a picture (height, width, 3) or (height, width) of uint8 is wanted, not {found}",
+            hint='read one: read_image("photo.png"); a Frame has one: frame.image',
+        )
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -167,7 +167,7 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("missing.png",), "there is no camera, file or folder 'missing.png'"),
         (("{}/bodies.toml",), "is not a picture that OpenCV can read"),
         (("{}/board.png", "--dictionary", "DICT_5X5"), "did you mean 'DICT_5X5_50'"),
-        (("{}/board.png", "--ids", "50"), "marker ids [50] are not in DICT_5X5_50"),
+        (("{}/board.png", "--ids", "50"), "marker ids 50 are not in DICT_5X5_50"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml"), "a pose needs the size of the marker"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50.0 mm are 0.05"),
         (("{}/board.png", "--bodies", "{}/bodies.toml"), "needs the camera's intrinsics"),
@@ -175,7 +175,7 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),
         (
             ("{}/board.png", "--bodies", "{}/bodies.toml", "--intrinsics", "{}/camera.yaml", "--ids", "9"),
-            "no size is given for marker ids [9]",
+            "no size is given for marker ids 9",
         ),
     ],
 )

@@ -51,9 +51,9 @@ _SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
 _STILL_TICKS = 1.01
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
 _STALE_FRAMES = 3
-# A sound arm's own error stays below these, each axis: a part of its reach, and rad.  Servo ticks alone give up
-# to 0.0004 of the reach and 0.09 deg (8 views and more), twice the ticks 0.0007 and 0.13 deg, a second joint that
-# is off by 1.5 deg 0.0015 and 0.23 deg.  One view or a tenth of them may be spoilt by the picture.
+# A sound arm's own error stays below these, each axis: a part of its reach, and rad.  Servo ticks alone give
+# up to 0.0004 of the reach and 0.09 deg (8 views and more), twice the ticks 0.0007 and 0.13 deg, a second
+# joint that is off by 1.5 deg 0.0015 and 0.23 deg.  One view or a tenth may be spoilt by the picture.
 _SOUND_POSITION, _SOUND_ANGLE, _SOUND_REJECTED = 8e-4, float(np.deg2rad(0.15)), 0.1
 
 
