@@ -19,7 +19,7 @@ def test_a_sheet_is_written_and_named(robot_ik: Any, tmp_path: Path) -> None:
     out = tmp_path / "sheet.pdf"
     run = robot_ik("camera", "print", "marker", "--ids", 7, 8, "--size-mm", 45, "--out", out)
     assert run.code == 0 and run.out == ""
-    assert "markers 7, 8 of DICT_5X5_50, 45 mm on a4" in run.err and "100.0 mm" in run.err
+    assert "markers 7, 8 of DICT_5X5_50, 45 mm on a4" in run.err and "measure both bars: 100.0 mm" in run.err
     assert out.read_bytes().startswith(b"%PDF-1.4")
 
 
