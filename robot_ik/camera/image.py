@@ -256,7 +256,8 @@ def neighbours(path: Path) -> str:
     known = IMAGE_SUFFIXES + VIDEO_SUFFIXES
     found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
     shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
-    return f"{folder} holds {shown}" if found else f"{folder} holds no pictures or films"
+    where = "this folder" if folder == Path() else str(folder)
+    return f"{where} holds {shown}" if found else f"{where} holds no pictures or films"
 
 
 def write_image(path: Path, image: Image) -> None:

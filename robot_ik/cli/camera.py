@@ -357,7 +357,7 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
     sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
     facts = (
         (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
-        ("stated uncertainty", f"{sigma} (one sigma; the board's pose counts as exact)"),
+        ("stated uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
         ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
         ("pictures", f"{len(views)} of {searched} show the board"),
     )

@@ -192,8 +192,8 @@ def _metres(text: str) -> float:
         raise ValueError
     if 0.0 < length < _LEAST_MM:
         raise CameraError(
-            f"a length of {length:g} mm cannot be right on a board",
-            hint=f"boards are said in millimetres: {length:g} m are {1e3 * length:g}",
+            f"a length of {length:g} mm is too small for a board",
+            hint=f"a board's lengths are in millimetres: {length:g} m are {1e3 * length:g}",
         )
     return 1e-3 * length
 

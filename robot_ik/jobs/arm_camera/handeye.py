@@ -281,7 +281,7 @@ def run_handeye(
         setup.enable_torque()
         stations = report.stations
         report.unseen = measure(request, setup, scene, stations, samples, lambda: keep(samples), progress)
-    samples.require(len(report.stations), "say better where camera and board are")
+    samples.require(len(report.stations), "give better guesses of where camera and board are")
     progress("solving", 0.0)
     report.solve(setup.robot)
     return report
