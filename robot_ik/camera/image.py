@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import re
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -209,7 +210,7 @@ def read_image(path: Path | str) -> Image:
             f"cannot read the picture {path}: {error.strerror}", hint=neighbours(path)
         ) from None
     image = None
-    if data.size:
+    if data.size and _is_whole(data.tobytes()):
         # It raises where the header of a file says more pixels than a picture may have.
         with quiet(), contextlib.suppress(cv2.error):
             image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -218,6 +219,20 @@ def read_image(path: Path | str) -> Image:
             f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
         )
     return np.asarray(image, dtype=np.uint8)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a PNG has its chunks, with right checksums, to the end; else libpng itself writes to stderr."""
+    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return True
+    at, kind = 8, b""
+    while kind != b"IEND" and at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind, checksum = data[at + 4 : at + 8], int.from_bytes(data[end : end + 4], "big")
+        if kind[:1].isupper() and zlib.crc32(data[at + 4 : end]) != checksum:
+            return False
+        at = end + 4
+    return kind == b"IEND"
 
 
 def first_size(files: Sequence[Path]) -> tuple[int, int]:

@@ -96,4 +96,4 @@ def test_a_folder_of_photographs_is_judged_by_the_same_checks(tmp_path: Path) ->
     figures = {one.quantity: one for one in photographs(Effort(photographs=str(tmp_path)))}
     assert [one.passed for one in figures.values()] == [True] * 4
     assert figures["finds of any dictionary on 1 chessboards"].value == 0
-    assert any("outwards of where the saddles" in words for words in figures)
+    assert any("outside of where their chessboard puts them" in words for words in figures)

@@ -176,6 +176,8 @@ def test_truth_can_be_taken_off() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("cut.png", "not a picture"),
+        ("damaged.png", "not a picture"),
         ("nothing.jpg", "no camera, file or folder"),
         ("empty", "holds no pictures"),
         ("words.txt", "not a picture"),
@@ -197,6 +199,9 @@ def test_what_cannot_be_opened_is_reported(
     (tmp_path / "empty").mkdir()
     (tmp_path / "words.txt").write_text("hello")
     (tmp_path / "broken.mp4").write_bytes(b"\x00" * 100)
+    png = cv2.imencode(".png", picture(1))[1].tobytes()
+    (tmp_path / "cut.png").write_bytes(png[:-12])
+    (tmp_path / "damaged.png").write_bytes(png[:50] + b"\xff" + png[51:])
     cv2.imwrite(str(tmp_path / "right.png"), picture(1))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(CameraNotFoundError, match=message) as caught:

@@ -213,9 +213,8 @@ def test_the_picture_shows_the_arm_as_it_is_and_corrected(report: VerifyReport) 
     _, scale = _draw(axes, report.errors, 0, 2)
     tips = 1e3 * np.array([one.position + scale * one.vector for one in report.errors])
     (low, high), (down, up) = axes.get_xlim(), axes.get_ylim()
-    assert (
-        low < tips[:, 0].min() < tips[:, 0].max() < high and down < tips[:, 2].min() < tips[:, 2].max() < up
-    )
+    assert low < tips[:, 0].min() < tips[:, 0].max() < high
+    assert down < tips[:, 2].min() < tips[:, 2].max() < up
 
 
 def test_the_benchmark_sees_offsets_that_are_wrong(
