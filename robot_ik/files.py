@@ -65,7 +65,8 @@ def claimed(*paths: Path | None, overwrite: bool = False) -> Iterator[None]:
     """Keeps the names of result files for one run, from before its work begins until it ends.
 
     Args:
-        paths: The files, written whole later (``write_atomically``); None: one that is not wanted.
+        paths: The files, written whole later (``write_atomically``); None: one that is not wanted.  Their
+            folders are made where they do not exist.
         overwrite: Whether files that are there may be replaced.
 
     Raises:
@@ -78,6 +79,7 @@ def claimed(*paths: Path | None, overwrite: bool = False) -> Iterator[None]:
                 raise _unwritable(path, IsADirectoryError(errno.EISDIR, "it is a folder"))
             if os.path.lexists(path) and not overwrite:
                 raise _held(path, "it exists")
+            stack.enter_context(folder_for_results(path.parent))
             lock = path.with_name(f".{path.name}.lock")
             try:
                 handle = os.open(lock, os.O_CREAT | os.O_RDWR, 0o644)
@@ -174,6 +176,16 @@ def _held(path: Path, why: str) -> OutputError:
 
 
 def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(
-        f"cannot write {path}: {error.strerror or error}", hint="give a folder that exists or can be made"
-    )
+    file = next((place for place in (path, *path.parents) if place.is_file()), None)
+    if isinstance(error, IsADirectoryError):
+        why, hint = "it is a folder", "give the name of a file in it"
+    elif file is not None and isinstance(error, FileExistsError | NotADirectoryError):
+        why, hint = (
+            f"{file} is a file, and a folder is wanted there",
+            "give the name of a folder, or a new one",
+        )
+    elif isinstance(error, FileNotFoundError):
+        why, hint = f"there is no folder {path.parent}", "make it first, or give another"
+    else:
+        why, hint = error.strerror or str(error), "give a place where you may write, with space left"
+    return OutputError(f"cannot write {path}: {why}", hint=hint)

@@ -99,7 +99,7 @@ def grid_body(
     """
     if columns < 1 or rows < 1 or not gap > 0:
         raise CameraError(
-            f"a board of {columns} x {rows} markers with gaps of {gap} m cannot be",
+            f"a board of {columns} x {rows} markers with gaps of {1e3 * gap:g} mm is not possible",
             hint="at least 1 x 1, and white between the markers: a quarter of their size is good",
         )
     pitch = size + gap

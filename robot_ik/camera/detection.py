@@ -107,7 +107,8 @@ class MarkerDetector:
         beyond = sorted(i for i in self.ids or () if not 0 <= i < count)
         if beyond:
             raise CameraError(
-                f"marker ids {beyond} are not in {dictionary}", hint=f"its ids are 0 to {count - 1}"
+                f"marker ids {', '.join(map(str, beyond))} are not in {dictionary}",
+                hint=f"its ids are 0 to {count - 1}",
             )
         rate = _CORRECTED_STRICTLY if strict else _CORRECTED
         self._thorough = [cv2.aruco.ArucoDetector(table, _parameters(*one, rate)) for one in _SEARCHES]

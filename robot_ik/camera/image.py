@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import re
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -139,7 +140,18 @@ _WANTED = 2000
 
 
 def to_gray(image: Image) -> Image:
-    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture."""
+    """Grey (h, w), contiguous, of a BGR (h, w, 3) or grey (h, w) picture.
+
+    Raises:
+        CameraError: It is no such picture.
+    """
+    known = isinstance(image, np.ndarray)
+    if not known or image.dtype != np.uint8 or image.ndim < 2 or image.shape[2:] not in ((), (3,)):
+        found = f"{image.shape} of {image.dtype}" if known else type(image).__name__
+        raise CameraError(
+            f"a picture (height, width, 3) or (height, width) of uint8 is wanted, not {found}",
+            hint='read one: read_image("photo.png"); a Frame has one: frame.image',
+        )
     if image.ndim == 2:
         return np.ascontiguousarray(image)
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
@@ -198,7 +210,7 @@ def read_image(path: Path | str) -> Image:
             f"cannot read the picture {path}: {error.strerror}", hint=neighbours(path)
         ) from None
     image = None
-    if data.size:
+    if data.size and _is_whole(data.tobytes()):
         # It raises where the header of a file says more pixels than a picture may have.
         with quiet(), contextlib.suppress(cv2.error):
             image = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
@@ -207,6 +219,20 @@ def read_image(path: Path | str) -> Image:
             f"{path} is not a picture that OpenCV can read", hint=f"usual kinds: {', '.join(IMAGE_SUFFIXES)}"
         )
     return np.asarray(image, dtype=np.uint8)
+
+
+def _is_whole(data: bytes) -> bool:
+    """Whether a PNG has its chunks, with right checksums, to the end; else libpng itself writes to stderr."""
+    if not data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return True
+    at, kind = 8, b""
+    while kind != b"IEND" and at + 12 <= len(data):
+        end = at + 8 + int.from_bytes(data[at : at + 4], "big")
+        kind, checksum = data[at + 4 : at + 8], int.from_bytes(data[end : end + 4], "big")
+        if kind[:1].isupper() and zlib.crc32(data[at + 4 : end]) != checksum:
+            return False
+        at = end + 4
+    return kind == b"IEND"
 
 
 def first_size(files: Sequence[Path]) -> tuple[int, int]:
@@ -245,7 +271,8 @@ def neighbours(path: Path) -> str:
     known = IMAGE_SUFFIXES + VIDEO_SUFFIXES
     found = natural_sort(f for f in folder.iterdir() if f.suffix.lower() in known)
     shown = ", ".join(f.name for f in found[:8]) + (", …" if len(found) > 8 else "")
-    return f"{folder} holds {shown}" if found else f"{folder} holds no pictures or films"
+    where = "this folder" if folder == Path() else str(folder)
+    return f"{where} holds {shown}" if found else f"{where} holds no pictures or films"
 
 
 def write_image(path: Path, image: Image) -> None:

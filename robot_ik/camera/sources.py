@@ -31,7 +31,7 @@ from robot_ik.camera.image import (
     quiet,
     read_image,
 )
-from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 
 #: Sources that other modules know how to open: the module, and its function or class.
 _OPENERS = {
@@ -219,8 +219,17 @@ class VideoSource(FrameSource):
         self._capture.release()
 
 
+def require_frame(frame: object) -> None:
+    """Raises ``CameraError`` for what is no ``Frame``: a bare picture, a path, None."""
+    if not isinstance(frame, Frame):
+        raise CameraError(
+            f"a Frame is wanted, not {'None' if frame is None else type(frame).__name__}",
+            hint='take one from a source: open_source("photo.png").read(); of an array: Frame(image, 0.0, 0)',
+        )
+
+
 def open_source(
-    text: str,
+    text: str | int | Path,
     *,
     size: tuple[int, int] | None = None,
     rate_hz: float | None = None,
@@ -239,7 +248,7 @@ def open_source(
         FrameSizeError: A camera does not deliver ``size``, or the file has another one.
         CameraError: A camera does not run at ``rate_hz``.
     """
-    text = text.strip()
+    text = str(text).strip()
     if text.startswith("file://"):
         text = url2pathname(urlsplit(text).path)
     is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device

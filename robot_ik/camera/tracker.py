@@ -31,7 +31,7 @@ from robot_ik.camera.observations import (
 )
 from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.pose_fit import BranchChoice, Branches
-from robot_ik.camera.sources import Frame
+from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 
@@ -145,7 +145,8 @@ class MarkerTracker:
             in mind.  Off, each frame is for itself.
 
     Raises:
-        CameraError: Unknown dictionary, an id beyond it, an id without a size, or a size that cannot be.
+        CameraError: No intrinsics, unknown dictionary, an id beyond it, an id without a size, or a size that
+            cannot be.
     """
 
     def __init__(
@@ -157,6 +158,11 @@ class MarkerTracker:
         *,
         window: bool = False,
     ) -> None:
+        if not isinstance(intrinsics, CameraIntrinsics):
+            raise CameraError(
+                f"poses need the camera's intrinsics, not {intrinsics!r}",
+                hint='load them: CameraIntrinsics.load("camera.yaml")',
+            )
         self.intrinsics = intrinsics
         self._sizes = dict(sizes) if isinstance(sizes, Mapping) else float(sizes)
         chosen = None if ids is None else frozenset(ids)
@@ -164,7 +170,7 @@ class MarkerTracker:
             chosen = frozenset(self._sizes) if chosen is None else chosen
             if missing := sorted(chosen - self._sizes.keys()):
                 raise CameraError(
-                    f"no size is given for marker ids {missing}",
+                    f"no size is given for marker ids {', '.join(map(str, missing))}",
                     hint="give the side of each black square in metres",
                 )
         for size in self._sizes.values() if isinstance(self._sizes, dict) else [self._sizes]:
@@ -186,6 +192,7 @@ class MarkerTracker:
 
         Raises:
             CalibrationError: The frame has not the size of the calibration.
+            CameraError: It is no ``Frame``.
         """
         observations = []
         chosen = None if ids is None else frozenset(ids)
@@ -243,6 +250,7 @@ class MarkerTracker:
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
     def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+        require_frame(frame)
         if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
             return self._seen[1]
         self.intrinsics.require_size(*frame.size)
@@ -397,6 +405,7 @@ class MarkerFinder:
         return Sighting(frame, markers, {name: seen for name, seen in found.items() if seen is not None})
 
     def _corners(self, frame: Frame) -> list[Corners]:
+        require_frame(frame)
         width, height = frame.size
         # The lens is unknown: edges are taken to be straight in the picture.
         straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))

@@ -185,6 +185,8 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
         _print(report)
         if report.result is not None:
             console.say(f"wrote {options.out}", "green")
+    if report.doubt:
+        console.say(report.doubt, "yellow")
     return console.DONE
 
 
@@ -266,6 +268,7 @@ def _as_json(report: HandEyeReport, options: CameraHandeyeOptions) -> dict[str, 
         "arm_position_m": result.arm_position,
         "arm_angle_rad": result.arm_angle,
         "outliers": result.outliers,
+        "doubt": report.doubt,
         "views": [
             {
                 "px": one.pixels,

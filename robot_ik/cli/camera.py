@@ -139,6 +139,7 @@ def run_detect(options: CameraDetectOptions) -> int:
         return _detect(options, intrinsics, None)
     from robot_ik.jobs.pictures import DrawingFolder
 
+    drawings = DrawingFolder(folder)
     for path in map(Path, options.images):  # drawings have the names of their pictures
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
             raise OutputError(
@@ -146,7 +147,10 @@ def run_detect(options: CameraDetectOptions) -> int:
                 hint="give another folder: --draw drawn",
             )
     with claimed_folder(folder, "*.png", overwrite=options.overwrite):
-        return _detect(options, intrinsics, DrawingFolder(folder))
+        code = _detect(options, intrinsics, drawings)
+    if drawings.names:
+        console.say(f"wrote {len(drawings.names)} drawing(s) to {folder}", "green")
+    return code
 
 
 def _detect(
@@ -299,7 +303,7 @@ class CameraLocateOptions:
     the middle, x right, y up, z out of the print; chessboard and charuco have OpenCV's, z into the board.
     """
 
-    source: Positional[str]
+    source: Annotated[Positional[str], arg(metavar="SOURCE")]
     """A picture, folder, film, camera's index or URL."""
     intrinsics: Annotated[str, arg(metavar="FILE")]
     """Calibration of the camera."""
@@ -334,11 +338,12 @@ def run_locate(options: CameraLocateOptions) -> int:
 def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
     from robot_ik.camera.calibration.extrinsics import locate_camera
 
-    views, searched = _board_views(options, board, intrinsics)
+    blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
+    views, searched = _board_views(options, board, intrinsics, blank)
     if not views:
         raise MarkerNotFoundError(
             f"the board {options.board} is in none of {searched} pictures of {options.source}",
-            hint="check its sizes and dictionary, light and focus; the whole board should be in view",
+            hint=_unseen_hint(board, blank),
         )
     extrinsics = locate_camera(views, pose, intrinsics, parent=options.parent)
     doubtful = _doubtful(views, extrinsics.pose_parent_camera.inverse() @ pose, intrinsics)
@@ -352,13 +357,25 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
     sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
     facts = (
         (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
-        ("stated uncertainty", f"{sigma} (one sigma; the board's pose is taken for exact)"),
+        ("stated uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
         ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
         ("pictures", f"{len(views)} of {searched} show the board"),
     )
     console.show(console.facts(*facts))
     console.say(f"wrote {options.out}", "green")
     return console.DONE
+
+
+def _unseen_hint(board: Board, blank: Sequence[Any]) -> str:
+    """What may be wrong when no picture shows the board: markers of another dictionary are named."""
+    from robot_ik.camera.detection import MarkerDetector, guess_dictionary
+
+    dictionary = getattr(getattr(board, "pattern", board), "dictionary", "")
+    if dictionary and not any(MarkerDetector(dictionary, strict=True).detect(image) for image in blank):
+        other = guess_dictionary(blank)
+        if other is not None:
+            return f"there are markers of {other}, none of {dictionary}: --dictionary {other}"
+    return "check its sizes and dictionary, light and focus; the whole board should be in view"
 
 
 def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
@@ -376,9 +393,9 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
 
 
 def _board_views(
-    options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics
+    options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics, blank: deque[Any]
 ) -> tuple[list[BoardView], int]:
-    """The views of the board, and how many pictures were searched."""
+    """The views of the board, and how many pictures were searched; some of those without it in ``blank``."""
     from robot_ik.camera.sources import open_source
     from robot_ik.jobs.pictures import board_views
 
@@ -388,6 +405,7 @@ def _board_views(
             source, board, intrinsics, options.frames,
             progress=lambda searched: bar.update(task, completed=searched),
             left_out=lambda why: console.say(f"left out: {why}", "yellow"),
+            unseen=blank.append,
         )  # fmt: skip
 
 
@@ -416,7 +434,7 @@ def _as_json(found: CameraExtrinsics, options: CameraLocateOptions, used: int, s
 class CameraPrintOptions:
     """Writes a sheet to print: markers, a board of markers, a cube to fold, or a pattern to calibrate with.
 
-    Print it at 100 % ("actual size", no "fit to page") and measure the bar of 100 mm on it. What does not
+    Print it at 100 % ("actual size", no "fit to page") and measure both bars on it: 100 mm. What does not
     fit the page is refused.
     """
 
@@ -464,5 +482,5 @@ def run_print(options: CameraPrintOptions) -> int:
             console.say(f"wrote {options.body}: where its markers are", "green")
         write_sheet(page, options.out, dpi=options.dpi)
     console.say(f"wrote {options.out}: {page.about}", "green")
-    console.say("print it at 100 % (actual size) and measure the bar: 100.0 mm")
+    console.say("print it at 100 % (actual size) and measure both bars: 100.0 mm")
     return console.DONE

@@ -14,7 +14,7 @@ from robot_ik.camera import sources
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.image import write_image
+from robot_ik.camera.image import Image, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
 from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
@@ -69,17 +69,17 @@ class PictureMarkers:
 
 
 class DrawingFolder:
-    """A folder of drawings, each under the name of its picture."""
+    """A folder of drawings, each under the name of its picture; ``names`` are those of this run."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._names = folder, set[str]()
+        self._folder, self.names = folder, set[str]()
 
     def save(self, file: str, number: int | None, image: Any) -> None:
         """Writes one; a name that this run has used gets a number behind it."""
         stem = (Path(file).stem or "picture") + ("" if number is None else f"-{number:05d}")
         names = itertools.chain([stem], (f"{stem}_{k}" for k in itertools.count(2)))
-        name = next(name for name in names if name not in self._names)
-        self._names.add(name)
+        name = next(name for name in names if name not in self.names)
+        self.names.add(name)
         write_image(self._folder / f"{name}.png", image)
 
 
@@ -141,10 +141,12 @@ def board_views(
     *,
     progress: Callable[[int], None] = lambda searched: None,
     left_out: Callable[[str], None] = lambda why: None,
+    unseen: Callable[[Image], None] = lambda image: None,
 ) -> tuple[list[BoardView], int]:
     """The views of a board in the next ``most`` pictures of a source, and how many were searched.
 
-    ``progress`` is given how many have been searched, ``left_out`` why a file cannot be used.
+    ``progress`` is given how many have been searched, ``left_out`` why a file cannot be used, ``unseen`` each
+    picture without the board.
     """
     views: list[BoardView] = []
     searched = 0
@@ -156,6 +158,8 @@ def board_views(
             searched += 1
             if (view := board.see(frame, intrinsics)) is not None:
                 views.append(view)
+            else:
+                unseen(frame.image)
             progress(searched)
             if searched == most:
                 break

@@ -141,7 +141,7 @@ def test_the_sides_of_a_cube_look_outwards_and_stand_upright() -> None:
     ("make", "text"),
     [
         (lambda: grid_body(0, 2, 0.05, 0.01), "0 x 2 markers"),
-        (lambda: grid_body(2, 2, 0.05, 0.0), "gaps of 0.0 m"),
+        (lambda: grid_body(2, 2, 0.05, 0.0), "gaps of 0 mm is not possible"),
         (lambda: grid_body(2, 2, 50.0, 12.0), r"marker size of 50.0 m(.|\n)*50.0 mm are 0.05"),
         (lambda: cube_body([1, 1], 0.04, 0.05), "one to six different"),
         (lambda: cube_body([1], 0.05, 0.05), "do not fit on a cube"),

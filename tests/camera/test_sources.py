@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 import pytest
 
+from robot_ik.camera.boards.board import PatternBoard
+from robot_ik.camera.boards.patterns import ChessboardPattern
 from robot_ik.camera.image import natural_sort, read_image
 from robot_ik.camera.sources import (
     FolderSource,
@@ -23,8 +25,8 @@ from robot_ik.camera.sources import (
     open_source,
 )
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
+from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.jobs.vision import WithoutTruth
 
 
@@ -139,6 +141,22 @@ def test_synthetic_sources_that_do_not_exist_are_reported(text: str, message: st
         open_source(text)
 
 
+def test_what_is_no_picture_is_reported(tmp_path: Path) -> None:
+    tracker, board = MarkerTracker(STANDARD_CAMERA), ChessboardPattern(9, 6, 0.025)
+    for frame, named in ((picture(1), "ndarray"), (None, "None"), ("photo.png", "str")):
+        for look in (tracker.observe, MarkerFinder("DICT_5X5_50").observe):
+            with pytest.raises(CameraError, match=rf"a Frame is wanted, not {named}(.|\n)*open_source"):
+                look(frame)  # type: ignore[arg-type]
+        with pytest.raises(CameraError, match=f"a Frame is wanted, not {named}"):
+            PatternBoard(board).see(frame, STANDARD_CAMERA)  # type: ignore[arg-type]
+    for image, named in (("photo.png", "str"), (None, "NoneType"), (picture(1) / 2.0, "float64")):
+        with pytest.raises(CameraError, match=f"uint8 is wanted, not .*{named}"):
+            board.find(image)  # type: ignore[arg-type]
+    for lens in (tmp_path / "camera.yaml", None):
+        with pytest.raises(CameraError, match="poses need the camera's intrinsics"):
+            MarkerTracker(lens)  # type: ignore[arg-type]
+
+
 def test_another_size_than_asked_is_reported(tmp_path: Path, film: Path) -> None:
     cv2.imwrite(str(tmp_path / "photo.png"), picture(1))
     for name in ("photo.png", "clip.avi", "."):
@@ -158,18 +176,22 @@ def test_truth_can_be_taken_off() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
+        ("cut.png", "not a picture"),
+        ("damaged.png", "not a picture"),
         ("nothing.jpg", "no camera, file or folder"),
         ("empty", "holds no pictures"),
         ("words.txt", "not a picture"),
         ("broken.mp4", "not a film"),
         ("97", "there is no camera 97"),
+        (97, "there is no camera 97"),
+        (Path("nothing.jpg"), "no camera, file or folder"),
         ("/dev/video97", "there is no camera /dev/video97"),
         ("http://127.0.0.1:9/stream", "cannot open camera http"),
     ],
 )
 def test_what_cannot_be_opened_is_reported(
     tmp_path: Path,
-    text: str,
+    text: str | int | Path,
     message: str,
     monkeypatch: pytest.MonkeyPatch,
     capfd: pytest.CaptureFixture[str],
@@ -177,6 +199,9 @@ def test_what_cannot_be_opened_is_reported(
     (tmp_path / "empty").mkdir()
     (tmp_path / "words.txt").write_text("hello")
     (tmp_path / "broken.mp4").write_bytes(b"\x00" * 100)
+    png = cv2.imencode(".png", picture(1))[1].tobytes()
+    (tmp_path / "cut.png").write_bytes(png[:-12])
+    (tmp_path / "damaged.png").write_bytes(png[:50] + b"\xff" + png[51:])
     cv2.imwrite(str(tmp_path / "right.png"), picture(1))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(CameraNotFoundError, match=message) as caught:

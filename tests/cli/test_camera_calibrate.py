@@ -151,9 +151,13 @@ def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pyt
     ("arguments", "words"),
     [
         (["nothing-here"], "there is no camera, file or folder 'nothing-here'"),
+        (["nothing-here"], "folder or URL; this folder holds grey.png, small.png"),
         (["grey.png"], "there is no ChArUco board of 8x6 squares"),
         (["grey.png", "small.png"], "small.png has 320x240 px, the pictures before it 640x480 px"),
-        (["grey.png", "--square-mm", "0.03"], "cannot be meant"),
+        (
+            ["grey.png", "--square-mm", "0.03"],
+            "of 0.03 mm is not possible give 1 to 1000 mm: is 30 mm meant?",
+        ),
         (["grey.png", "--pattern", "chess"], "--pattern"),
         ([], "nothing to calibrate from"),
     ],

@@ -64,7 +64,21 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
         robot_ik("camera", "handeye", "--samples", "some.samples.json", "--json", "--overwrite").out
     )
     assert said["outliers"] == [6] and len(said["views"]) == 10 and said["true_error"] is None
+    assert "contradicts itself" not in run.err and said["doubt"] == ""
     np.testing.assert_array_equal(said["camera"]["position"], place.pose_parent_camera.position)
+
+
+def test_an_arm_whose_zero_is_off_is_reported(robot_ik: Any, samples: SampleSet) -> None:
+    rng, tick = np.random.default_rng(0), 2.0 * np.pi / 4096
+    for q in samples.q:
+        q += rng.uniform(-0.5, 0.5, 6) * tick
+    assert handeye.handeye_from_samples(samples).doubt == "", "ticks alone are a sound arm's"
+    for q in samples.q:
+        q[[1, 4]] += np.deg2rad(1.5)
+    samples.save(Path("off.json"))
+    run = robot_ik("camera", "handeye", "--samples", "off.json", "--json")
+    assert run.code == 0 and "the arm contradicts itself" in run.err, run
+    assert "robot-ik camera verify --fit" in json.loads(run.out)["doubt"]
 
 
 def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:

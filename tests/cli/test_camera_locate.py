@@ -98,7 +98,8 @@ def test_json(robot_ik: Any) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
-        (["shots/2.png", *GRID], 1, "in none of 1 pictures"),
+        (["shots/2.png", *GRID], 1, "check its sizes and dictionary"),
+        (["shots/0.png", *GRID[:2]], 1, "markers of DICT_4X4_50, none of DICT_5X5_50: --dictionary DICT_4X4"),
         (["shots/0.png", "--board", "plank"], 2, "'plank' is no board"),
         (["shots/0.png", *GRID, "--pose-world-board", "1", "2"], 2, "2 numbers"),
         (["shots/0.png", *GRID, "--pose-world-board", *"1230000"], 2, "zero quaternion"),

@@ -15,7 +15,7 @@ from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.errors import OutputError
-from robot_ik.files import claimed
+from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.jobs.ar import job
 from robot_ik.jobs.arm_camera import handeye, verify
@@ -102,6 +102,34 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work_begins(
     run.assert_one_screen_error()
     assert "it is a folder" in run.err, run
     assert not list(Path(name).iterdir())
+
+
+def test_folders_are_made_before_the_work_and_what_stays_empty_is_taken_back(tmp_path: Path) -> None:
+    place = tmp_path / "a" / "b" / "place.toml"
+    with claimed(place):
+        assert place.parent.is_dir()
+    assert not (tmp_path / "a").exists()
+    with claimed(place, place.with_name("beside.json")):
+        write_atomically(place, "")
+    assert [file.name for file in place.parent.iterdir()] == ["place.toml"]
+
+
+def test_why_nothing_can_be_written_is_said(tmp_path: Path) -> None:
+    (tmp_path / "photo.png").touch()
+    file, missing = tmp_path / "photo.png", tmp_path / "no"
+    for make, place, why in (
+        (make_folder, file, f"{file} is a file, and a folder is wanted"),
+        (make_folder, file / "in", f"{file} is a file, and a folder is wanted"),
+        (lambda path: write_atomically(path, ""), file / "in", f"{file} is a file, and a folder is wanted"),
+        (
+            lambda path: write_atomically(path, ""),
+            missing / "a",
+            f"there is no folder {missing}(.|\n)*make it",
+        ),
+        (lambda path: claimed(path).__enter__(), tmp_path, "it is a folder(.|\n)*name of a file"),
+    ):
+        with pytest.raises(OutputError, match=why):
+            make(place)
 
 
 def test_two_runs_do_not_write_one_file(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_every_command_refuses_a_folder_with_results(words: list[str], tmp_path:
         ["servo", "calibrate", "--bus", "sim", "--seconds", "1"],
     ],
 )
-@pytest.mark.parametrize("trouble", ["exists", "no folder", "taken"])
+@pytest.mark.parametrize("trouble", ["exists", "in a file", "taken"])
 def test_every_command_refuses_a_file_it_cannot_have(
     words: list[str], trouble: str, tmp_path: Path, robot_ik: Any
 ) -> None:
@@ -98,15 +98,17 @@ def test_every_command_refuses_a_file_it_cannot_have(
 
     words = [next(iter(shipped())) if word == "pick_and_place" else word for word in words]
     suffix = {"teach": ".csv", "calibrate": ".toml"}.get(words[1], ".json")
-    file = (tmp_path / "none" if trouble == "no folder" else tmp_path) / f"result{suffix}"
+    file = (tmp_path / "none" if trouble == "in a file" else tmp_path) / f"result{suffix}"
     with contextlib.ExitStack() as stack:
         if trouble == "exists":
             file.write_text("precious")
+        elif trouble == "in a file":
+            file.parent.touch()
         elif trouble == "taken":
             handle = os.open(file.with_name(f".{file.name}.lock"), os.O_CREAT | os.O_RDWR)
             stack.callback(os.close, handle)
             fcntl.flock(handle, fcntl.LOCK_EX)
         run = robot_ik(*words, file)
     run.assert_one_screen_error()
-    assert file.name in run.err
+    assert file.name in run.err or "none is a file" in run.err
     assert not file.exists() or file.read_text() == "precious"

@@ -65,7 +65,7 @@ def test_failed_is_1_and_json_may_go_to_stdout(script: Path, robot_ik: Any) -> N
         (["missing.toml"], "cannot be read"),
         (["{script}", "--robot", "pma560"], "puma560"),
         (["{script}", "--bus", "/dev/nowhere"], "/dev/nowhere"),
-        (["{script}", "--json", "no/such/folder/r.json"], "No such file"),
+        (["{script}", "--json", "{script}/r.json"], "is a file"),
         (["{script}", "--arm", "no.toml"], "no.toml"),
         (["overload", "--bus", "/dev/nowhere"], "steps[0].do"),
         (["{script}", "--seed", "-1"], "seed: not -1"),

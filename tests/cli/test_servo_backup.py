@@ -125,7 +125,7 @@ def test_files_that_cannot_be(robot_ik: Any, saved: Path, desk: Any, tmp_path: P
     robot_ik("servo", "backup", saved, *desk.at).assert_one_screen_error()
     assert saved.read_bytes() == before
     assert robot_ik("servo", "backup", saved, *desk.at, "--overwrite").code == 0
-    robot_ik("servo", "backup", tmp_path / "no" / "f.json", *desk.at).assert_one_screen_error()
+    robot_ik("servo", "backup", saved / "f.json", *desk.at).assert_one_screen_error()
     robot_ik("servo", "restore", tmp_path / "no.json", *desk.at).assert_one_screen_error()
     run = robot_ik("servo", "restore", saved, "joitn1", *desk.at)
     run.assert_one_screen_error()

@@ -101,7 +101,7 @@ def test_older_files_stay_unless_asked(good_hand: Any, calibrate: Any, mine: Pat
 
 @pytest.mark.parametrize(
     "options",
-    [("x.json",), ("x.toml", "--seconds", 0), ("x.toml", "--pose", "joitn1=3"), ("no/where.toml",)],
+    [("x.json",), ("x.toml", "--seconds", 0), ("x.toml", "--pose", "joitn1=3")],
 )
 def test_wrong_input(options: tuple[Any, ...], robot_ik: Any, desk: Any) -> None:
     robot_ik("servo", "calibrate", *options, *desk.at).assert_one_screen_error()

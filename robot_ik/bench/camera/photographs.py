@@ -118,7 +118,7 @@ def _of_charuco(pictures: list[Image], folder: Path) -> Iterator[Quantity]:
             seen = {one.id: one.corners for one in tracker.observe(frame_of(picture))}
             off += outward_of_saddles(picture, lens, board, seen)
     if off:
-        text = f"{len(off)} markers, outwards of where the saddles of their board say"
+        text = f"{len(off)} markers, corners outside of where their chessboard puts them"
         yield Quantity(f"{text}, mean", abs(float(np.mean(off))), "px", 0.15)
         yield Quantity(f"{text}, scatter", float(np.std(off)), "px", 0.12)
 

@@ -14,7 +14,7 @@ from robot_ik.camera.bodies import grid_body, load_bodies
 from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
-from robot_ik.camera.sources import Frame
+from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
@@ -120,6 +120,7 @@ class PatternBoard:
 
     def see(self, frame: Frame, intrinsics: CameraIntrinsics) -> BoardView | None:
         """The corners that are found."""
+        require_frame(frame)
         intrinsics.require_size(*frame.size)
         found = self.pattern.find(frame.image)
         if found is None:
@@ -191,8 +192,8 @@ def _metres(text: str) -> float:
         raise ValueError
     if 0.0 < length < _LEAST_MM:
         raise CameraError(
-            f"a length of {length:g} mm cannot be right on a board",
-            hint=f"boards are said in millimetres: {length:g} m are {1e3 * length:g}",
+            f"a length of {length:g} mm is too small for a board",
+            hint=f"a board's lengths are in millimetres: {length:g} m are {1e3 * length:g}",
         )
     return 1e-3 * length
 

@@ -311,9 +311,16 @@ def _black_squares(
 def _check_length(what: str, length: float) -> None:
     # A print of more than a metre a square, or less than a millimetre, is a mistake of the unit.
     if not 1e-3 <= length <= 1.0:
+        meant = f": {length:g} mm are {1e-3 * length:g}" if 1.0 <= length <= 1000.0 else ", 0.001 to 1"
+        raise CalibrationError(f"{what} of {length:g} m is not possible", hint=f"give metres{meant}")
+
+
+def check_millimetres(what: str, length: float, least: float = 1.0) -> None:
+    """Raises ``CalibrationError`` for a length in millimetres that no print has."""
+    if not least <= length <= 1000.0:
+        meant = f": is {1e3 * length:g} mm meant?" if least <= 1e3 * length <= 1000.0 else ""
         raise CalibrationError(
-            f"{what} of {length:g} m cannot be meant",
-            hint="lengths are in metres here, in millimetres on the command line",
+            f"{what} of {length:g} mm is not possible", hint=f"give {least:g} to 1000 mm{meant}"
         )
 
 
@@ -412,8 +419,10 @@ class PatternRequest:
             CalibrationError: No such pattern can be.
         """
         columns, rows, square = _USUAL[self.kind]
-        columns, rows = self.columns or columns, self.rows or rows
+        columns = columns if self.columns is None else self.columns
+        rows = rows if self.rows is None else self.rows
         square = square if self.square_mm is None else self.square_mm
+        check_millimetres("a square", square)
         if self.kind == "chessboard":
             return ChessboardPattern(columns, rows, square / 1e3)
         marker = self.marker_mm
@@ -421,6 +430,7 @@ class PatternRequest:
             # Whole millimetres can be measured; in a small square they would be too coarse.
             share = MARKER_SHARE * square
             marker = float(round(share)) if square >= 10.0 else share
+        check_millimetres("a marker", marker)
         return CharucoPattern(columns, rows, square / 1e3, marker / 1e3, self.dictionary)
 
 

@@ -112,6 +112,7 @@ def coverage_picture(coverage: Coverage, width: int = 900) -> Image:
 
 def _draw_parts(area: Image, coverage: Coverage) -> None:
     height, width = area.shape[:2]
+    labels = []
     for row in range(3):
         for column in range(3):
             box = (
@@ -120,9 +121,12 @@ def _draw_parts(area: Image, coverage: Coverage) -> None:
             )
             count = int(coverage.parts[row, column])
             area[box] = _GOOD if count >= _VIEWS else _LACK
-            _write(area, str(count), (column * width // 3 + 8, row * height // 3 + 20))
+            labels.append((str(count), column * width // 3 + 8, row * height // 3 + 20))
     for x, y in (coverage.pixels + 0.5) * (width / coverage.size[0]):
         cv2.circle(area, (round(16 * x), round(16 * y)), 24, _DOT, -1, cv2.LINE_AA, 4)
+    for text, x, y in labels:  # last, on white: dots would hide them
+        cv2.rectangle(area, (x - 4, y - 15), (x + 8 * len(text) + 4, y + 5), (255, 255, 255), -1)
+        _write(area, text, (x, y))
     cv2.rectangle(area, (0, 0), (width - 1, height - 1), _INK, 1)
 
 

@@ -210,7 +210,11 @@ def _tone_notes(tones: Mapping[str, Tone]) -> tuple[str, ...]:
     if not tones:
         return ()
     pixels = float(np.median([tone.pixels for tone in tones.values()]))
-    notes = [f"edges seem to lie {pixels:+.2f} px in the black: markers are fitted with that as an unknown"]
+    looks = "smaller" if pixels > 0 else "larger"
+    notes = [
+        f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
+        "that of markers is estimated together with their corners"
+    ]
     views: dict[str, list[str]] = {}
     for name, tone in tones.items():
         for trouble in tone.troubles:

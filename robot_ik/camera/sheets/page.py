@@ -80,7 +80,7 @@ def write_sheet(page: PrintedPage, path: Path, *, dpi: int = 300) -> None:
         write_atomically(path, pdf_bytes(page))
     elif suffix == ".png":
         if not 50 <= dpi <= 2400:
-            raise OutputError(f"{dpi} pixels per inch cannot be meant", hint="300 is usual; 50 to 2400")
+            raise OutputError(f"{dpi} pixels per inch are not possible", hint="give 50 to 2400; 300 is usual")
         write_atomically(path, png_bytes(page, dpi))
     else:
         raise OutputError(f"cannot write {path}: a sheet is a .pdf or a .png", hint="--out sheet.pdf")

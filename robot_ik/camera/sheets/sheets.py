@@ -10,7 +10,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.camera.boards.patterns import CharucoPattern, Pattern, PatternRequest, describe
+from robot_ik.camera.boards.patterns import (
+    CharucoPattern,
+    Pattern,
+    PatternRequest,
+    check_millimetres,
+    describe,
+)
 from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
@@ -77,7 +83,7 @@ class SheetRequest:
     @property
     def counts(self) -> tuple[int, int]:
         """Columns and rows of a board."""
-        return self.columns or 2, self.rows or 2
+        return 2 if self.columns is None else self.columns, 2 if self.rows is None else self.rows
 
     @property
     def marker_ids(self) -> tuple[int, ...]:
@@ -232,13 +238,14 @@ def make_sheet_page(request: SheetRequest) -> PrintedPage:
 
     Raises:
         CameraError: It does not fit (the hint says what would), or there is no such marker or dictionary.
+        CalibrationError: No marker or square has this size.
     """
     if request.page not in PAPERS:
         raise CameraError(f"unknown paper {request.page!r}", hint=f"known: {', '.join(PAPERS)}")
-    if not 3.0 <= request.size <= 1000.0:
-        raise CameraError(
-            f"a size of {request.size:g} mm cannot be meant", hint="50 mm is usual for a marker"
-        )
+    check_millimetres("a square" if MAKERS[request.kind] is _pattern else "a marker", request.size, 3.0)
+    if request.kind == "board" and min(request.counts) < 1:
+        columns, rows = request.counts
+        raise CameraError(f"a board of {columns} x {rows} markers is not possible", hint="at least 1 x 1")
     if request.gap < request.size * QUIET and request.kind in ("marker", "board"):
         raise CameraError(
             f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",

@@ -158,11 +158,27 @@ def run_ar(
         raise MarkerNotFoundError(
             f"the board {request.board} was seen in none of {report.pictures} pictures; "
             f"they are in {report.file}",
-            hint="check --board and --dictionary against the print: robot-ik camera detect",
+            hint=_why_unseen(request, opened),
         )
+    if 2 * report.drawn < report.pictures:
+        seen = f"the board was seen in {report.drawn} of {report.pictures} pictures only"
+        report.notice = _joined(report.notice, f"{seen}: {_why_unseen(request, opened)}")
     if report.drawn and not report.in_view:
         report.notice = _joined(report.notice, _OUT_OF_VIEW)
     return report
+
+
+def _why_unseen(request: ArRequest, opened: _Opened) -> str:
+    """What to try where the board is seen in few pictures, or in none."""
+    if request.camera != "synthetic":
+        return (
+            "check --board and --dictionary against the print (robot-ik camera detect), light and focus; "
+            "the whole board should be in view"
+        )
+    if (request.board, request.dictionary) != (BOARD, ""):
+        return f"the synthetic table has the board {BOARD}: leave --board and --dictionary away"
+    width, height = opened.intrinsics.size
+    return f"the board is too small in pictures of {width}x{height} px: try a larger --size, such as 640 480"
 
 
 def _joined(*notices: str) -> str:

@@ -20,7 +20,7 @@ import numpy as np
 
 from robot_ik.camera.image import Image, write_image
 from robot_ik.errors import MissingExtraError, OutputError
-from robot_ik.files import claimed, claimed_folder, folder_for_results
+from robot_ik.files import claimed, claimed_folder
 
 FILMS = (".mp4", ".mkv", ".mov", ".gif")
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -225,7 +225,7 @@ def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator
             yield pictures
         return
     sink: PictureSink = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
-    with folder_for_results(out.parent), claimed(out, overwrite=overwrite), sink:
+    with claimed(out, overwrite=overwrite), sink:
         yield sink
 
 

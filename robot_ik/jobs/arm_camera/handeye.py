@@ -51,6 +51,10 @@ _SETTLE_SECONDS, _REST_CHECK_SECONDS, _REST_CHECKS = 0.3, 0.1, 20
 _STILL_TICKS = 1.01
 # A camera's pictures that are on their way when the arm comes to rest are thrown away.
 _STALE_FRAMES = 3
+# A sound arm's own error stays below these, each axis: a part of its reach, and rad.  Servo ticks alone give
+# up to 0.0004 of the reach and 0.09 deg (8 views and more), twice the ticks 0.0007 and 0.13 deg, a second
+# joint that is off by 1.5 deg 0.0015 and 0.23 deg.  One view or a tenth may be spoilt by the picture.
+_SOUND_POSITION, _SOUND_ANGLE, _SOUND_REJECTED = 8e-4, float(np.deg2rad(0.15)), 0.1
 
 
 @dataclass(frozen=True)
@@ -208,6 +212,7 @@ class HandEyeReport:
         stations: (nq,) planned, in order.
         unseen: Numbers of the stations where the board was not found.
         result: None for a dry run.
+        doubt: Why the result may be wrong by more than it states; empty: nothing speaks against it.
     """
 
     samples: SampleSet
@@ -215,6 +220,7 @@ class HandEyeReport:
     stations: tuple[Array, ...] = ()
     unseen: tuple[int, ...] = ()
     result: HandEye | None = None
+    doubt: str = ""
 
     @property
     def parent(self) -> str:
@@ -227,6 +233,15 @@ class HandEyeReport:
         if self.truth is None or self.result is None:
             return None
         return self.result.pose_parent_camera.distance(self.truth.pose_parent_camera)
+
+    def solve(self, robot: Robot) -> None:
+        """Finds the camera by the samples, of ``robot``, and judges the arm; nothing moves.
+
+        Raises:
+            CalibrationError: The views cannot tell where the camera is.
+        """
+        self.result = solve(self.samples, robot)
+        self.doubt = self_contradiction(self.result, robot.reach(self.samples.frame))
 
     def extrinsics(self) -> CameraExtrinsics:
         result = self.result
@@ -266,9 +281,9 @@ def run_handeye(
         setup.enable_torque()
         stations = report.stations
         report.unseen = measure(request, setup, scene, stations, samples, lambda: keep(samples), progress)
-    samples.require(len(report.stations), "say better where camera and board are")
+    samples.require(len(report.stations), "give better guesses of where camera and board are")
     progress("solving", 0.0)
-    report.result = solve(samples, setup.robot)
+    report.solve(setup.robot)
     return report
 
 
@@ -281,7 +296,33 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
         samples.intrinsics = intrinsics
-    return HandEyeReport(samples, None, tuple(samples.q), result=solve(samples, samples.load_robot()))
+    report = HandEyeReport(samples, None, tuple(samples.q))
+    report.solve(samples.load_robot())
+    return report
+
+
+def self_contradiction(found: HandEye, ball: tuple[Array, float] | None) -> str:
+    """What a sound arm would not do: more error of its own, or more views at odds; empty: it is sound.
+
+    ``ball`` is the robot's reach; None where it is not known, and the position is not judged then.
+    """
+    views, rejected = len(found.residuals), len(found.outliers)
+    position = np.inf if ball is None else _SOUND_POSITION * ball[1]
+    if (
+        found.arm_position <= position
+        and found.arm_angle <= _SOUND_ANGLE
+        and rejected <= max(1.0, _SOUND_REJECTED * views)
+    ):
+        return ""
+    own = f"{1e3 * found.arm_position:.2f} mm and {np.degrees(found.arm_angle):.2f} deg"
+    sound = f"{np.degrees(_SOUND_ANGLE):.2f} deg"
+    if ball is not None:
+        sound = f"{1e3 * position:.2f} mm and {sound}"
+    return (
+        f"the arm contradicts itself: its own error is {own} (a sound arm: below {sound}) and {rejected} of "
+        f"{views} views are not believed, so the pose may be wrong by far more than is stated; "
+        "check the joints' zeros: robot-ik camera verify --fit"
+    )
 
 
 def samples_path(out: Path) -> Path:

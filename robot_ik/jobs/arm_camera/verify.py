@@ -382,6 +382,9 @@ def _draw(axes: Any, errors: Sequence[PoseError], across: int, up: int) -> tuple
     arrows.set_clim(0.0, float(length.max()))
     axes.plot(positions[:, across], positions[:, up], ".", color="#999999", markersize=4, zorder=0)
     axes.plot(0.0, 0.0, "s", color="#444444", markersize=8)  # the origin of the world: the arm's base
+    tips = positions + scale * vectors  # arrows do not count for the limits of themselves
+    axes.update_datalim(tips[:, (across, up)])
+    axes.autoscale_view()
     axes.set_xlabel(f"{'xyz'[across]}, mm")
     axes.set_ylabel(f"{'xyz'[up]}, mm")
     axes.set_aspect("equal", adjustable="datalim")

@@ -243,7 +243,7 @@ def plan_views(
         raise CameraError(
             f"only {len(ordered)} views were found in which the board can be seen and the arm, carrying the "
             f"{who}, touches nothing; {LEAST_VIEWS} are the least",
-            hint="say better where camera and board are, or move them; a larger board is seen from far",
+            hint="give better guesses of where camera and board are, move them, or take a larger board",
         )
     return ordered
 

@@ -111,8 +111,8 @@ def test_nothing_fits_an_empty_picture() -> None:
     ("make", "message"),
     [
         (lambda: ChessboardPattern(2, 6, 0.02), "2x6 inner corners is too small"),
-        (lambda: ChessboardPattern(9, 6, 25.0), "25 m cannot be meant"),
-        (lambda: CharucoPattern(8, 6, 30.0, 22.0), "30 m cannot be meant"),
+        (lambda: ChessboardPattern(9, 6, 25.0), "25 m is not possible(.|\\n)*25 mm are 0.025"),
+        (lambda: CharucoPattern(8, 6, 30.0, 22.0), "30 m is not possible"),
         (lambda: CharucoPattern(8, 6, 0.03, 0.03), "markers of 30 mm do not go into squares of 30 mm"),
         (lambda: CharucoPattern(12, 9, 0.03, 0.022), "needs 54 markers; DICT_5X5_50 has 50"),
     ],

@@ -171,7 +171,7 @@ def test_a_board_that_means_nothing_is_refused(text: str) -> None:
 
 
 def test_metres_in_the_words_of_a_board_are_reported() -> None:
-    with pytest.raises(CameraError, match=r"0\.05 mm cannot be right") as refused:
+    with pytest.raises(CameraError, match=r"0\.05 mm is too small for a board") as refused:
         parse_board("grid:2x2:0.05:0.0125")
     assert "0.05 m are 50" in refused.value.hint
 

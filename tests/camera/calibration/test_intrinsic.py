@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -185,6 +186,14 @@ def test_the_coverage_picture_shows_what_is_missing(twenty: CalibrationResult) -
     assert reddish(twenty) == 0
     narrow = calibrate(views(STANDARD_CAMERA, 8, seed=2)[:7], SIZE)
     assert narrow.coverage.missing and reddish(narrow) > 5000
+    # The numbers stand on white, which no dot covers.
+    x, y = np.meshgrid(np.arange(0, SIZE[0], 4), np.arange(0, SIZE[1], 4))
+    empty, full = (
+        coverage_picture(replace(twenty.coverage, pixels=pixels))
+        for pixels in (np.zeros((0, 2)), np.stack([x.ravel(), y.ravel()], axis=1))
+    )
+    white = (empty == 255).all(axis=2)
+    assert white[100:400, 100:500].sum() > 300 and (full[white] == 255).all()
 
 
 # ------------------------------------------------------------------------------------ the file

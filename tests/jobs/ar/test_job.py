@@ -196,6 +196,22 @@ def test_pictures_of_an_earlier_run_are_kept_or_replaced_but_never_mixed(
     assert sorted(before.keys() - {"000777.png"}) == sorted(f.name for f in folder.iterdir())
 
 
+def test_why_the_board_is_seen_in_few_pictures_is_said(
+    request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tiny = ArRequest(size=(160, 120), seconds=0.05, out=tmp_path / "a.png", overwrite=True)
+    with pytest.raises(
+        MarkerNotFoundError, match=r"none of 2 pictures(.|\n)*160x120 px: try a larger --size"
+    ):
+        run_ar(tiny)
+    with pytest.raises(MarkerNotFoundError, match=r"the synthetic table has the board grid:2x2:50:12\.5"):
+        run_ar(replace(tiny, board="marker:7:50", size=(320, 240)))
+    track, seen = Registrar.track, iter([True, True, False, False, False])
+    monkeypatch.setattr(Registrar, "track", lambda one, frame: track(one, frame) if next(seen) else None)
+    report = run_ar(replace(request_for, out=tmp_path / "few"))
+    assert report.notice.startswith("the board was seen in 2 of 5 pictures only: check --board")
+
+
 def test_two_runs_at_once_into_one_folder_are_not_mixed(request_for: ArRequest, tmp_path: Path) -> None:
     request = replace(request_for, out=tmp_path / "o")
 

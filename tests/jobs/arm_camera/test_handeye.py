@@ -91,7 +91,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
     )
     result = report.result
     assert result is not None and report.true_error is not None and report.truth is not None
-    assert kept == [1, 2, 3, 4, 5] and report.parent == "world" and report.unseen == ()
+    assert kept == [1, 2, 3, 4, 5] and report.parent == "world" and report.unseen == () and not report.doubt
     position, angle = report.true_error
     assert position < 2e-3 and angle < np.deg2rad(0.4)
     assert position < 5 * result.sigma_position

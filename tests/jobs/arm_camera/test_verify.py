@@ -25,6 +25,7 @@ from robot_ik.jobs.arm_camera import handeye, verify
 from robot_ik.jobs.arm_camera.verify import (
     VerifyReport,
     VerifyRequest,
+    _draw,
     error_picture,
     regions,
     run_verify,
@@ -206,6 +207,14 @@ def test_the_picture_shows_the_arm_as_it_is_and_corrected(report: VerifyReport) 
     both = cv2.imdecode(np.frombuffer(error_picture(report), np.uint8), cv2.IMREAD_COLOR)
     one = cv2.imdecode(np.frombuffer(error_picture(replace(report, fit=None)), np.uint8), cv2.IMREAD_COLOR)
     assert both is not None and one is not None and both.shape[0] > 1.8 * one.shape[0]
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    _, scale = _draw(axes, report.errors, 0, 2)
+    tips = 1e3 * np.array([one.position + scale * one.vector for one in report.errors])
+    (low, high), (down, up) = axes.get_xlim(), axes.get_ylim()
+    assert low < tips[:, 0].min() < tips[:, 0].max() < high
+    assert down < tips[:, 2].min() < tips[:, 2].max() < up
 
 
 def test_the_benchmark_sees_offsets_that_are_wrong(
