@@ -14,16 +14,15 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
 from robot_ik.errors import ModelError, UnknownJointError, UnsupportedJointError
 from robot_ik.kernels.tree import Tree
+from robot_ik.ports import Array
 from robot_ik.robot_file import RobotFile
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
-Array = NDArray[np.float64]
 
 _DEGREE = 4
 

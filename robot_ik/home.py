@@ -3,31 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, apart
-from robot_ik.model import joint_names
 from robot_ik.robot_file import RobotFile
 
 # rad, m: a limit that was written with few digits is meant, and the pose is moved inside.
 _ROUNDED = 1e-3
 
 
-def checked_home(model: mujoco.MjModel, file: RobotFile, home: tuple[float, ...]) -> NDArray[np.float64]:
-    """The numbers as qpos (model.nq,).
+def checked_home(
+    model: mujoco.MjModel, names: Sequence[str], file: RobotFile, home: tuple[float, ...]
+) -> NDArray[np.float64]:
+    """The numbers as qpos (model.nq,); ``names`` of all joints.
 
     Raises:
         ConfigError: Another count, or a hinge or slide outside its limits.
     """
     where = file.path or file.name
     if len(home) != model.nq:
-        allowed = f"{model.nq}, rad and m, for the joints {', '.join(joint_names(model))}"
+        allowed = f"{model.nq}, rad and m, for the joints {', '.join(names)}"
         raise ConfigError(f"it has {len(home)} numbers", file=where, key="home", allowed=allowed)
     units = {int(mujoco.mjtJoint.mjJNT_HINGE): "rad", int(mujoco.mjtJoint.mjJNT_SLIDE): "m"}
-    for joint, name in enumerate(joint_names(model)):
+    for joint, name in enumerate(names):
         unit = units.get(int(model.jnt_type[joint]))
         value, (low, high) = home[model.jnt_qposadr[joint]], model.jnt_range[joint].tolist()
         if unit and model.jnt_limited[joint] and not low - _ROUNDED <= value <= high + _ROUNDED:

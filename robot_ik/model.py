@@ -209,7 +209,7 @@ def home_qpos(model: mujoco.MjModel, path: Path, file: RobotFile) -> Array:
     if isinstance(home, tuple):
         from robot_ik.home import checked_home  # most name a keyframe
 
-        return checked_home(model, file, home)
+        return checked_home(model, joint_names(model), file, home)
     keys = {model.key(k).name: k for k in range(model.nkey)}
     if home is None:
         home = "home" if "home" in keys else next(iter(keys), None)

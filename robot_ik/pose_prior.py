@@ -16,8 +16,7 @@ from robot_ik.files import write_atomically
 from robot_ik.geometry import rotation_log
 from robot_ik.kernels.pose_prior import LEAN_X, LEAN_Y, NUMBER, VECTOR_X, VECTOR_Y, VECTOR_Z
 from robot_ik.kernels.tree import BALL, FREE
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot

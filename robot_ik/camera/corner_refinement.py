@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.camera.edge_fit import (
     ALONG,
@@ -53,6 +53,7 @@ from robot_ik.camera.image import Image, from_reduced, reduced, to_gray, to_redu
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
+from robot_ik.ports import Array
 
 # ------------------------------------------------------------------------------------------
 # The whole refinement of marker corners as one compiled entry point.
@@ -285,8 +286,6 @@ def corner_shifts(fits, sides, shift, covariance):
 # pixels along the bent curve that this line makes in the picture; the corners are where neighbouring lines
 # meet.  Unlike corner operators, which look at the rounded corner itself, this has no inward bias.
 
-
-Array = NDArray[np.float64]
 
 # What cannot be fitted may be too soft: it is tried in a smaller picture, while cells keep this width, px.
 # With smaller cells it may be too sharp for its pixels: it is tried in a larger one.

@@ -27,8 +27,8 @@ from robot_ik.camera.image import (
     to_gray,
 )
 from robot_ik.errors import CameraError
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import CameraError, CameraNotFoundError, OutputError, unknown_name_text
 from robot_ik.files import write_atomically
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.

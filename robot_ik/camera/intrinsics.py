@@ -18,14 +18,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.camera import lens
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.files import write_atomically
+from robot_ik.ports import Array
 from robot_ik.reading import LARGEST_NUMBER, NESTED, parse, read_text, shown
-
-Array = NDArray[np.float64]
 
 # A focal length of 0.3 widths sees 118 degrees, one of 5 widths 11 degrees: what arms are watched with.
 _FOCAL_RANGE = (0.3, 5.0)

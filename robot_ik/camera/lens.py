@@ -16,14 +16,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.kernels.jit import kernel, outlined
+from robot_ik.ports import Array
 
 if TYPE_CHECKING:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
-Array = NDArray[np.float64]
 
 COEFFICIENTS: dict[str, tuple[int, ...]] = {
     "plumb_bob": (0, 4, 5),

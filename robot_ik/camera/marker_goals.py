@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.camera.motion_filter import FilterOptions, MotionFilter, OneEuro, Update
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
@@ -24,12 +24,11 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Clock, RealClock, VirtualClock, short_switch_interval
+from robot_ik.ports import Array, Clock, RealClock, VirtualClock, short_switch_interval
 
 if TYPE_CHECKING:
     from robot_ik.goals import Goal, PoseGoal, PositionGoal
 
-Array = NDArray[np.float64]
 
 # Delays kept; older ones are forgotten, so that the figures are of the last minute or so.
 _KEPT = 2000

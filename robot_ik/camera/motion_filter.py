@@ -12,12 +12,11 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, quat_to_matrix, rotation_exp, rotation_log
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 _POSE, _RATE = slice(0, 6), slice(6, 12)
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.camera.corner_refinement import RefinedCorners, unrefined
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -26,8 +26,7 @@ from robot_ik.camera.pose_fit import (
 )
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # A marker size beyond this is millimetres where metres are wanted.
 _LARGEST_SIZE = 2.0

@@ -54,8 +54,7 @@ from robot_ik.camera.photometric_fit import (
     fit_photometric,
 )
 from robot_ik.kernels.jit import announce
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # White round the black square that is looked at, in cells.
 _MARGIN = 0.45

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
 from robot_ik.camera.image import square_poses
@@ -21,6 +20,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import FX, FY, distort_point, lens_vector
 from robot_ik.geometry import Pose
 from robot_ik.kernels.jit import announce, kernel, outlined
+from robot_ik.ports import Array
 
 # ------------------------------------------------------------------------------------------
 # Least-squares pose of known points seen in one picture, compiled: Levenberg-Marquardt (Nielsen's damping).
@@ -215,9 +215,6 @@ def moved(pose, step, result):
     size = math.sqrt(result[3] ** 2 + result[4] ** 2 + result[5] ** 2 + result[6] ** 2)
     for i in range(3, 7):
         result[i] /= size
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from robot_ik.camera.observations import MarkerObservation, marker_points
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Corners of a board by name.

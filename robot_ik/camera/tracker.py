@@ -14,7 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
@@ -34,8 +33,7 @@ from robot_ik.camera.pose_fit import BranchChoice, Branches
 from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 #: Marker id -> (side in metres, its pose seen from the body or board).
 Layout = Mapping[int, tuple[float, Pose]]

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.bodies import grid_body, load_bodies
@@ -18,8 +17,7 @@ from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 

@@ -31,8 +31,8 @@ from robot_ik.camera.image import (
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.

@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+
 Image = NDArray[np.uint8]
 
 # Part of an edge that is looked at, so many lines across it, and steps of a line, px.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import FoundPattern
 from robot_ik.camera.drawing.overlay import write
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Names of the nine parts of a picture, by row and column.

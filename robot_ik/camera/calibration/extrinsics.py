@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from robot_ik.camera.boards.board import BoardView
@@ -30,9 +29,8 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 from robot_ik.tables import Position, Table, Wxyz, read_table
-
-Array = NDArray[np.float64]
 
 _CAMERA = np.arange(6)
 # The stated standard deviation of a pixel weighs as much as so many measured ones.

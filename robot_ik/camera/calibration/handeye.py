@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
@@ -31,8 +30,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import moved
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, quat_multiply, rotation_log
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 Mounting = Literal["eye_in_hand", "eye_to_hand"]
 MOUNTINGS: tuple[Mounting, ...] = ("eye_in_hand", "eye_to_hand")

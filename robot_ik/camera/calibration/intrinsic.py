@@ -15,15 +15,13 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import FoundPattern
 from robot_ik.camera.boards.tone import Tone
 from robot_ik.camera.calibration.coverage import Coverage, cover
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 #: With fewer views the principal point is off by some pixels.
 ENOUGH_VIEWS = 15

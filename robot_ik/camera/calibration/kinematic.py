@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
@@ -41,9 +40,8 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import difference
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 from robot_ik.robot import Robot
-
-Array = NDArray[np.float64]
 
 #: Numbers of the two poses: the camera's twist, then the board's.
 POSES = 12

@@ -17,7 +17,7 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Searched: metres or rad, from far better than servos to a loose mounting; then about the last solution.
 _SIZES = np.geomspace(1e-7, 5e-2, 10)

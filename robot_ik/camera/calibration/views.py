@@ -25,8 +25,8 @@ from robot_ik.camera.detection import guess_dictionary
 from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 # Corners of a board held still move less from picture to picture: 1 px where the picture has 640.

@@ -31,9 +31,9 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 from robot_ik.reading import read_json
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 #: Back ends in the order in which they are tried; what the user has chosen comes first.

@@ -10,7 +10,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
+
 Index = NDArray[np.int64]
 Segments = tuple[int, ...]
 

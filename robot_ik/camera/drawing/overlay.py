@@ -19,7 +19,6 @@ from robot_ik.camera.drawing import rasteriser
 from robot_ik.camera.drawing.painter import (
     EMPTY,
     NEAR,
-    Array,
     Faces,
     SurfaceSamples,
     base_colours,
@@ -28,6 +27,7 @@ from robot_ik.camera.drawing.painter import (
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]

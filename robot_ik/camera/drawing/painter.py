@@ -22,10 +22,10 @@ from robot_ik.camera.drawing.rasteriser import clip, view_planes
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import lens_vector
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 
 Image = NDArray[np.uint8]
 Box = tuple[int, int, int, int]
-Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]

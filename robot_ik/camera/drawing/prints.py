@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from robot_ik.camera.drawing.raycast import RayField
 from robot_ik.camera.image import marker_boxes
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 Box = tuple[int, int, int, int]

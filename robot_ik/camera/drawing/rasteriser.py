@@ -14,13 +14,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.kernels.jit import kernel, pure
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Samples are looked at so many at a time: what fits into the registers of common processors.
 LANES = 8

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS, geom_rgba
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array
 
 # Lens rays are computed at nodes this far apart and interpolated cubically: below 1e-3 px even for fisheyes.
 _NODE_PX = 10.0

@@ -25,9 +25,9 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
+from robot_ik.ports import Array
 from robot_ik.tables import Position, Several, Table, read_table
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 # Shadows fall from the light that the robot is drawn with, at least so steeply (cosine to the vertical); they

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.errors import OutputError
 from robot_ik.files import write_atomically
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 MM_PER_INCH = 25.4

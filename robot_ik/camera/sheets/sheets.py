@@ -8,7 +8,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import (
     CharucoPattern,
@@ -21,9 +20,9 @@ from robot_ik.camera.bodies import MarkerBody, cube_body, grid_body
 from robot_ik.camera.image import marker_boxes
 from robot_ik.camera.sheets.page import LETTER_WIDTH, PrintedPage, TextLine
 from robot_ik.errors import CameraError
+from robot_ik.ports import Array
 
 Area = tuple[float, float]
-Array = NDArray[np.float64]
 
 SheetKind = Literal["marker", "board", "cube", "charuco", "chessboard"]
 

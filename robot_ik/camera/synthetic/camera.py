@@ -28,9 +28,7 @@ from robot_ik.camera.synthetic.scene import Lights, SceneTable, still_picture
 from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Clock
-
-Array = NDArray[np.float64]
+from robot_ik.ports import Array, Clock
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256

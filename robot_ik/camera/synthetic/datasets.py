@@ -29,8 +29,8 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, unknown_name_text
 from robot_ik.geometry import Pose, rotation_exp
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
 STANDARD_CAMERA = CameraIntrinsics(

@@ -26,8 +26,8 @@ from robot_ik.camera.synthetic.scene import (
     lattice,
 )
 from robot_ik.geometry import Pose
+from robot_ik.ports import Array
 
-Array = NDArray[np.float64]
 Float32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
