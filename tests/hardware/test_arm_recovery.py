@@ -83,7 +83,7 @@ def test_a_servo_that_does_not_come_back_keeps_the_fault(arm, stream, start):
 
 
 def test_without_a_fault_there_is_nothing_to_reset(arm):
-    with pytest.raises(ArmStateError, match="not fault"):
+    with pytest.raises(ArmStateError, match="allowed: fault"):
         arm.reset_fault()
     arm.enable()
     with pytest.raises(ArmStateError, match="enabled"):
