@@ -305,6 +305,8 @@ class ServoPlayOptions(BusOptions):
     speed: float = 1.0
     """Share of the recorded speed, above 0 and up to 1."""
     record: RecordFile = None
+    overwrite: bool = False
+    """The file of --record may exist: it is replaced."""
     on_exit: OnExit = ""
 
 
@@ -317,7 +319,7 @@ def run_play(options: ServoPlayOptions) -> int:
     require_share("--speed", options.speed, "speed caps")
     motion, stretch = load_playable(options.file, config, options.speed)
     arm = arm_on(options, config, options.on_exit)
-    with claimed(options.record, overwrite=True), contextlib.ExitStack() as stack:
+    with claimed(options.record, overwrite=options.overwrite), contextlib.ExitStack() as stack:
         sinks: list[JointSink] = []
         if options.record is not None:
             from robot_ik.jobs.recording import RecordingSink, open_recording

@@ -105,10 +105,11 @@ def _lead(operator: Operator, follower: Arm, options: TeleopOptions, over: Calla
 
     with attempt():
         report = teleoperate(operator, follower, seconds=options.seconds, over=over)
-    lost = f", the leader lost {report.lost} times" if report.lost else ""
+    lost = f", the leader lost {console.count_of(report.lost, 'time')}" if report.lost else ""
+    engaged = console.count_of(report.engaged, "time")
     console.say(
         f"{report.end} after {report.seconds:.1f} s: {report.ticks} commands, "
-        f"engaged {report.engaged} times{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
+        f"engaged {engaged}{lost}; {1e3 * report.delay:.1f} ms from the leader to the packet"
     )
     return console.DONE
 

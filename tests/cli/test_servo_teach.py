@@ -209,4 +209,9 @@ def test_in_process(robot_ik: Any, tmp_path: Path) -> None:
     run = robot_ik("servo", "teach", tmp_path / "m.json", "--bus", "sim", "--seconds", 1)
     assert run.code == 0, run.err
     assert len(json.loads((tmp_path / "m.json").read_text())["time_s"]) == 51
-    assert robot_ik("servo", "play", tmp_path / "m.json", "--bus", "sim").code == 0
+    kept = tmp_path / "kept.csv"
+    kept.write_text("mine")
+    play = ("servo", "play", tmp_path / "m.json", "--bus", "sim", "--record", kept)
+    run = robot_ik(*play)
+    assert run.code == 2 and "--overwrite" in run.err and kept.read_text() == "mine"
+    assert robot_ik(*play, "--overwrite").code == 0 and kept.read_text().startswith("time_s")
