@@ -250,7 +250,7 @@ def test_wrong_options_of_teleop_are_refused(
 def test_the_command_leads_a_simulated_arm(capsys: pytest.CaptureFixture[str]) -> None:
     words = "teleop --leader tabletop_puma --leader-bus sim --follower tabletop_puma --follower-bus sim"
     assert main([*words.split(), "--seconds", "1", "--on-exit", "torque_off"]) == 0
-    assert "engaged 1 times" in capsys.readouterr().err
+    assert "engaged 1 time;" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
