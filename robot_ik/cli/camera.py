@@ -149,7 +149,7 @@ def run_detect(options: CameraDetectOptions) -> int:
     with claimed_folder(folder, "*.png", overwrite=options.overwrite):
         code = _detect(options, intrinsics, drawings)
     if drawings.names:
-        console.say(f"wrote {len(drawings.names)} drawing(s) to {folder}", "green")
+        console.say(f"wrote {console.count_of(len(drawings.names), 'drawing')} to {folder}", "green")
     return code
 
 

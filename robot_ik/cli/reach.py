@@ -266,7 +266,7 @@ def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
     solution = report.solution
     if solution is None:
         return []
-    steps = f"{solution.iterations} iteration{'s' if solution.iterations != 1 else ''}"
+    steps = console.count_of(solution.iterations, "iteration")
     restarts = f", {solution.restarts} restarts" if solution.restarts else ""
     took = f", {report.microseconds:.0f} µs" if report.microseconds is not None else ""
     miss = solution.miss

@@ -118,7 +118,7 @@ def choose_viewer(asked: str) -> str:
 
 def require_methods_fit(methods: tuple[str, ...], count: int) -> None:
     """Raises ``ConfigError`` for a method that no robot would have."""
-    many = f"{len(methods)} methods for {count} robot{'s' * (count > 1)}"
+    many = f"{len(methods)} methods for {console.count_of(count, 'robot')}"
     require(len(methods) <= count, "--method", many, "--count 2 or 4, or fewer methods")
 
 

@@ -45,7 +45,7 @@ def test_poses_of_markers_and_bodies_as_json(robot_ik: Any, place: Path, tmp_pat
         "camera", "detect", place / "board.png", "--intrinsics", place / "camera.yaml",
         "--bodies", place / "bodies.toml", "--json", "--draw", tmp_path / "drawn",
     )  # fmt: skip
-    assert run.code == 0 and run.err == f"wrote 1 drawing(s) to {tmp_path / 'drawn'}\n", run
+    assert run.code == 0 and run.err == f"wrote 1 drawing to {tmp_path / 'drawn'}\n", run
     said = json.loads(run.out)
     (image,) = said["images"]
     assert (said["schema"], image["width"], image["height"]) == (1, 640, 480)
