@@ -160,10 +160,11 @@ def test_the_cameras_code_is_optimised_less(level: int, camera: int, monkeypatch
     caller.__module__ = "robot_ik.camera.lens"
     numba.njit(caller)(1, 2.0)
     assert set(levels) == {camera} and level == config.OPT
-    levels.clear()
-    caller.__module__ = "robot_ik.kernels.linalg"
-    numba.njit(caller)(1.0, 2)
-    assert set(levels) == {level} and level == config.OPT
+    for module, argument in ("robot_ik.kernels.linalg", 1.0), ("robot_ik.camera.drawing.painter", 1j):
+        levels.clear()
+        caller.__module__ = module
+        numba.njit(caller)(argument, 2)
+        assert set(levels) == {level} and level == config.OPT
 
 
 @pytest.mark.parametrize("enabled", [True, False])
