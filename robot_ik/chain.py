@@ -1,37 +1,19 @@
-"""Robots built in memory: of any MuJoCo model, and chains of ball joints."""
+"""Chains of ball joints, built in memory."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from robot_ik.errors import InvalidModelError
-from robot_ik.robot import Robot, make_robot
-from robot_ik.robot_file import RobotFile
+from robot_ik.robot import Robot, load_robot
 
 # A link is drawn this thick, as a share of its length.
 _THICKNESS = 0.06
 LONGEST = 500
 """Links of a chain."""
-
-
-def robot_from_model(
-    model: mujoco.MjModel,
-    *,
-    name: str = "model",
-    joints: Sequence[str] | str | None = None,
-    tool: str | None = None,
-) -> Robot:
-    """A robot of a MuJoCo model that was built in memory; ``path`` then names no file.
-
-    Treat the model as read-only from now on.  The rest, and errors, as of ``load_robot``.
-    """
-    # A folder that cannot exist, so that nothing is ever found beside the model.
-    return make_robot(model, Path(f"<memory>/{name}"), RobotFile(name=name), joints, tool)
 
 
 def make_chain(n: int, length: float = 1.0) -> Robot:
@@ -70,4 +52,4 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
             rgba=[0.9, 0.55, 0.2, 1.0] if i % 2 else [0.25, 0.35, 0.5, 1.0],
         )  # fmt: skip
     body.add_site(name="tip", pos=[0.0, 0.0, length])
-    return robot_from_model(spec.compile(), name=f"chain{n}", tool="tip")
+    return load_robot(spec.compile(), tool="tip")

@@ -310,17 +310,18 @@ class Robot:
 
 
 def load_robot(
-    name: str | os.PathLike[str] | mujoco.MjSpec,
+    name: str | os.PathLike[str] | mujoco.MjSpec | mujoco.MjModel,
     *,
     joints: Sequence[str] | str | None = None,
     tool: str | None = None,
 ) -> Robot:
-    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path, as text or as a spec.
+    """Loads a robot by catalogue name, or any MJCF or MuJoCo-readable URDF by path, as text or in memory.
 
     Args:
         name: ``"puma560"``; the path of a model file or of a folder with a ``robot.toml``;
             ``"robot_descriptions:panda_mj_description"``; the text of an MJCF or URDF (``"<mujoco>…"``);
-            or an ``MjSpec``, which stays as it is.  The last two are named after the model.
+            an ``MjSpec``, which stays as it is; or an ``MjModel``, from then on to be treated as read-only.
+            The last three are named after the model, and ``path`` names no file.
         joints: Names of the joints that may move, or the name of a joint group; the rest are frozen at
             home.  Default: the group ``arm`` of ``robot.toml`` if it has one, else all joints.
         tool: Name of the default frame.
@@ -330,19 +331,22 @@ def load_robot(
         ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
         UnknownJointError, UnknownFrameError: With the close names.
     """
-    if isinstance(name, mujoco.MjSpec) or (isinstance(name, str) and name.lstrip().startswith("<")):
-        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
+    text = isinstance(name, str) and name.lstrip().startswith("<")
+    if text or isinstance(name, mujoco.MjSpec | mujoco.MjModel):
+        given = isinstance(name, mujoco.MjModel)
+        model, velocity = (name, {}) if given else mjcf.read_model(name, Path("<memory>/model"))
         file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
+        # A folder that cannot exist, so that nothing is ever found beside the model.
         path = Path(f"<memory>/{file.name}")
     else:
         path, file = find_robot(name)
         model, velocity = mjcf.read_model(path, path)
     if velocity:
         file = file.model_copy(update={"velocity": velocity | file.velocity})
-    return make_robot(model, path, file, joints, tool)
+    return _make_robot(model, path, file, joints, tool)
 
 
-def make_robot(
+def _make_robot(
     model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
 ) -> Robot:
     """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""

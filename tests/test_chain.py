@@ -1,11 +1,10 @@
-"""``make_chain``: ball-joint chains of any number of links, and robots of models built in memory."""
+"""``make_chain``: ball-joint chains of any number of links; robots of models built in memory."""
 
 import mujoco
 import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.chain import robot_from_model
 from robot_ik.errors import ModelError, UnknownFrameError, UnknownJointError
 from robot_ik.kernels.tree import BALL
 
@@ -43,7 +42,7 @@ def test_a_chain_of_nothing_is_refused(n, length):
         rik.make_chain(n, length)
 
 
-ARM = """<mujoco><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
+ARM = """<mujoco model="arm"><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
 <body name="b" pos="1 0 0"><joint name="two"/><geom size="0.1"/><site name="end" pos="1 0 0"/></body></body>
 </worldbody></mujoco>"""
 
@@ -52,11 +51,11 @@ def test_a_model_built_in_memory_is_a_robot_like_any_other(tmp_path, monkeypatch
     (tmp_path / "arm.toml").write_text("not for this robot")
     monkeypatch.chdir(tmp_path)
     model = mujoco.MjModel.from_xml_string(ARM)
-    robot = robot_from_model(model, name="arm", joints=["two"], tool="end")
+    robot = rik.load_robot(model, joints=["two"], tool="end")
     assert robot.model is model and robot.name == "arm" and robot.joints == ("two",)
     assert robot.arm_file is None and not robot.path.exists()
     np.testing.assert_allclose(robot.forward([np.pi / 2]).position, [1, 1, 0], atol=1e-12)
     with pytest.raises(UnknownJointError, match="'two'"):
-        robot_from_model(model, joints=["tow"])
+        rik.load_robot(model, joints=["tow"])
     with pytest.raises(UnknownFrameError, match="'end'"):
-        robot_from_model(model, tool="edn")
+        rik.load_robot(model, tool="edn")

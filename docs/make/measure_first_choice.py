@@ -16,12 +16,10 @@ import gc
 import time
 from pathlib import Path
 
-import mujoco
 import numpy as np
 
 import robot_ik.solvers.first_choice as table
 from robot_ik.bench.methods.problems import ProblemSet, make_set
-from robot_ik.chain import robot_from_model
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
@@ -52,10 +50,8 @@ def iiwa_like() -> Robot:
             f'<body pos="0 0 {height}"><joint name="joint{k + 1}" axis="{axis}" range="-{limit} {limit}"/>'
             f'<geom size="0.05"/>{inner}</body>'
         )
-    model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><compiler autolimits="true"/><worldbody>{inner}</worldbody></mujoco>'
-    )
-    return robot_from_model(model, name="iiwa-like", tool="flange")
+    text = f'<mujoco model="iiwa-like"><compiler autolimits="true"/><worldbody>{inner}</worldbody></mujoco>'
+    return load_robot(text, tool="flange")
 
 
 def arms() -> list[Robot]:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.chain import robot_from_model
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
@@ -22,7 +21,7 @@ TOLERANCE = Tolerance(position=1e-6, angle=1e-5)
 
 def of_xml(bodies: str, tool: str = "tool") -> Robot:
     xml = f'<mujoco><compiler angle="radian"/><worldbody>{bodies}</worldbody></mujoco>'
-    return robot_from_model(mujoco.MjModel.from_xml_string(xml), tool=tool)
+    return rik.load_robot(xml, tool=tool)
 
 
 def links(joints: list[str], lengths: list[float], tail: str = "") -> str:

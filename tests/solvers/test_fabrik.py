@@ -1,11 +1,9 @@
 """fabrik: the paper's points on balls, real joints on arms, trees, and poses where a wrist takes them."""
 
-import mujoco
 import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.chain import robot_from_model
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import Status
@@ -113,7 +111,7 @@ Y = """<mujoco><compiler angle="radian"/><worldbody>
 
 
 def test_a_tree_serves_several_goals_through_its_sub_base():
-    robot = robot_from_model(mujoco.MjModel.from_xml_string(Y), tool="left")
+    robot = rik.load_robot(Y, tool="left")
     rng = np.random.default_rng(0)
     solved = 0
     for _ in range(20):
@@ -127,7 +125,7 @@ def test_a_tree_serves_several_goals_through_its_sub_base():
 
 
 def test_a_goal_that_weighs_more_is_nearer_when_both_cannot_be_met():
-    robot = robot_from_model(mujoco.MjModel.from_xml_string(Y), tool="left")
+    robot = rik.load_robot(Y, tool="left")
     misses = []
     for weight in (0.1, 10.0):
         goals = [
@@ -145,11 +143,11 @@ def test_slides_and_floating_bases_come_along():
      <geom size="0.1"/><body pos="0 0 0.1"><joint type="ball"/><geom size="0.1"/><body pos="0 0 0.3">
      <joint type="ball"/><geom size="0.1"/><site name="tip" pos="0 0 0.3"/></body></body></body>
      </worldbody></mujoco>"""
-    robot = robot_from_model(mujoco.MjModel.from_xml_string(rail), tool="tip")
+    robot = rik.load_robot(rail, tool="tip")
     solution = make_solver("fabrik").solve(Problem(robot, PositionGoal(None, (1.2, 0.2, 0.3))))
     assert solution.converged and -1.0 <= solution.q[0] <= 1.0
     floating = rail.replace('<joint name="rail" type="slide" axis="1 0 0" range="-1 1"/>', "<freejoint/>")
-    robot = robot_from_model(mujoco.MjModel.from_xml_string(floating), tool="tip")
+    robot = rik.load_robot(floating, tool="tip")
     goals = [PositionGoal("tip", (3.0, 0.2, 0.3)), PositionGoal("car", (2.7, 0.0, 0.1))]
     assert make_solver("fabrik").solve(Problem(robot, goals)).converged
 

@@ -13,7 +13,6 @@ import numpy as np
 from robot_ik.batch import solve_batch, usable_cores
 from robot_ik.bench.methods.problems import make_set
 from robot_ik.bench.methods.results import Batch, Growth, LowerBound
-from robot_ik.chain import robot_from_model
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.kernels import jit
@@ -21,7 +20,7 @@ from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.kinematics import forward, frame_jacobian, frame_pose
 from robot_ik.kernels.tree import open_tree
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers.base import Solver
 
 #: Joints of the chains, and goals on the figure, for which a step is timed.
@@ -93,6 +92,7 @@ def _best(call: Callable[[], None]) -> float:
 def hinge_chain(n: int) -> Robot:
     """A chain of ``n`` hinges about x, y and z in turn, two metres in all, each ±149°."""
     spec = mujoco.MjSpec()
+    spec.modelname = f"hinges{n}"
     spec.compiler.degree = False
     body, length = spec.worldbody, _CHAIN_LENGTH / n
     for i in range(n):
@@ -104,7 +104,7 @@ def hinge_chain(n: int) -> Robot:
         )  # fmt: skip
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0.0, 0.0])
     body.add_site(name="tip", pos=[0.0, 0.0, length])
-    return robot_from_model(spec.compile(), name=f"hinges{n}", tool="tip")
+    return load_robot(spec.compile(), tool="tip")
 
 
 def growth_with_joints(solver: Solver, seed: int = 0) -> Iterator[Growth]:

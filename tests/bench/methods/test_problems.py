@@ -19,12 +19,12 @@ from robot_ik.bench.methods.problems import (
     make_set,
 )
 from robot_ik.bench.peers.tasks import plain_mjcf
-from robot_ik.chain import make_chain, robot_from_model
+from robot_ik.chain import make_chain
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.robot import Robot, load_robot
 
 ARMS = ("puma560", "ur5e", "panda")
-BALLS = """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">
+BALLS = """<mujoco model="balls"><compiler angle="radian"/><worldbody><body pos="0 0 1">
 <joint name="shoulder" type="ball" range="0 1.2" limited="true"/><geom size="0.05"/>
 <body pos="0.4 0 0"><joint name="elbow" axis="0 1 0" range="-2 2" limited="true"/><geom size="0.05"/>
 <body pos="0.3 0 0"><joint name="slide" type="slide" axis="1 0 0" range="0 0.3" limited="true"/>
@@ -34,7 +34,7 @@ BALLS = """<mujoco><compiler angle="radian"/><worldbody><body pos="0 0 1">
 @cache
 def robot(name: str) -> Robot:
     if name == "balls":
-        return robot_from_model(mujoco.MjModel.from_xml_string(BALLS), name=name, tool="tool")
+        return load_robot(BALLS, tool="tool")
     return load_robot(name)
 
 
