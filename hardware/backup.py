@@ -19,8 +19,8 @@ from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, joint_named, require_models
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
-from robot_ik.reading import read_json
-from robot_ik.tables import Several, Table, WrongKey, check_table, keys_of
+from robot_ik.reading import WrongKey, read_json
+from robot_ik.tables import Several, Table, check_table, keys_of
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""

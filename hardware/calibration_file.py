@@ -17,8 +17,8 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, Sign
 from robot_ik.hardware.x_series import REVERSE
-from robot_ik.reading import read_json, shown
-from robot_ik.tables import Several, Table, WrongKey, keys_of, read_table
+from robot_ik.reading import WrongKey, read_json, shown
+from robot_ik.tables import Several, Table, keys_of, read_table
 
 SCHEMA = 1  # raised when a key changes its meaning
 

@@ -27,9 +27,9 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, Sign, StopAt, SwingArm, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
-from robot_ik.reading import parse_toml, read_text
+from robot_ik.reading import WrongKey, parse_toml, read_text
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import Table, WrongKey, check_table, chosen, keys_of
+from robot_ik.tables import Table, check_table, chosen, keys_of
 
 MAX_SERVOS = 252
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from robot_ik.errors import ConfigError
+from robot_ik.errors import ConfigError, did_you_mean
 
 LARGEST_FILE = 256 * 2**20
 """Bytes; a recording of an hour has a tenth of it."""
@@ -158,6 +158,39 @@ def shown(value: object, text: Callable[[object], str] = repr) -> str:
     """A value for a message of one line, cut where it is long."""
     found = text(value)
     return found if len(found) <= 60 else found[:59] + "…"
+
+
+class WrongKey(ValueError):
+    """What is wrong with a key (seen from the table that raises it), raised where the file is not known.
+
+    ``tables.check_table`` adds the file.
+    """
+
+    def __init__(self, problem: str, key: str = "", allowed: str = "", hint: str = "") -> None:
+        super().__init__(
+            f"{key}: {problem}; allowed: {allowed}".removeprefix(": ").removesuffix("; allowed: ")
+        )
+        self.problem, self.key, self.allowed, self.hint = problem, key, allowed, hint
+
+    @classmethod
+    def unknown(cls, what: str, name: object, known: Iterable[str], key: str = "") -> WrongKey:
+        """A name that does not exist; the close ones are named."""
+        names = list(known)
+        return cls(
+            f"no {what} is called {shown(name)}", key, ", ".join(names), did_you_mean(str(name), names)
+        )
+
+    def within(self, location: tuple[int | str, ...], table: str = "") -> WrongKey:
+        """The same, seen from farther out."""
+        parts = (*location, self.key) if self.key else location
+        key = key_text(parts)
+        return WrongKey(
+            self.problem, f"{table}.{key}" if table and key else table or key, self.allowed, self.hint
+        )
+
+    def in_file(self, file: Path | str) -> ConfigError:
+        """The error for people."""
+        return ConfigError(self.problem, file=file, key=self.key, allowed=self.allowed, hint=self.hint)
 
 
 FORMER: Mapping[str, str] = {

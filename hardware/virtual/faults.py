@@ -27,8 +27,8 @@ from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.memory import TRIPPED
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
-from robot_ik.reading import parse_toml, read_text
-from robot_ik.tables import Table, WrongKey, check_table, keys_of
+from robot_ik.reading import WrongKey, parse_toml, read_text
+from robot_ik.tables import Table, check_table, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus

@@ -19,7 +19,8 @@ from robot_ik.camera.image import dictionary_size
 from robot_ik.camera.observations import marker_points
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.tables import Position, Several, Table, WrongKey, Wxyz, read_table
+from robot_ik.reading import WrongKey
+from robot_ik.tables import Position, Several, Table, Wxyz, read_table
 
 _CUBE_SIDES = 6
 

@@ -28,9 +28,10 @@ from robot_ik.motion.bvh_robot import data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
+from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.solvers import make_solver
-from robot_ik.tables import Several, Table, WrongKey, read_table
+from robot_ik.tables import Several, Table, read_table
 
 SIDES = ("left", "right")
 ROLES = (

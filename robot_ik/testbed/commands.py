@@ -18,7 +18,8 @@ from pydantic.alias_generators import to_snake
 from robot_ik.errors import ConfigError, close_matches
 from robot_ik.files import write_atomically
 from robot_ik.reading import parse_json, read_text, shown
-from robot_ik.tables import Wxyz, config_error, keys_of
+from robot_ik.table_errors import config_error
+from robot_ik.tables import Wxyz, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.testbed.session import View

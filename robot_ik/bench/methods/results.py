@@ -19,7 +19,7 @@ from robot_ik.batch import usable_cores
 from robot_ik.bench.peers.worker import calibration
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.reading import read_json
-from robot_ik.tables import config_error
+from robot_ik.table_errors import config_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

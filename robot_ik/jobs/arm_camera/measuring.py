@@ -24,7 +24,8 @@ from robot_ik.jobs.robot_setup import ArmRequest
 from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
-from robot_ik.tables import Pair, Position, Several, Table, Wxyz, config_error
+from robot_ik.table_errors import config_error
+from robot_ik.tables import Pair, Position, Several, Table, Wxyz
 
 
 @dataclass(frozen=True)

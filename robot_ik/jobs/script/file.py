@@ -12,8 +12,8 @@ from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
-from robot_ik.reading import parse_toml, read_text, shown
-from robot_ik.tables import Position, Several, Table, WrongKey, check_table, chosen
+from robot_ik.reading import WrongKey, parse_toml, read_text, shown
+from robot_ik.tables import Position, Several, Table, check_table, chosen
 
 _Word = Annotated[str, Field(min_length=1)]
 _Positive = Annotated[float, Field(gt=0.0)]

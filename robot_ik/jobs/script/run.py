@@ -24,9 +24,9 @@ from robot_ik.jobs.script.report import FAILED, PASSED, ScriptReport, StepResult
 from robot_ik.jobs.script.state import RunState, Script, StepFailed, error_classes
 from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
+from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue, find_robot
-from robot_ik.tables import WrongKey
 
 # ------------------------------------------------------------------------------------------
 # The world of a script: its synthetic camera, and objects that lie about.

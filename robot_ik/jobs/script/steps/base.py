@@ -19,8 +19,9 @@ from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed, error_classes
 from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
+from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import Pair, Table, WrongKey
+from robot_ik.tables import Pair, Table
 
 
 def _error_class(name: str) -> str:

@@ -27,9 +27,10 @@ from robot_ik.jobs.script.steps.base import (
     width_mm,
 )
 from robot_ik.ports import Array
+from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
-from robot_ik.tables import Position, WrongKey, Wxyz
+from robot_ik.tables import Position, Wxyz
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""

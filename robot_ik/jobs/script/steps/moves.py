@@ -44,8 +44,9 @@ from robot_ik.motion.sources import CurveSource
 from robot_ik.motion.trajectory import Trajectory, joint_move
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
+from robot_ik.reading import WrongKey
 from robot_ik.solvers import make_solver
-from robot_ik.tables import Position, WrongKey, Wxyz
+from robot_ik.tables import Position, Wxyz
 
 Judge = Callable[[], list[Finding]]
 """How far off it is: once all of that is right it has arrived."""
