@@ -16,13 +16,16 @@ from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.kernels.vectors import apply, apply_back, dot, length, minus, over, plus, scaled, three
 
+# Where the number of vectors stands in the sums of ``add_aim``, and how many sums there are.
+_AIMS, AIM_SUMS = 9, 10
+
 # Points c are the nodes, then the goals g; -1 means none.
 BONES = Layout(
     "Bones",
     up="ints c",  # the point before it on its chain
     first="ints c",  # its first child, …
     next="ints c",  # … and the next child of its parent
-    through="ints c",  # 1: it looked through a point that it cannot move (``gather``)
+    through="ints c",  # 1: it looked through a point that it cannot move (``gather_aims``)
     stack="ints c",
     path="ints c",  # points of one chain, root to tip
     hangs="int_table c g",  # 1 where the goal hangs on the node
@@ -31,13 +34,12 @@ BONES = Layout(
     share="floats c",  # its weight
     shift="floats c",  # how far along its hinge's axis it stands from the node's origin
     length="floats c",  # of the bone that ends in it
-    sums="table 1 10",  # what a joint aims at: M row by row, and how many vectors there are (``add_aim``)
+    sums=f"table 1 {AIM_SUMS}",  # what a joint aims at, see ``add_aim``: M row by row, number of vectors
     pull="floats 2",  # how much a hinge, and a ball, weighs the goals themselves beside the next points
     kept="table 1 12",  # the pose of a joint before it rotates
     one="ints 1",
 )
 open_bones = BONES.open
-_AIMS = 9
 
 
 @pure
@@ -293,13 +295,13 @@ def add_point(bones, k, c):
     add_aim(bones.sums, bones.share[c], offset(bones.target, c, bones, k), offset(bones.now, c, bones, k))
 
 
-@outlined
-def add_columns(goal, work, bones, share, g):
+@pure
+def add_columns(goal, frames, sums, share, g):
     """The axes of goal ``g``'s frame have those of its target for targets."""
-    target, frames, w = goal.target, work.frames, share * goal.weight[g, 1] * goal.weight[g, 1]
+    target, w = goal.target, share * goal.weight[g, 1] * goal.weight[g, 1]
     for i in range(3, 6):
         wanted = target[g, i], target[g, i + 3], target[g, i + 6]
-        add_aim(bones.sums, w, wanted, (frames[g, i], frames[g, i + 3], frames[g, i + 6]))
+        add_aim(sums, w, wanted, (frames[g, i], frames[g, i + 3], frames[g, i + 6]))
 
 
 @pure
@@ -317,7 +319,7 @@ def lever(world, bones, kind, k, c):
 
 
 @outlined
-def gather(tree, goal, work, bones, k):
+def gather_aims(tree, goal, work, bones, k):
     """Into ``sums``, what joint ``k`` should aim at: the next points that it moves.
 
     A point that it cannot move, because their anchors coincide or it lies on the axis, is looked
@@ -336,7 +338,7 @@ def gather(tree, goal, work, bones, k):
         if bones.share[c] > 0.0:
             locate(tree, goal, work, bones, c)
             if c >= n and has_orientation(goal, c - n):
-                add_columns(goal, work, bones, 1.0, c - n)
+                add_columns(goal, work.frames, bones.sums, 1.0, c - n)
             elif lever(work.world, bones, tree.kind[k], k, c) > _NO_LEVER:
                 add_point(bones, k, c)
             else:
@@ -365,7 +367,7 @@ def add_goals(tree, goal, work, bones, k, pull):
         wanted, here = offset(goal.target, g, bones, k), offset(work.frames, g, bones, k)
         add_aim(bones.sums, pull * bones.share[n + g], wanted, here)
         if has_orientation(goal, g):
-            add_columns(goal, work, bones, pull, g)
+            add_columns(goal, work.frames, bones.sums, pull, g)
         bones.sums[0, _AIMS] = count
 
 
@@ -391,7 +393,7 @@ def aim_ball(tree, goal, work, bones, k, a):
     """Rotates ball ``k`` freely to its optimum; returns the total angle."""
     total = 0.0
     for _ in range(_BALL_TURNS):
-        gather(tree, goal, work, bones, k)
+        gather_aims(tree, goal, work, bones, k)
         if bones.pull[1] > 0.0:
             add_goals(tree, goal, work, bones, k, bones.pull[1])
         axis = rotation_axis(bones.sums)
@@ -471,7 +473,7 @@ def fit_joint(tree, goal, work, bones, k):
     locate(tree, goal, work, bones, k)
     gone = 0.0
     if kind == HINGE:
-        gather(tree, goal, work, bones, k)
+        gather_aims(tree, goal, work, bones, k)
         if bones.pull[0] > 0.0:
             add_goals(tree, goal, work, bones, k, bones.pull[0])
         ta, tb = rotation_terms(bones.sums, hinge_axis(world, k))

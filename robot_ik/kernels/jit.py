@@ -23,12 +23,10 @@ from typing import Any, TypeVar
 
 import numba
 from llvmlite import binding as llvm  # type: ignore[import-untyped]
-from numba import types
 from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
-from numba.extending import intrinsic
 
 from robot_ik.errors import ConfigError
 
@@ -83,15 +81,15 @@ _OPTIONS: dict[str, Any] = {
 }  # fmt: skip
 
 _PACKAGE = Path(__file__).resolve().parent.parent
-# Packages with compiled code: what compiled code of one file takes from another lies in them.
-_COMPILED_PACKAGES = ("kernels", "solvers", "camera")
+# What compiled code of one file takes from another lies in these.
+_WITH_COMPILED_CODE = ("kernels", "solvers", "camera", "targets")
 # At the margin only: what is imported inside a function is no global of compiled code.
 _IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of ``solvers.ccd``; None for what is not in a package with compiled code."""
-    if module.split(".")[0] not in _COMPILED_PACKAGES:
+    """The source of ``solvers.ccd``; None for what has no compiled code."""
+    if module.split(".")[0] not in _WITH_COMPILED_CODE:
         return None
     path = _PACKAGE.joinpath(*module.split("."))
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
@@ -308,14 +306,3 @@ def announce(function: Any, what: str) -> None:
     _announced.add(function.__name__)
     if not compiled(function):
         logger.info("compiling %s: up to a minute, once on this machine", what)
-
-
-@intrinsic
-def noinline(_typing: Any) -> Any:
-    """Keeps LLVM from copying the function that calls it: a limb's would compile for a minute."""
-
-    def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
-        builder.function.attributes.add("noinline")
-        return _context.get_dummy_value()
-
-    return types.none(), mark

@@ -261,8 +261,9 @@ def rotation_back(q, a, rw, rx, ry, rz):
 
 
 @pure
-def across(x, y, z):
-    """A unit vector across the unit vector (x, y, z)."""
+def perpendicular(axis):
+    """A unit vector perpendicular to the unit vector ``axis``."""
+    x, y, z = axis
     if abs(x) <= abs(y) and abs(x) <= abs(z):
         n = 1.0 / math.sqrt(y * y + z * z)
         return 0.0, n * z, -n * y

@@ -351,7 +351,7 @@ def draw_next(tree, work):
 
 
 @pure
-def shorten(work, better):
+def adapt_share(work, better):
     """Makes a method that takes its steps unseen go downhill only: a step that did not help is taken back."""
     state, value = work.state, work.value
     if better:
@@ -418,7 +418,7 @@ def judge(tree, goal, work, within):
         value[ws.TRY_COST], value[ws.ACCEPTED] = cost, math.inf
         return
     if state[ws.POLISHING] > 0 and value[ws.SHARE] > 0.0:
-        shorten(work, better)
+        adapt_share(work, better)
     progress = _POLISH_PROGRESS if state[ws.POLISHING] > 0 else value[ws.PROGRESS]
     if cost < value[ws.TRY_COST] * (1.0 - progress):
         value[ws.TRY_COST] = cost

@@ -85,7 +85,7 @@ def densities(prior, n, count):
 
 
 @outlined
-def gather(prior, n, count, best):
+def energy_terms(prior, n, count, best):
     """Gradient and Hessian of the bound into their rows; returns the energy E."""
     total = 0.0
     for k in range(count):
@@ -143,7 +143,7 @@ def prior_rows(goal, work, g):
     n = goal.feature.shape[0]
     count = (prior.shape[0] - HESSIAN - n) // (PART_PRECISION + n)
     features(goal, work.q)
-    energy = gather(prior, n, count, densities(prior, n, count))
+    energy = energy_terms(prior, n, count, densities(prior, n, count))
     square = whiten(prior, n)
     rest = max(2.0 * (energy - prior[NUMBERS, 0]) - square, 0.0)
     for i in range(n):

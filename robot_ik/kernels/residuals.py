@@ -112,7 +112,7 @@ def axis_error(ax, ay, az, dx, dy, dz):
         return scale * nx, scale * ny, scale * nz, angle
     if cosine > 0.0:
         return nx, ny, nz, angle
-    ux, uy, uz = kinematics.across(ax, ay, az)
+    ux, uy, uz = kinematics.perpendicular((ax, ay, az))
     return angle * ux, angle * uy, angle * uz, angle
 
 
@@ -129,7 +129,7 @@ def axis_error_rate(ax, ay, az, dx, dy, dz, px, py, pz, qx, qy, qz):
     elif sine > _PARALLEL:
         ratio, slope = angle / sine, (sine - angle * cosine) / (sine * sine * sine)
     else:  # by π: only the way about the axis that ``axis_error`` takes counts
-        ux, uy, uz = kinematics.across(ax, ay, az)
+        ux, uy, uz = kinematics.perpendicular((ax, ay, az))
         wx = (ay * pz - az * py) - (dy * qz - dz * qy)
         wy = (az * px - ax * pz) - (dz * qx - dx * qz)
         wz = (ax * py - ay * px) - (dx * qy - dy * qx)

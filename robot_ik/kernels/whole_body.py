@@ -217,7 +217,7 @@ def measure_displacement(tree, body, q):
 
 
 @outlined
-def gather(tree, body, q, target, weight, t, posture):
+def quadratic_form(tree, body, q, target, weight, t, posture):
     """The quadratic form, its gradient and the hard rows at q; returns the number of these and their miss."""
     matrix, gradient, row, miss = body.matrix, body.gradient, body.row, body.miss
     nv = gradient.shape[0]
@@ -386,7 +386,7 @@ def hold_and_solve(body, count, slack):
 
 
 @outlined
-def take_step(tree, body, q, count):
+def bounded_step(tree, body, q, count):
     """One step from q, inside the bounds; returns its longest part."""
     longest = hold_and_solve(body, count, _SLACK)
     n = body.step.shape[0]
@@ -445,10 +445,10 @@ def solve_frames(tree, body, target, weight, posture, q, start, second, steps, r
         kinematics.integrate(tree, tree.every, here, body.displacement)
         longest = math.inf
         for step in range(steps + 1):
-            count, miss[t] = gather(tree, body, here, target, weight, t, posture)
+            count, miss[t] = quadratic_form(tree, body, here, target, weight, t, posture)
             used[t] = step
             if step == steps or (longest < rest and miss[t] < close):
                 break
-            longest = take_step(tree, body, here, count)
+            longest = bounded_step(tree, body, here, count)
         for i in range(nq):
             body.previous[i] = here[i]

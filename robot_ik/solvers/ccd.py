@@ -19,13 +19,13 @@ from typing import ClassVar
 import numpy as np
 
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
-from robot_ik.kernels.bones import best_angle, move_with_node, store_pose
+from robot_ik.kernels import bones
 from robot_ik.kernels.jit import kernel, outlined, pure
 from robot_ik.kernels.kinematics import clip, dof_axis, forward, rotate_quat
 from robot_ik.kernels.loop import advance, begin, proceed, step_bounds
 from robot_ik.kernels.residuals import ORIENTATION, POSITION, open_goals
 from robot_ik.kernels.tree import BALL, FREE, open_tree
-from robot_ik.kernels.vectors import cross, dot, length, minus, over, three
+from robot_ik.kernels.vectors import dot, length, minus, over, three
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import IterativeSolver, option, options_of
 
@@ -62,27 +62,20 @@ open_options = options_of(CyclicCoordinateDescent)
 
 
 @outlined
-def rotation_terms(world, k, axis, goal, frames, u):
-    """A, B of the cost const − A cos φ − B sin φ when all that hangs on a rotation about ``axis`` moves."""
-    a, b = 0.0, 0.0
+def aim_at_goals(world, k, goal, frames, u, sums):
+    """Into ``sums`` (see ``bones.add_aim``), the frames that hang on node ``k``, and their targets."""
     target, origin = goal.target, three(world, k, 0)
+    for i in range(bones.AIM_SUMS):
+        sums[0, i] = 0.0
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 0:
             continue
         if goal.kind[g] != ORIENTATION:
             w = goal.weight[g, 0] * goal.weight[g, 0]
-            p, t = minus(three(frames, g, 0), origin), minus(three(target, g, 0), origin)
-            a += w * (dot(p, t) - dot(axis, p) * dot(axis, t))
-            b += w * dot(axis, cross(p, t))
+            bones.add_aim(sums, w, minus(three(target, g, 0), origin), minus(three(frames, g, 0), origin))
         if goal.kind[g] != POSITION:
             # ‖R_t − R‖²/2 = 3 − Σ columns c·t, and each column rotates like a point.
-            w = goal.weight[g, 1] * goal.weight[g, 1]
-            for c in range(3, 6):
-                p = frames[g, c], frames[g, c + 3], frames[g, c + 6]
-                t = target[g, c], target[g, c + 3], target[g, c + 6]
-                a += w * (dot(p, t) - dot(axis, p) * dot(axis, t))
-                b += w * dot(axis, cross(p, t))
-    return a, b
+            bones.add_columns(goal, frames, sums, 1.0, g)
 
 
 @pure
@@ -101,28 +94,18 @@ def best_shift(axis, goal, frames, u, low, high):
 
 
 @outlined
-def free_rotation(world, k, goal, frames, u):
-    """Unit axis and angle of the rotation about node ``k`` that is best where any axis may be chosen.
+def rotate_freely(tree, goal, work, u, sums):
+    """work.step of a hinge, or of all three coordinates of a ball, for the best rotation about any axis.
 
-    For one position the axis is (s − p) × (t − p) and the angle that between the two.
+    For one position that axis is (s − p) × (t − p) and the angle that between the two.
     """
-    _, x = rotation_terms(world, k, (1.0, 0.0, 0.0), goal, frames, u)
-    _, y = rotation_terms(world, k, (0.0, 1.0, 0.0), goal, frames, u)
-    _, z = rotation_terms(world, k, (0.0, 0.0, 1.0), goal, frames, u)
-    norm = length((x, y, z))
-    if norm < _COLLINEAR:
-        return (0.0, 0.0, 0.0), 0.0
-    axis = over((x, y, z), norm)
-    a, b = rotation_terms(world, k, axis, goal, frames, u)
-    return axis, math.atan2(b, a)
-
-
-@outlined
-def rotate_freely(tree, goal, work, u):
-    """work.step of a hinge, or of all three coordinates of a ball, for ``free_rotation``."""
-    v = goal.dofs[u]
-    k = tree.dof_node[v]
-    axis, angle = free_rotation(work.world, k, goal, work.frames, u)
+    v, angle = goal.dofs[u], 0.0
+    k, axis = tree.dof_node[v], bones.free_axis(sums)
+    norm = length(axis)
+    if norm > _COLLINEAR:
+        axis = over(axis, norm)
+        a, b = bones.rotation_terms(sums, axis)
+        angle = math.atan2(b, a)
     ax, ay, az, _ = dof_axis(tree.kind, work.world, k, v - tree.vadr[k])
     if tree.kind[k] < BALL:
         # The twist of the rotation about the hinge (swing-twist decomposition), as far as the limits allow.
@@ -143,7 +126,7 @@ def move_joint(tree, goal, work, u, one, old):
     """
     k, q, dq, step = one[0], work.q, work.dq, work.step
     a, v = tree.qadr[k], tree.vadr[k]
-    store_pose(work.world, k, old)
+    bones.store_pose(work.world, k, old)
     if tree.kind[k] < BALL:
         q[a] = min(max(q[a] + step[u], tree.lower[v]), tree.upper[v])
     else:
@@ -159,11 +142,11 @@ def move_joint(tree, goal, work, u, one, old):
     forward(tree, one, q, work.world, work.scratch)
     for g in range(goal.kind.shape[0]):
         if goal.moves[g, u] == 1:
-            move_with_node(work.world, k, old, work.frames, g)
+            bones.move_with_node(work.world, k, old, work.frames, g)
 
 
 @outlined
-def sweep(tree, goal, work, from_root, freely, one, old):
+def sweep(tree, goal, work, from_root, freely, one, old, sums):
     """Every degree of freedom once; leaves q moved and work.step zero.
 
     A rotation moves all that hangs on the joint as one body, so only the goals' frames come along: poses of
@@ -182,15 +165,17 @@ def sweep(tree, goal, work, from_root, freely, one, old):
         if from_root:
             forward(tree, one, work.q, world, work.scratch)
         x, y, z, rotational = dof_axis(tree.kind, world, k, v - tree.vadr[k])
-        if rotational and freely:
-            if tree.kind[k] >= BALL and (v - tree.vadr[k]) % 3 != 0:
-                continue  # rotated with the first of its three coordinates
-            rotate_freely(tree, goal, work, u)
-        elif rotational:
-            a, b = rotation_terms(world, k, (x, y, z), goal, frames, u)
-            step[u] = best_angle(a, b, low[u], high[u])
-        else:
+        if not rotational:
             step[u] = best_shift((x, y, z), goal, frames, u, low[u], high[u])
+        elif freely and tree.kind[k] >= BALL and (v - tree.vadr[k]) % 3 != 0:
+            continue  # rotated with the first of its three coordinates
+        else:
+            aim_at_goals(world, k, goal, frames, u, sums)
+            if freely:
+                rotate_freely(tree, goal, work, u, sums)
+            else:
+                a, b = bones.rotation_terms(sums, (x, y, z))
+                step[u] = bones.best_angle(a, b, low[u], high[u])
         move_joint(tree, goal, work, u, one, old)
         for i in range(u, min(u + 3, n)):
             step[i] = 0.0
@@ -202,8 +187,8 @@ def ccd(tree, goals, work, options):
     tree, goal, work = open_tree(tree), open_goals(goals), open_work(work)
     options = open_options(options)
     from_root, freely = options.order > 0, options.axis > 0
-    one, old = np.empty(1, dtype=np.int64), np.empty((1, 12))
+    one, old, sums = np.empty(1, dtype=np.int64), np.empty((1, 12)), np.empty((1, bones.AIM_SUMS))
     begin(tree, goal, work)
     while proceed(tree, goal, work):
-        sweep(tree, goal, work, from_root, freely, one, old)
+        sweep(tree, goal, work, from_root, freely, one, old, sums)
         advance(tree, goal, work)

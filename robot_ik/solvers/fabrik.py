@@ -26,7 +26,7 @@ from robot_ik.kernels.bones import (
     settle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import across
+from robot_ik.kernels.kinematics import perpendicular
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
@@ -169,7 +169,7 @@ def bend(tree, goal, work, bones, kick):
 @outlined
 def push_off_line(tree, world, bones, root, tip, line, kick):
     """Moves the points between root and tip off their line, to where their hinges can go."""
-    anywhere = across(line[0], line[1], line[2])
+    anywhere = perpendicular(line)
     k = bones.up[tip]
     while k >= 0 and k != root:
         side = anywhere

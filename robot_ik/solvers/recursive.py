@@ -28,7 +28,7 @@ from robot_ik.kernels.bones import (
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import across
+from robot_ik.kernels.kinematics import perpendicular
 from robot_ik.kernels.loop import advance, begin, copy, measure, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import open_tree
@@ -79,7 +79,7 @@ def intersect_spheres(bones, e, b, p, radius):
     here = offset(bones.now, b, bones, p)
     side = minus(here, scaled(dot(here, line), line))
     norm = length(side)
-    side = over(side, norm) if norm > 1e-9 * far else across(line[0], line[1], line[2])
+    side = over(side, norm) if norm > 1e-9 * far else perpendicular(line)
     put(bones.target, b, plus(plus(three(bones.now, p, 0), scaled(along, line)), scaled(off, side)))
     return True
 
@@ -100,7 +100,7 @@ def drag_bone(bones, e, b, root, low, high, guard):
         angle = math.atan2(sine, along)
         allowed = min(max(angle, third_side_angle(bone, far, low)), third_side_angle(bone, far, high))
         if allowed != angle:
-            side = over(side, sine) if sine > 1e-9 else across(back[0], back[1], back[2])
+            side = over(side, sine) if sine > 1e-9 else perpendicular(back)
             way = plus(scaled(math.cos(allowed), back), scaled(math.sin(allowed), side))
     put(bones.target, b, plus(end, scaled(bone, way)))
 

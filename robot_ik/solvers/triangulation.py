@@ -28,7 +28,7 @@ from robot_ik.kernels.bones import (
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import across
+from robot_ik.kernels.kinematics import perpendicular
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import HINGE, open_tree
@@ -76,7 +76,7 @@ def side(tree, work, bones, p, c, line):
             norm = length(off)
             if norm > 1e-6:
                 return over(off, norm)
-    return across(line[0], line[1], line[2])
+    return perpendicular(line)
 
 
 @outlined

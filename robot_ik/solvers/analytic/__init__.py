@@ -65,7 +65,7 @@ def solve_axes(tree, goal, work, form, family, mode):
     else:
         found = three_parallel(axes, extra, target, start, branches)
     row = subproblems.nearest(branches, start, lower, upper, form.best)
-    subproblems.settle(tree, goal, work, form, row, found)
+    subproblems.take_branch(tree, goal, work, form, row, found)
 
 
 @kernel
@@ -79,12 +79,8 @@ def closed_form(tree, goals, work, form, family, mode):
 @kernel
 def closed_form_many(tree, goals, work, form, family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = (
-        open_tree(tree),
-        open_goals(goals),
-        ws.open_work(work),
-        subproblems.open_form(form),
-    )
+    tree, goal, work = open_tree(tree), open_goals(goals), ws.open_work(work)
+    form = subproblems.open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
         solve_axes(tree, goal, work, form, family, subproblems.SOLVE)
@@ -107,7 +103,7 @@ def solve_limb(tree, goal, work, form, mode):
     row, found = limb(form, form.lower, form.upper, mode)
     if mode == subproblems.EVERY:
         return
-    subproblems.settle(tree, goal, work, form, row, found)
+    subproblems.take_branch(tree, goal, work, form, row, found)
 
 
 @kernel
@@ -119,12 +115,8 @@ def closed_limb(tree, goals, work, form, _family, mode):
 @kernel
 def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, status, miss, iterations):
     """One solve for each row of targets (n, 12), starts (n, nq): fills q, status, miss (n, 2), iterations."""
-    tree, goal, work, form = (
-        open_tree(tree),
-        open_goals(goals),
-        ws.open_work(work),
-        subproblems.open_form(form),
-    )
+    tree, goal, work = open_tree(tree), open_goals(goals), ws.open_work(work)
+    form = subproblems.open_form(form)
     for row in range(targets.shape[0]):
         take_row(goal, work, targets, starts, row)
         solve_limb(tree, goal, work, form, subproblems.SOLVE)
@@ -178,11 +170,6 @@ PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
 
 
 Array = NDArray[np.float64]
-
-# One solve and a batch of them, for the family that has entry points of its own: they take longer to compile.
-_KERNELS: dict[Family, tuple[Callable[..., None], Callable[..., None]]] = {
-    Family.LIMB: (closed_limb, closed_limb_many),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +239,7 @@ class Analytic(Solver):
             state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
         number, iterations = state[: ws.ITERATIONS + 1].tolist()
         status = STATUS_OF[number]
-        if status not in (Status.CONVERGED, Status.UNREACHABLE) and problem.out_of_reach(problem.target)[0]:
+        if status not in (Status.CONVERGED, Status.UNREACHABLE) and _is_too_far(problem, problem.target)[0]:
             status = Status.UNREACHABLE
         return Solution(
             arrays["best"].copy(), status, iterations, 0, time.perf_counter() - began, self.name,
@@ -279,7 +266,7 @@ class Analytic(Solver):
             problem.target[0] = targets[row]
             if _is_out_of_reach(prepared):
                 results.status[row] = ws.UNREACHABLE
-        results.status[(results.status != ws.CONVERGED) & problem.out_of_reach(targets)] = ws.UNREACHABLE
+        results.status[(results.status != ws.CONVERGED) & _is_too_far(problem, targets)] = ws.UNREACHABLE
 
     def branches(self, problem: Problem, start: ArrayLike | None = None) -> list[tuple[str, Array]]:
         """Every branch, inside the limits or not: name and q (nq,); joints off the chain as at ``start``.
@@ -307,6 +294,12 @@ def _is_out_of_reach(prepared: Prepared) -> bool:
     return prepared.prove(prepared.addresses[1], prepared.addresses[3])
 
 
+def _is_too_far(problem: Problem, targets: Array) -> NDArray[np.bool_]:
+    """(n,) whether targets (n, 12) of the one goal are farther than all links laid end to end."""
+    reach = problem.arrays["reach"][0]
+    return np.asarray(np.linalg.norm(targets[:, :3] - reach[:3], axis=1) > reach[3])
+
+
 def _trace(arrays: dict[str, Any]) -> Array:
     """The one row of a closed form's trace."""
     position, angle = arrays["miss"].max(axis=0)
@@ -319,7 +312,9 @@ def _prepare(problem: Problem) -> Prepared | None:
     if form is None:
         return None
     arrays = _arrays(form, problem.robot.tree, problem.target)
-    kernel, batch = _KERNELS.get(form.family, (closed_form, closed_form_many))
+    # A limb has entry points of its own: they take longer to compile.
+    limbs = form.family is Family.LIMB
+    kernel, batch = (closed_limb, closed_limb_many) if limbs else (closed_form, closed_form_many)
     jit.announce(kernel, "closed forms")
     compiled = problem.compiled
     tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))

@@ -14,13 +14,13 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import unit
 from robot_ik.kernels.vectors import apply, apply_back, dot, length, minus, over, rotate, three
 from robot_ik.solvers.analytic import swivel
 from robot_ik.solvers.analytic.recognise import HINGES, NO_JOINTS
 from robot_ik.solvers.analytic.six_axes import centre, relative_rotation
-from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image
+from robot_ik.solvers.analytic.subproblems import EVERY, angles_to_height, image, noinline
 
 # Angles at which a range of swivel angles is evaluated, besides its cuts: a wide one, and one near the start.
 _WIDE, _NEAR, _NEAR_RANGE = 12, 2, 0.3

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.vectors import cross, dot, length, minus, plus, rotate, scaled, three
 from robot_ik.solvers.analytic.six_axes import (
     after_arm,
@@ -22,7 +22,7 @@ from robot_ik.solvers.analytic.six_axes import (
     relative_rotation,
     same_way,
 )  # fmt: skip
-from robot_ik.solvers.analytic.subproblems import angle_between, height_terms
+from robot_ik.solvers.analytic.subproblems import angle_between, height_terms, noinline
 
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
@@ -76,7 +76,7 @@ def spread(error, length):
 
 
 @pure
-def cap(error, polar):
+def azimuth_spread(error, polar):
     """How far the azimuth of a direction at ``polar`` from the pole may turn when it errs by ``error``."""
     if error >= min(polar, math.pi - polar):
         return math.pi
@@ -90,7 +90,7 @@ def polar_angle(h, v):
 
 
 @pure
-def across(k, v):
+def off_axis(k, v):
     """Distance of v from the line along the unit vector k through the origin."""
     return length(cross(k, v))
 
@@ -122,18 +122,18 @@ def elbows(u, f, e, far, error):
 
     f and e lead from the elbow to the first axis and to the end, at q = 0.
     """
-    lf, le = across(u, f), across(u, e)
+    lf, le = off_axis(u, f), off_axis(u, e)
     _, amplitude, middle = height_terms(f, u, e)
     half, radius, some = third_side(lf * lf + le * le, far, error, amplitude)
     return middle, half, radius, some
 
 
 @pure
-def first_link(u, f, e, elbow, radius, g, error):
+def first_link_range(u, f, e, elbow, radius, g, error):
     """Angle of the first link that brings the end to g ± error, for an elbow ± radius; and its radius."""
     v = minus(rotate(u, math.cos(elbow), math.sin(elbow), e), f)
     angle, _ = angle_between(u, v, g)
-    return angle, spread(error, across(u, g)) + spread(chord(radius, across(u, e)), across(u, v))
+    return angle, spread(error, off_axis(u, g)) + spread(chord(radius, off_axis(u, e)), off_axis(u, v))
 
 
 @outlined
@@ -146,13 +146,13 @@ def planar_is_out_of_reach(form, tolerance):
     error = tolerance[0, 0] + PAD
     if abs(dot(plus(minus(g, e), f), u)) > error:
         return True
-    middle, half, radius, some = elbows(u, f, e, across(u, g), error)
+    middle, half, radius, some = elbows(u, f, e, off_axis(u, g), error)
     if not some:
         return True
     for elbow in range(2):
         a = middle + half if elbow == 0 else middle - half
         if may_fit(along * a, radius, lower[1], upper[1]):
-            first, wide = first_link(u, f, e, a, radius, g, error)
+            first, wide = first_link_range(u, f, e, a, radius, g, error)
             if may_fit(first, wide, lower[0], upper[0]):
                 return False
     return True
@@ -194,12 +194,12 @@ def wrist_may_fit(axes, extra, target, lower, upper, c, s, error):
         c5, s5 = math.cos(q5), math.sin(q5)
         a = rotate(h5, c5, s5, h6)  # R5 h6
         q4, _ = angle_between(h4, a, wanted)
-        wide = cap(error, polar) + cap(radius, polar_angle(h4, a))
+        wide = azimuth_spread(error, polar) + azimuth_spread(radius, polar_angle(h4, a))
         if not may_fit(q4, wide, lower[3], upper[3]):
             continue
         b = rotate(h5, c5, -s5, h4)  # R5^T h4
         q6, _ = angle_between(h6, b, held)
-        wide = cap(error, polar) + cap(radius, polar_angle(h6, b))
+        wide = azimuth_spread(error, polar) + azimuth_spread(radius, polar_angle(h6, b))
         if may_fit(-q6, wide, lower[5], upper[5]):
             return True
     return False
@@ -225,15 +225,15 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
             continue
         c1, s1 = math.cos(q1), math.sin(q1)
         g = minus(plus(rotate(h, c1, -s1, d), p1), p2)
-        off = error + chord(radius, across(h, d))
-        middle3, half3, radius3, some = elbows(u, f, e, across(u, g), off)
+        off = error + chord(radius, off_axis(h, d))
+        middle3, half3, radius3, some = elbows(u, f, e, off_axis(u, g), off)
         if not some:
             continue
         for elbow in range(2):
             a3 = middle3 + half3 if elbow == 0 else middle3 - half3
             if not may_fit(along * a3, radius3, lower[2], upper[2]):
                 continue
-            q2, wide = first_link(u, f, e, a3, radius3, g, off)
+            q2, wide = first_link_range(u, f, e, a3, radius3, g, off)
             if not may_fit(q2, wide, lower[1], upper[1]):
                 continue
             tilt = tolerance[0, 1] + radius + radius3 + wide + PAD
@@ -265,7 +265,7 @@ def parallel_is_out_of_reach(form, tolerance):
         wanted = back(axes, 0, c1, s1, relative)  # Q1 h6
         g = minus(plus(rotate(h, c1, -s1, d), p1), p2)
         held = relative_back(target, extra, rotate(h, c1, s1, u))  # Q1^T u
-        off = error + chord(radius, across(h, d))
+        off = error + chord(radius, off_axis(h, d))
         middle5, half5, radius5, some = tilts(u, h5, h6, polar_angle(u, wanted), tilt)
         if not some:
             continue
@@ -288,23 +288,24 @@ def three_may_fit(axes, extra, lower, upper, q5, radius5, wanted, held, g, off, 
     c5, s5, polar = math.cos(q5), math.sin(q5), polar_angle(u, wanted)
     b = rotate(h5, c5, -s5, u)  # R5^T u
     q6, _ = angle_between(h6, b, held)
-    if not may_fit(-q6, cap(tilt, polar) + cap(radius5, polar_angle(h6, b)), lower[5], upper[5]):
+    radius6 = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(h6, b))
+    if not may_fit(-q6, radius6, lower[5], upper[5]):
         return False
     a = rotate(h5, c5, s5, h6)  # R5 h6
     theta, _ = angle_between(u, a, wanted)
-    around = cap(tilt, polar) + cap(radius5, polar_angle(u, a))
+    around = azimuth_spread(tilt, polar) + azimuth_spread(radius5, polar_angle(u, a))
     hand = minus(three(extra, 0, 0), p4)
-    off += chord(around, across(u, hand))
+    off += chord(around, off_axis(u, hand))
     v = minus(g, rotate(u, math.cos(theta), math.sin(theta), hand))
     e, f = minus(p4, p3), minus(p2, p3)
-    middle3, half, radius, some = elbows(u, f, e, across(u, v), off)
+    middle3, half, radius, some = elbows(u, f, e, off_axis(u, v), off)
     if not some:
         return False
     for elbow in range(2):
         a3 = middle3 + half if elbow == 0 else middle3 - half
         if not may_fit(along3 * a3, radius, lower[2], upper[2]):
             continue
-        q2, wide = first_link(u, f, e, a3, radius, v, off)
+        q2, wide = first_link_range(u, f, e, a3, radius, v, off)
         if may_fit(q2, wide, lower[1], upper[1]) and may_fit(
             along4 * (theta - q2 - a3), around + wide + radius, lower[3], upper[3]
         ):

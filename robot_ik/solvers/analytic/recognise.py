@@ -75,7 +75,7 @@ def recognise(tree: Tree, node: int, local: Array, whole: bool) -> Form | None:
     if not chain or any(kind not in (HINGE, BALL) for kind in kinds):
         return None
     axes, frames, tool = axes_at_zero(tree, chain, local)
-    scale = size_of(axes, tool)
+    scale = float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())  # m: how large the arm is
     limb = _limb(kinds, chain, axes, frames, tool, scale, whole)
     if limb is not None or BALL in kinds:
         return limb
@@ -178,11 +178,6 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, lis
         frames.append(pose.rotation)
         axes.append(np.concatenate([pose.rotation[:, 2], pose.position]))
     return np.array(axes), frames, pose.compose(row_pose(local))
-
-
-def size_of(axes: Array, tool: Pose) -> float:
-    """The length, m, below which points count as near, for an arm of these axes."""
-    return float(np.abs(axes[:, 3:]).max() + np.abs(tool.position).max())
 
 
 def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 
-from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.vectors import (
     apply,
     apply_back,
@@ -25,7 +25,7 @@ from robot_ik.kernels.vectors import (
     scaled,
     three,
 )  # fmt: skip
-from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, split_inside
+from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, noinline, split_inside
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7

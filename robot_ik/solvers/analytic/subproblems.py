@@ -8,6 +8,10 @@ inverse kinematics using subproblem decomposition, 2022, subproblems 1, 3 and 4)
 from __future__ import annotations
 
 import math
+from typing import Any
+
+from numba import types
+from numba.extending import intrinsic
 
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bundle import Layout
@@ -18,6 +22,17 @@ from robot_ik.kernels.vectors import apply_back, cross, dot, three
 
 # Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
 SLACK = 1e-9
+
+
+@intrinsic
+def noinline(_typing: Any) -> Any:
+    """Keeps LLVM from copying the function that calls it: a limb's would compile for a minute."""
+
+    def mark(_context: Any, builder: Any, _signature: Any, _arguments: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return _context.get_dummy_value()
+
+    return types.none(), mark
 
 
 @pure
@@ -150,7 +165,7 @@ def measure_start(tree, goal, work, form, mode):
 
 
 @outlined
-def settle(tree, goal, work, form, row, found):
+def take_branch(tree, goal, work, form, row, found):
     """Takes ``form.best`` as the solution, where some branch ``row`` is inside the limits."""
     state, q, qadr, best = work.state, work.q, form.qadr, form.best
     if row < 0:

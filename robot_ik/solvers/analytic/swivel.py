@@ -12,7 +12,7 @@ import math
 
 from numba import types
 
-from robot_ik.kernels.jit import noinline, outlined, pure
+from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import unit
 from robot_ik.kernels.vectors import (
     apply,
@@ -30,7 +30,7 @@ from robot_ik.kernels.vectors import (
     three,
 )  # fmt: skip
 from robot_ik.solvers.analytic.recognise import BALL_JOINT, HINGES
-from robot_ik.solvers.analytic.subproblems import angle_between, image, split_inside
+from robot_ik.solvers.analytic.subproblems import angle_between, image, noinline, split_inside
 
 # Rows of form.matrices: the start's shoulder, S₀, the goal's rotation of all joints, S₀ with the elbow's
 # rotation, then the rotations of shoulder and wrist at the swivel angle of the moment.
