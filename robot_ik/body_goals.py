@@ -9,16 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from robot_ik.errors import InvalidGoalError, UnknownJointError
+from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
+from robot_ik.errors import InvalidGoalError, ModelError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.goals import (
-    AimGoal,
     Array,
     Goal,
-    HalfSpaceGoal,
-    LineGoal,
     OrientationGoal,
-    PlaneGoal,
     PointGoal,
     PoseGoal,
     PositionGoal,
@@ -31,6 +28,32 @@ from robot_ik.kernels import residuals as codes
 from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH
 from robot_ik.pose_prior import PosePrior
 from robot_ik.robot import Robot
+
+# kg; a robot of less was described without masses.
+_LEAST_MASS = 1e-6
+
+
+def mass_table(robot: Robot, name: str | None = None) -> Array:
+    """(n + 1, 4) mass and its centre, seen from the node, of what each node carries; last: what never moves.
+
+    Only the body ``name`` (None: the whole model) and all that hangs on it count.
+
+    Raises:
+        UnknownFrameError, ModelError: There is no such body; it has no mass.
+    """
+    model, root = robot.model, robot.body_id(name)
+    table, inside = np.zeros((robot.tree.size + 1, 4)), set()
+    for body in range(root, model.nbody):
+        if body == root or int(model.body_parentid[body]) in inside:
+            inside.add(body)
+            node, local = robot.attachment(body)  # node -1, the world, is the last row
+            moment = (1.0, *(local[:3] + local[3:].reshape(3, 3) @ model.body_ipos[body]))
+            table[node] += float(model.body_mass[body]) * np.array(moment)
+    if not table[:, 0].sum() > _LEAST_MASS:
+        raise ModelError(f"{name or robot.name!r} has no mass", hint="geoms or inertials give it some")
+    carried = table[:, 0] > 0.0
+    table[carried, 1:] /= table[carried, :1]
+    return table
 
 
 class CenterOfMassGoal(PointGoal):
@@ -50,12 +73,12 @@ class CenterOfMassGoal(PointGoal):
         return self.off(Pose(robot.center_of_mass(q, self.frame)), target)
 
     def moved_nodes(self, robot: Robot) -> set[int]:
-        carried = np.flatnonzero(robot.masses(self.frame)[:-1, 0] > 0.0)
+        carried = np.flatnonzero(mass_table(robot, self.frame)[:-1, 0] > 0.0)
         return {k for node in carried for k in robot.tree.ancestors(int(node))}
 
     def fill(self, arrays: dict[str, Any], g: int, robot: Robot) -> int:
         arrays["row_codes"][g, codes.BLOCK] = len(arrays["masses"])
-        arrays["masses"] = np.concatenate([arrays["masses"], robot.masses(self.frame)])
+        arrays["masses"] = np.concatenate([arrays["masses"], mass_table(robot, self.frame)])
         return 0
 
 

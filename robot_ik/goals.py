@@ -1,4 +1,4 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them, with those of the whole body.
+"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them all.
 
 A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
 Targets are in the world, metres and unit quaternions (w, x, y, z).
@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from robot_ik.body_goals import CenterOfMassGoal as CenterOfMassGoal
     from robot_ik.body_goals import PosePriorGoal as PosePriorGoal
     from robot_ik.body_goals import PostureGoal as PostureGoal
+    from robot_ik.direction_goals import AimGoal as AimGoal
+    from robot_ik.direction_goals import HalfSpaceGoal as HalfSpaceGoal
+    from robot_ik.direction_goals import LineGoal as LineGoal
+    from robot_ik.direction_goals import PlaneGoal as PlaneGoal
     from robot_ik.robot import Robot
 
 
@@ -427,98 +431,13 @@ class PoseGoal(Goal):
         return replace(self, position=target.position, wxyz=target.wxyz)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class AimGoal(Goal):
-    """An axis of the frame, through its origin, points at ``point`` (3,), world: a gaze, a camera, a torch.
-
-    Attributes:
-        axis: The axis that looks, in the frame: "z", "-x" … or three numbers.
-    """
-
-    point: ArrayLike = ()
-    axis: str | ArrayLike = field(default="z", kw_only=True)
-    weight: float = field(default=1.0, kw_only=True)
-
-    name: ClassVar[str] = "aim goal"
-    has_angle: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        x, y, z = axis_vector(self.axis).tolist()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(point=vector(self.point, 3, "point"), weight=weight, weights=(0.0, weight))
-        self._set(rows=Rows(orientation=codes.AIMED, axis=(x, y, z)))
-
-    @property
-    def target(self) -> Pose:
-        return Pose(self.point)
-
-    def moved_to(self, target: Pose) -> AimGoal:
-        return replace(self, point=target.position)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class _DirectionGoal(Goal):
-    """The frame's origin, measured along and across a direction through ``point`` (3,), world."""
-
-    point: ArrayLike = ()
-    direction: ArrayLike | str = "z"
-    weight: float = field(default=1.0, kw_only=True)
-
-    has_position: ClassVar[bool] = True
-    across: ClassVar[Rows]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        weight = nonnegative_number(self.weight, "weight")
-        self._set(
-            point=vector(self.point, 3, "point"),
-            direction=axis_vector(self.direction, "direction"),
-            weight=weight,
-            weights=(weight, 0.0),
-            rows=self.across,
-        )
-
-    @property
-    def target(self) -> Pose:
-        """Its z axis is the direction."""
-        return Pose.from_rotation(rotation_z_to(axis_vector(self.direction)), self.point)
-
-    def moved_to(self, target: Pose) -> Goal:
-        """Through the origin of ``target``, along its z axis."""
-        return replace(self, point=target.position, direction=target.rotation[:, 2])
-
-
-class LineGoal(_DirectionGoal):
-    """The frame's origin anywhere on the line through ``point`` (3,) along ``direction`` (3,), world."""
-
-    name: ClassVar[str] = "line goal"
-    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(1.0, 1.0, 0.0))
-
-
-class PlaneGoal(_DirectionGoal):
-    """The frame's origin anywhere on the plane through ``point`` (3,) with normal ``direction`` (3,)."""
-
-    name: ClassVar[str] = "plane goal"
-    across: ClassVar[Rows] = Rows(position=codes.SOME_AXES, mask=(0.0, 0.0, 1.0))
-
-
-class HalfSpaceGoal(_DirectionGoal):
-    """The frame's origin on that side of the plane to which ``direction`` (3,) points: a one-sided wall.
-
-    Nothing is asked while it is there; the plane goes through ``point`` (3,), world.
-    """
-
-    name: ClassVar[str] = "half-space goal"
-    across: ClassVar[Rows] = Rows(position=codes.ONE_SIDE, mask=(0.0, 0.0, 1.0))
-
-
-_OF_THE_BODY = ("GOALS", "CenterOfMassGoal", "PosePriorGoal", "PostureGoal")
+# Kinds that fewer problems need are loaded when they are first asked for.
+_HOME = dict.fromkeys(("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"), "direction_goals")
+_HOME |= dict.fromkeys(("GOALS", "CenterOfMassGoal", "PosePriorGoal", "PostureGoal"), "body_goals")
 
 if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> object:
-        """Goals of the whole body, which few problems need, are loaded when they are first asked for."""
-        if name in _OF_THE_BODY:
-            return getattr(importlib.import_module("robot_ik.body_goals"), name)
+        if name in _HOME:
+            return getattr(importlib.import_module(f"robot_ik.{_HOME[name]}"), name)
         raise AttributeError(f"module 'robot_ik.goals' has no attribute {name!r}")

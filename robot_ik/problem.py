@@ -17,19 +17,18 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.compiled_problem import CompiledProblem, length_of, moved_goal, target_row
 from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUseError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Array, Goal, Tolerance, numbers, rotation_matrix, vector
+from robot_ik.goals import Array, Goal, Tolerance
 from robot_ik.kernels import workspace
-from robot_ik.kernels.residuals import OF_FRAME, OF_JOINTS, OF_MASS
-from robot_ik.model import pose_row
+from robot_ik.kernels.residuals import OF_JOINTS
 from robot_ik.robot import Robot
 
 if TYPE_CHECKING:
-    from robot_ik.kernels.mover import Mover
+    from robot_ik.targets import Mover
 
 # What the compiled loops can count to.
 _MOST = 1 << 62
@@ -84,6 +83,7 @@ class Problem:
         trace: Whether to keep a row for every step.
         given: The goals as they were last given; ``target`` has what moved since, ``goals`` both together.
         compiled: The owner of all arrays that kernels see.
+        whole: Which goals are a whole position, orientation or pose of a frame.
     """
 
     def __init__(
@@ -112,10 +112,10 @@ class Problem:
         rows = workspace.TRACE_CAPACITY if trace else 0
         compiled = self.compiled = CompiledProblem(robot, self.given, self.tolerance, rows)
         self.made, self.token = compiled.made, compiled.token
-        self.arrays, self.rows, self.nodes = compiled.arrays, compiled.rows, compiled.nodes
+        self.arrays, self.nodes = compiled.arrays, compiled.nodes
         self.target, self.dofs = compiled.goal_arrays["target"], compiled.goal_arrays["dofs"]
         self.weights = compiled.goal_arrays["asked"][:, :2]  # on metres (over the length) and on radians
-        self._whole = [goal.rows.whole for goal in self.given]
+        self.whole = [goal.rows.whole for goal in self.given]
 
     @property
     def goals(self) -> tuple[Goal, ...]:
@@ -147,7 +147,7 @@ class Problem:
     @cached_property
     def mover(self) -> Mover:
         """What takes matrices and positions; loads compiled code when it is first asked for."""
-        from robot_ik.kernels.mover import Mover  # which a single solve does not need
+        from robot_ik.targets import Mover  # which a single solve does not need
 
         return Mover(self.target)
 
@@ -180,21 +180,16 @@ class Problem:
         except IndexError:
             raise ProblemInUseError from None
         try:
-            if index:
-                self._require_index(index)
             mover = self.mover
-            if self._whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
+            if index:
+                mover.require_index(self, index)
+            if self.whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
                 array, flip = mover.buffers.get(target.shape, (None, 0))
                 if array is not None and (flip == 0 or self.given[index].has_position):
                     array[...] = target
-                    if mover.take(mover.move, index ^ flip):
+                    if mover.take(mover.address, index ^ flip):
                         return
-            if isinstance(target, Mapping):
-                self._retarget_several(target)
-            elif self._whole[index]:
-                self._retarget_whole(target, index)
-            else:
-                self._retarget_partial(target, index)
+            mover.move(self, target, index)
         finally:
             token.append(None)
 
@@ -210,86 +205,7 @@ class Problem:
         finally:
             self.token.append(None)
 
-    def _retarget_several(self, targets: Mapping[str | int, Any]) -> None:
-        """All of ``targets`` or, if one of them is refused, none."""
-        moves = [(self._index_of(key), target) for key, target in targets.items()]
-        if len({index for index, _ in moves}) < len(moves):
-            raise InvalidGoalError(f"two of the keys {list(targets)!r} mean the same goal")
-        given, arrays = self.given, self.compiled.goal_arrays
-        before = {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
-        try:
-            for index, target in moves:
-                (self._retarget_whole if self._whole[index] else self._retarget_partial)(target, index)
-        except InvalidGoalError:
-            self.given = given
-            for name, array in before.items():
-                arrays[name][...] = array
-            raise
-
-    def _index_of(self, key: object) -> int:
-        """The goal that a key of ``retarget`` means."""
-        if not isinstance(key, str):
-            return self._require_index(key)
-        tool = self.robot.tool
-        own: dict[int, str | None] = {OF_FRAME: tool, OF_MASS: None}
-        frames = [goal.frame or own.get(goal.rows.of) for goal in self.given]
-        found = [g for g, frame in enumerate(frames) if frame == key]
-        if len(found) != 1:
-            raise InvalidGoalError(
-                f"{len(found) or 'no'} goals of this problem have the frame {key!r}",
-                hint=f"its goals' frames: {', '.join(map(repr, frames))}; or give the goal's index",
-            )
-        return found[0]
-
-    def _require_index(self, index: object) -> int:
-        if isinstance(index, bool) or not isinstance(index, _WHOLE):
-            raise InvalidGoalError(f"a goal is named by its frame or its index, not by {index!r}")
-        if not 0 <= index < len(self.given):
-            raise InvalidGoalError(f"there is no goal {index}: this problem has 0 … {len(self.given) - 1}")
-        return int(index)
-
-    def _retarget_whole(self, target: Any, index: int) -> None:
-        """As ``retarget`` for a whole position, orientation or pose."""
-        if isinstance(target, Goal):
-            self._put(self._require_same(target, index), index)
-            return
-        row = self.target[index]
-        if isinstance(target, Pose):
-            row[:] = pose_row(target)
-            return
-        try:
-            given = np.asarray(target, dtype=float)
-        except (TypeError, ValueError):
-            given = np.empty(0)
-        if given.shape not in ((4, 4), (3,)) or not np.isfinite(given).all():
-            raise InvalidGoalError(
-                f"a target is a Pose, a finite matrix (4, 4) or a finite position (3,), not {target!r}"
-            )
-        if given.shape == (4, 4):
-            row[:3], row[3:] = given[:3, 3], given[:3, :3].ravel()
-        elif self.given[index].has_position:
-            row[:3] = given
-        else:
-            raise InvalidGoalError(f"a {self.given[index].name} has no position to move")
-
-    def _retarget_partial(self, target: Any, index: int) -> None:
-        """As ``retarget`` for a goal that is no whole position, orientation or pose: it is replaced."""
-        mine = self.given[index]
-        if isinstance(target, Goal):
-            moved = self._require_same(target, index)
-        elif mine.rows.of == OF_JOINTS:
-            moved = mine.moved_to_q(target)
-        elif isinstance(target, Pose):
-            moved = mine.moved_to(target)
-        else:
-            given = numbers(target, "a target")
-            matrix = given.shape == (4, 4)
-            position = vector(given.ravel(), 16 if matrix else 3, "a target")
-            rotation = rotation_matrix(given[:3, :3], "a target") if matrix else mine.target.rotation
-            moved = mine.moved_to(Pose.from_rotation(rotation, given[:3, 3] if matrix else position))
-        self._put(moved, index)
-
-    def _put(self, goal: Goal, index: int) -> None:
+    def replace_goal(self, index: int, goal: Goal) -> None:
         """Takes a goal of the same kind in place of one."""
         if goal.rows.of == OF_JOINTS:
             goal.fill(self.compiled.goal_arrays, index, self.robot)
@@ -303,26 +219,7 @@ class Problem:
                 metres, radians = goal.weights
                 weight = metres / self.length(goal), radians
                 self.weights[index] = self.compiled.goal_arrays["weight"][index] = weight
-            self._put(goal, index)
-
-    def _require_same(self, target: Goal, index: int) -> Goal:
-        """``target``; raises ``InvalidGoalError`` unless it differs from the goal in its target only."""
-        mine, tool = self.given[index], self.robot.tool
-        if target.signature != mine.signature or (target.frame or tool) != (mine.frame or tool):
-            raise InvalidGoalError(
-                f"this problem was built for a {mine.name} of {mine.frame or tool!r}, "
-                f"not for a {target.name} of {target.frame or tool!r} or for other weights",
-                hint="another kind of goal, frame or weight needs a new Problem",
-            )
-        return target
-
-    def out_of_reach(self, targets: Array) -> NDArray[np.bool_]:
-        """(n,) whether targets (n, 12) of the first goal are farther than all links laid end to end.
-
-        The compiled loops find that out by themselves, and of parts of a position as well.
-        """
-        reach = self.arrays["reach"][0]
-        return np.asarray(np.linalg.norm(targets[:, :3] - reach[:3], axis=1) > reach[3])
+            self.replace_goal(index, goal)
 
 
 def goal_kind(goal: Goal) -> Hashable:

@@ -181,18 +181,7 @@ class Robot:
         """(3,) centre of mass of a body and all that hangs on it (None: the whole model), by MuJoCo."""
         data = self._kinematics(q)
         mujoco.mj_comPos(self.model, data)
-        return np.array(data.subtree_com[self._body_id(body)])
-
-    def masses(self, body: str | None = None) -> Array:
-        """(n + 1, 4) mass and centre of what each node carries, see ``model.mass_table``; raises if none."""
-        table = mjcf.mass_table(self.model, self.tree, self._bodies, self._body_id(body))
-        if not table[:, 0].sum() > mjcf.LEAST_MASS:
-            raise ModelError(f"{body or self.name!r} has no mass", hint="geoms or inertials give it some")
-        return table
-
-    def inertias(self) -> Array:
-        """(n, 10) mass, centre and inertia of what each node carries, see ``model.inertia_table``."""
-        return mjcf.inertia_table(self.model, self.tree, self._bodies)
+        return np.array(data.subtree_com[self.body_id(body)])
 
     def difference(self, start: ArrayLike, end: ArrayLike) -> Array:
         """(nv,) the displacement from ``start`` to ``end`` (nq,), by MuJoCo (``mj_differentiatePos``)."""
@@ -210,7 +199,8 @@ class Robot:
         mujoco.mj_kinematics(self.model, data)
         return data
 
-    def _body_id(self, name: str | None) -> int:
+    def body_id(self, name: str | None) -> int:
+        """MuJoCo's number of a body (None: the world, which carries all); raises ``UnknownFrameError``."""
         names = {self.model.body(b).name: b for b in range(self.model.nbody)}
         if name is not None and name not in names:
             raise UnknownFrameError(name, filter(None, names))
@@ -331,10 +321,9 @@ def load_robot(
         ModelError: There is no such file, or the file cannot be read; carries MuJoCo's reason.
         UnknownJointError, UnknownFrameError: With the close names.
     """
-    text = isinstance(name, str) and name.lstrip().startswith("<")
-    if text or isinstance(name, mujoco.MjSpec | mujoco.MjModel):
-        given = isinstance(name, mujoco.MjModel)
-        model, velocity = (name, {}) if given else mjcf.read_model(name, Path("<memory>/model"))
+    in_memory = isinstance(name, mujoco.MjSpec | mujoco.MjModel)
+    if in_memory or (isinstance(name, str) and name.lstrip().startswith("<")):
+        model, velocity = mjcf.read_model(name, Path("<memory>/model"))
         file = RobotFile(name=model.names[: model.names.index(b"\0")].decode() or "model")
         # A folder that cannot exist, so that nothing is ever found beside the model.
         path = Path(f"<memory>/{file.name}")

@@ -202,9 +202,6 @@ def test_nothing_of_a_robot_can_be_changed_behind_its_back(arm_file):
     node, local = robot.attachment("tcp")
     local[:] = 7.0
     assert robot.attachment("tcp")[0] == node and not (robot.attachment("tcp")[1] == 7.0).any()
-    centre = robot.masses()
-    centre[:] = 0.0
-    assert robot.masses()[:, 0].sum() > 0.0
 
 
 def test_a_robot_says_in_a_line_what_it_is(arm_file):

@@ -18,8 +18,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from robot_ik.body_goals import mass_table
 from robot_ik.errors import ModelError
-from robot_ik.geometry import axis_rotations
+from robot_ik.geometry import axis_rotations, quat_to_matrix
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.keyframes import Displacement
 from robot_ik.ports import Array
@@ -275,7 +276,7 @@ def load_figure(name: str | os.PathLike[str] | Robot = "humanoid") -> Figure:
         speeds={"daily": np.full(robot.nv, np.inf)}
         | {key: _by_pattern(robot, rows, np.inf) for key, rows in robot.file.speeds.items()},
         apart=abs(left - right) / 2,
-        inertia=robot.inertias(),
+        inertia=_inertia_table(robot),
         data=mujoco.MjData(robot.model),
     )  # fmt: skip
 
@@ -294,6 +295,23 @@ def _by_pattern(robot: Robot, rows: Mapping[str, float], free: float) -> Array:
                 if fnmatch(name, pattern):
                     found[robot.tree.vadr[node]] = value
     return found
+
+
+def _inertia_table(robot: Robot) -> Array:
+    """(n, 10) mass, its centre and the inertia xx yy zz xy xz yz about it, in its axes, of each node."""
+    model, mass = robot.model, mass_table(robot)[: robot.tree.size]
+    whole = np.zeros((robot.tree.size, 3, 3))
+    for body in range(1, model.nbody):
+        node, local = robot.attachment(body)
+        if node < 0:
+            continue
+        rotation = local[3:].reshape(3, 3)
+        away = local[:3] + rotation @ model.body_ipos[body] - mass[node, 1:]
+        axes = rotation @ quat_to_matrix(model.body_iquat[body])
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+        whole[node] += inertia + model.body_mass[body] * (away @ away * np.eye(3) - np.outer(away, away))
+    xx, yy, zz, xy, xz, yz = whole[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]].T
+    return np.column_stack([mass, xx, yy, zz, xy, xz, yz])
 
 
 def _foot(robot: Robot, frame: str, pelvis: str) -> Foot:
