@@ -24,14 +24,14 @@ from numba.extending import intrinsic, models, register_model
 from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 
-# What a field may be: C-contiguous, in numba's and in NumPy's terms.
+# What a field of a layout may be: C-contiguous, in numba's and in NumPy's terms; then, of a ``named_row``.
 _ARRAY_OF: dict[str, tuple[Any, Any]] = {
     "ints": (types.Array(types.int64, 1, "C"), np.int64),
     "floats": (types.Array(types.float64, 1, "C"), np.float64),
     "table": (types.Array(types.float64, 2, "C"), np.float64),
     "int_table": (types.Array(types.int64, 2, "C"), np.int64),
 }
-_NUMBER_OF = {float: types.float64, int: types.int64, bool: types.boolean}
+_NUMBER_OF = {"float": types.float64, "int": types.int64, "bool": types.boolean}
 _COLUMNS = 3  # address, rows, columns
 _WORD = ir.IntType(64)
 
@@ -53,11 +53,10 @@ def owned(table: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
 
 
 class BundleType(types.Type):
-    """numba's type of an open bundle; equal layouts are equal types."""
+    """numba's type of an open bundle, or of an open row of numbers; equal fields in equal order are equal."""
 
     def __init__(self, title: str, fields: tuple[tuple[str, str], ...]) -> None:
-        self.fields = fields
-        self.rows = {name: row for row, (name, _) in enumerate(fields)}
+        self.places = {name: (place, kind) for place, (name, kind) in enumerate(fields)}
         super().__init__(name=f"Bundle({title}: {' '.join(f'{n}={k}' for n, k in fields)})")
 
 
@@ -71,68 +70,42 @@ class _BundleModel(models.PrimitiveModel):
 class _Fields(AttributeTemplate):
     key = BundleType
 
-    def generic_resolve(self, kind: BundleType, name: str) -> Any:  # type: ignore[override]
-        row = kind.rows.get(name)
-        return None if row is None else _ARRAY_OF[kind.fields[row][1]][0]
+    def generic_resolve(self, bundle: BundleType, name: str) -> Any:  # type: ignore[override]
+        if name not in bundle.places:
+            return None
+        kind = bundle.places[name][1]
+        return _NUMBER_OF[kind] if kind in _NUMBER_OF else _ARRAY_OF[kind][0]
 
 
 @lower_getattr_generic(BundleType)  # type: ignore[untyped-decorator]
-def _lower_field(context: Any, builder: Any, kind: BundleType, pointer: Any, name: str) -> Any:
-    row = kind.rows[name]
-    array_type = _ARRAY_OF[kind.fields[row][1]][0]
+def _lower_field(context: Any, builder: Any, bundle: BundleType, pointer: Any, name: str) -> Any:
+    place, kind = bundle.places[name]
 
-    def word(column: int) -> Any:
-        address = builder.gep(pointer, [ir.Constant(_WORD, row * _COLUMNS + column)])
-        value = builder.load(address)
+    def loaded(pointer: Any, column: int) -> Any:
+        value = builder.load(builder.gep(pointer, [ir.Constant(_WORD, column)]))
         # Tables do not change while a kernel runs: lets LLVM read them once.
         value.set_metadata("invariant.load", builder.module.add_metadata([]))
         return value
 
-    itemsize = ir.Constant(_WORD, 8)
-    shape = [word(1), word(2)][: array_type.ndim]
+    if kind in _NUMBER_OF:
+        number = loaded(builder.bitcast(pointer, ir.DoubleType().as_pointer()), place)
+        if kind == "bool":
+            return builder.fcmp_unordered("!=", number, ir.Constant(ir.DoubleType(), 0.0))
+        return builder.fptosi(number, _WORD) if kind == "int" else number
+    array_type, itemsize = _ARRAY_OF[kind][0], ir.Constant(_WORD, 8)
+    address, *shape = (loaded(pointer, place * _COLUMNS + column) for column in range(1 + array_type.ndim))
     strides = [builder.mul(shape[1], itemsize), itemsize] if array_type.ndim == 2 else [itemsize]
     array = make_array(array_type)(context, builder)
     populate_array(
-        array, data=builder.inttoptr(word(0), array.data.type), shape=shape, strides=strides,
+        array, data=builder.inttoptr(address, array.data.type), shape=shape, strides=strides,
         itemsize=itemsize, meminfo=None,
     )  # fmt: skip
     return array._getvalue()
 
 
-class RowType(types.Type):
-    """numba's type of an open row of named numbers; equal names in equal order are equal types."""
-
-    def __init__(self, title: str, fields: tuple[tuple[str, type], ...]) -> None:
-        self.columns = {name: (k, kind) for k, (name, kind) in enumerate(fields)}
-        super().__init__(name=f"Row({title}: {' '.join(f'{n}={k.__name__}' for n, k in fields)})")
-
-
-register_model(RowType)(_BundleModel)
-
-
-@infer_getattr
-class _Numbers(AttributeTemplate):
-    key = RowType
-
-    def generic_resolve(self, kind: RowType, name: str) -> Any:  # type: ignore[override]
-        found = kind.columns.get(name)
-        return None if found is None else _NUMBER_OF[found[1]]
-
-
-@lower_getattr_generic(RowType)  # type: ignore[untyped-decorator]
-def _lower_number(context: Any, builder: Any, kind: RowType, pointer: Any, name: str) -> Any:
-    column, number = kind.columns[name]
-    doubles = builder.bitcast(pointer, ir.DoubleType().as_pointer())
-    value = builder.load(builder.gep(doubles, [ir.Constant(_WORD, column)]))
-    value.set_metadata("invariant.load", builder.module.add_metadata([]))
-    if number is bool:
-        return builder.fcmp_unordered("!=", value, ir.Constant(ir.DoubleType(), 0.0))
-    return builder.fptosi(value, _WORD) if number is int else value
-
-
-def named_row(title: str, fields: tuple[tuple[str, type], ...]) -> Callable[[Any], Any]:
-    """What opens, in compiled code, an array (n,) of floats as numbers (float, int, bool) with names."""
-    return _opener(RowType(title, fields))
+def named_row(title: str, fields: tuple[tuple[str, str], ...]) -> Callable[[Any], Any]:
+    """What opens, in compiled code, an array (n,) of floats as named numbers: "float", "int" or "bool"."""
+    return _opener(BundleType(title, fields))
 
 
 def address_of(table: NDArray[Any]) -> Any:
@@ -180,7 +153,7 @@ class Layout:
         return np.asarray(_Owner(table, tuple(arrays[name] for name in self.fields)))
 
 
-def _opener(kind: BundleType | RowType) -> Callable[[Any], Any]:
+def _opener(kind: BundleType) -> Callable[[Any], Any]:
     @intrinsic
     def open_bundle(_typing: Any, table: Any) -> Any:
         """Of an array, or of the address of one (``table.ctypes.data``)."""

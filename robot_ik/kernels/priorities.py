@@ -18,7 +18,7 @@ from robot_ik.kernels.tree import open_tree
 
 LEVEL_OPTIONS = ("damping", "increase", "decrease", "least", "floor")
 """Options of ``lm`` that count here, in their order."""
-open_options = named_row("LevelOptions", tuple((name, float) for name in LEVEL_OPTIONS))
+open_options = named_row("LevelOptions", tuple((name, "float") for name in LEVEL_OPTIONS))
 
 # Steps without progress before a level is left as it is, and the share of its cost that counts as progress.
 _LEVEL_PATIENCE, _LEVEL_PROGRESS = 8, 1e-6

@@ -274,7 +274,7 @@ def options_of(solver: type[IterativeSolver]) -> Callable[[Any], Any]:
 
     Those with choices are the number of the choice; raises ``TypeError`` for other fields.
     """
-    kinds: dict[str, type] = {"float": float, "int": int, "bool": bool, "str": int}
+    kinds = {"float": "float", "int": "int", "bool": "bool", "str": "int"}
     names = [(item.name, getattr(item.type, "__name__", item.type)) for item in fields(solver)]
     if wrong := [f"{name}: {kind}" for name, kind in names if kind not in kinds]:
         raise TypeError(f"options of {solver.__name__} must be {', '.join(kinds)}, not {', '.join(wrong)}")
