@@ -78,13 +78,6 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
     return array
 
 
-def rotation_matrix(values: Array, what: str) -> Array:
-    """``values`` (3, 3) if they are a rotation matrix; raises ``InvalidGoalError`` otherwise."""
-    if not (np.abs(values.T @ values - np.eye(3)).max() < 1e-5 and np.linalg.det(values) > 0.0):
-        raise InvalidGoalError(f"{what} has a matrix that is not a rotation: it scales or mirrors")
-    return values
-
-
 def unit_quaternion(values: ArrayLike, what: str) -> Array:
     """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
     array = vector(values, 4, what)

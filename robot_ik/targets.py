@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, numbers, rotation_matrix, vector
+from robot_ik.goals import Goal, numbers, vector
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import entry, kernel
 from robot_ik.kernels.residuals import OF_FRAME, OF_JOINTS, OF_MASS
@@ -168,7 +168,9 @@ def _move_partial(problem: Problem, target: Any, index: int) -> None:
         given = numbers(target, "a target")
         matrix = given.shape == (4, 4)
         position = vector(given.ravel(), 16 if matrix else 3, "a target")
-        rotation = rotation_matrix(given[:3, :3], "a target") if matrix else mine.target.rotation
+        rotation = given[:3, :3] if matrix else mine.target.rotation
+        if not (np.abs(rotation.T @ rotation - np.eye(3)).max() < 1e-5 and np.linalg.det(rotation) > 0.0):
+            raise InvalidGoalError("a target has a matrix that is not a rotation: it scales or mirrors")
         moved = mine.moved_to(Pose.from_rotation(rotation, given[:3, 3] if matrix else position))
     problem.replace_goal(index, moved)
 
