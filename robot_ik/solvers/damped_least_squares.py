@@ -97,14 +97,12 @@ def svd_damped(work, damping, adaptive, threshold):
 @outlined
 def dls_step(tree, goal, work, options):
     """work.step from the clamped residual; joints at a limit do not hold the others back."""
-    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
-    damping, mode = options.damping, options.mode
-    steps.prepare(tree, goal, work, clamp, alternative)
-    if mode == CONSTANT:
-        box_damped(goal, work, damping)
+    steps.prepare(tree, goal, work, options.clamp, options.alternative)
+    if options.mode == CONSTANT:
+        box_damped(goal, work, options.damping)
     else:
-        svd_damped(work, damping, mode == ADAPTIVE, options.threshold)
-    steps.cap(work, gain, max_step)
+        svd_damped(work, options.damping, options.mode == ADAPTIVE, options.threshold)
+    steps.cap(work, options.gain, options.max_step)
 
 
 @kernel

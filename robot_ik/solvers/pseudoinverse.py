@@ -188,13 +188,11 @@ def pseudo_step(tree, goal, work, options):
 
     Returns the share of the step that limits and caps have left.
     """
-    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
-    cutoff = options.cutoff
     set_aim(tree, goal, work, options.aim, options.aim_gain)
-    steps.prepare(tree, goal, work, clamp, alternative)
+    steps.prepare(tree, goal, work, options.clamp, options.alternative)
     extra = math.sqrt(steps.extra_damping(work))
-    if work.state[POLISHING] > 0:
-        cutoff = 0.0  # to end where nothing is left to win, in the directions that were cut off as well
+    # The last descent ends where nothing is left to win, in the directions that were cut off as well.
+    cutoff = 0.0 if work.state[POLISHING] > 0 else options.cutoff
     steps.fix_pushed_by_gradient(work)
     keep_aim_inside(work)
     for _ in range(work.step.shape[0] + 1):
@@ -204,7 +202,7 @@ def pseudo_step(tree, goal, work, options):
         if not steps.fix_pushed_by_step(work):
             break
     share = steps.keep_inside(work)
-    return share * steps.cap(work, gain, max_step)
+    return share * steps.cap(work, options.gain, options.max_step)
 
 
 @outlined

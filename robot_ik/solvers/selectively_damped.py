@@ -96,16 +96,15 @@ def selective_step(goal, work, max_step):
 @outlined
 def sdls_step(tree, goal, work, options):
     """One step of Buss & Kim; joints that stand at a bound and would leave it are taken out first."""
-    clamp, alternative, gain, max_step = options.clamp, options.alternative, options.gain, options.max_step
-    steps.prepare(tree, goal, work, clamp, alternative)
+    steps.prepare(tree, goal, work, options.clamp, options.alternative)
     steps.fix_pushed_by_gradient(work)
     for _ in range(work.step.shape[0] + 1):
         steps.svd(work.jacobian, work.left, work.sigma, work.right)
-        selective_step(goal, work, max_step)
+        selective_step(goal, work, options.max_step)
         if not steps.fix_pushed_by_step(work):
             break
     steps.keep_inside(work)
-    steps.cap(work, gain, max_step)
+    steps.cap(work, options.gain, options.max_step)
     steps.shorten(work)
 
 
