@@ -28,7 +28,6 @@ from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.loop import give_row, take_row
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import Q_WIDTH, Tree, open_tree
-from robot_ik.kernels.vectors import length, three
 from robot_ik.problem import Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution, Status
 from robot_ik.solvers.analytic import proofs, subproblems
@@ -41,7 +40,7 @@ from robot_ik.solvers.analytic.recognise import (
     middle_rotations,
     recognise,
 )
-from robot_ik.solvers.analytic.six_axes import centre, planar_two_link, spherical_wrist, three_parallel
+from robot_ik.solvers.analytic.six_axes import planar_two_link, spherical_wrist, three_parallel
 from robot_ik.solvers.base import BatchResult, Solver, take_start
 
 _PLANAR, _WRIST = int(Family.PLANAR_TWO_LINK), int(Family.SPHERICAL_WRIST)
@@ -122,51 +121,6 @@ def closed_limb_many(tree, goals, work, form, _family, targets, starts, q, statu
         solve_limb(tree, goal, work, form, subproblems.SOLVE)
         give_row(work, q, miss, iterations, row)
         status[row] = work.state[ws.STATUS]
-
-
-@kernel
-def prove_planar(goals, form):
-    """Whether no joint angles bring the form's target within tolerance."""
-    return proofs.planar_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
-
-
-@kernel
-def prove_wrist(goals, form):
-    """The same for a spherical wrist."""
-    form = subproblems.open_form(form)
-    lever = length(three(form.extra, 1, 0))
-    return proofs.wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
-
-
-@kernel
-def prove_shoulder(goals, form):
-    """The same for a spherical shoulder: the lever is from the goal to it."""
-    form = subproblems.open_form(form)
-    subproblems.invert(form.target, form.inverse)
-    lever = length(centre(form.inverse, form.extra))
-    return proofs.wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, lever)
-
-
-@kernel
-def prove_parallel(goals, form):
-    """The same for three parallel axes."""
-    return proofs.parallel_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
-
-
-@kernel
-def prove_limb(goals, form):
-    """The same for a limb."""
-    return proofs.limb_is_out_of_reach(subproblems.open_form(form), open_goals(goals).tolerance)
-
-
-# Compiled when a goal is first missed.
-PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
-    Family.PLANAR_TWO_LINK: prove_planar,
-    Family.SPHERICAL_WRIST: prove_wrist,
-    Family.SPHERICAL_SHOULDER: prove_shoulder,
-    Family.THREE_PARALLEL: prove_parallel,
-    Family.LIMB: prove_limb,
-}
 
 
 Array = NDArray[np.float64]
@@ -320,7 +274,7 @@ def _prepare(problem: Problem) -> Prepared | None:
     tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))
     tree, goals, space, numbers = (address_of(table) for table in tables)
     run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
-    prove = PROOFS[form.family]
+    prove = proofs.PROOFS[form.family]
     jit.announce(prove, "proofs of unreachable goals")
     addresses = (tree, goals, space, numbers)
     proof = jit.entry(prove, goals, numbers)

@@ -10,9 +10,13 @@ Near singular poses the intervals grow until nothing is proven; they never grow 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from typing import Any
 
-from robot_ik.kernels.jit import outlined, pure
+from robot_ik.kernels.jit import kernel, outlined, pure
+from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.vectors import cross, dot, length, minus, plus, rotate, scaled, three
+from robot_ik.solvers.analytic.recognise import Family
 from robot_ik.solvers.analytic.six_axes import (
     after_arm,
     back,
@@ -22,7 +26,7 @@ from robot_ik.solvers.analytic.six_axes import (
     relative_rotation,
     same_way,
 )  # fmt: skip
-from robot_ik.solvers.analytic.subproblems import angle_between, height_terms, noinline
+from robot_ik.solvers.analytic.subproblems import angle_between, height_terms, invert, noinline, open_form
 
 # Intervals of angles: what is left of a closed form when its target is known only to a tolerance.
 # An interval is its middle and its radius; a radius of pi or more is everything.  All bounds are outer ones:
@@ -136,9 +140,10 @@ def first_link_range(u, f, e, elbow, radius, g, error):
     return angle, spread(error, off_axis(u, g)) + spread(chord(radius, off_axis(u, e)), off_axis(u, v))
 
 
-@outlined
-def planar_is_out_of_reach(form, tolerance):
-    """Of two parallel hinges and a position."""
+@kernel
+def prove_planar(goals, form):
+    """Whether no joint angles bring the form's target within tolerance: two parallel hinges, a position."""
+    form, tolerance = open_form(form), open_goals(goals).tolerance
     axes, lower, upper = form.axes, form.lower, form.upper
     u, p1, p2 = three(axes, 0, 0), three(axes, 0, 3), three(axes, 1, 3)
     along = same_way(u, axes, 1)
@@ -158,9 +163,10 @@ def planar_is_out_of_reach(form, tolerance):
     return True
 
 
-@outlined
-def limb_is_out_of_reach(form, tolerance):
-    """Of a limb: only by the distance of shoulder and wrist, and the limits of the elbow."""
+@kernel
+def prove_limb(goals, form):
+    """The same for a limb: only by the distance of shoulder and wrist, and the limits of the elbow."""
+    form, tolerance = open_form(form), open_goals(goals).tolerance
     axes, extra = form.axes, form.extra
     error = centre_error(tolerance, length(three(extra, 1, 0)))
     shoulder, elbow = three(axes, 0, 3), three(axes, 3, 3)
@@ -243,9 +249,27 @@ def wrist_is_out_of_reach(form, target, tolerance, lever):
     return True
 
 
-@outlined
-def parallel_is_out_of_reach(form, tolerance):
-    """Of six axes of which the second to fourth are parallel and the last two meet."""
+@kernel
+def prove_wrist(goals, form):
+    """The same for six axes with a spherical wrist."""
+    form = open_form(form)
+    lever = length(three(form.extra, 1, 0))
+    return wrist_is_out_of_reach(form, form.target, open_goals(goals).tolerance, lever)
+
+
+@kernel
+def prove_shoulder(goals, form):
+    """The same for a spherical shoulder: the lever is from the goal to it."""
+    form = open_form(form)
+    invert(form.target, form.inverse)
+    lever = length(centre(form.inverse, form.extra))
+    return wrist_is_out_of_reach(form, form.inverse, open_goals(goals).tolerance, lever)
+
+
+@kernel
+def prove_parallel(goals, form):
+    """The same for six axes of which the second to fourth are parallel and the last two meet."""
+    form, tolerance = open_form(form), open_goals(goals).tolerance
     axes, extra, target, lower, upper = form.axes, form.extra, form.target, form.lower, form.upper
     error = centre_error(tolerance, length(three(extra, 1, 0)))
     h, u, h5, h6 = three(axes, 0, 0), three(axes, 1, 0), three(axes, 4, 0), three(axes, 5, 0)
@@ -311,3 +335,13 @@ def three_may_fit(axes, extra, lower, upper, q5, radius5, wanted, held, g, off, 
         ):
             return True
     return False
+
+
+# Compiled when a goal is first missed.
+PROOFS: dict[Family, Callable[[Any, Any], bool]] = {
+    Family.PLANAR_TWO_LINK: prove_planar,
+    Family.SPHERICAL_WRIST: prove_wrist,
+    Family.SPHERICAL_SHOULDER: prove_shoulder,
+    Family.THREE_PARALLEL: prove_parallel,
+    Family.LIMB: prove_limb,
+}
