@@ -78,14 +78,14 @@ def vector(values: ArrayLike, size: int, what: str) -> Array:
     return array
 
 
-def unit_quaternion(values: ArrayLike, what: str) -> Array:
+def unit_quaternion(values: ArrayLike) -> Array:
     """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
-    array = vector(values, 4, what)
+    array = vector(values, 4, "wxyz")
     w, x, y, z = array.tolist()
     norm = math.sqrt(w * w + x * x + y * y + z * z)
     if norm < 1e-9:
         hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
-        raise InvalidGoalError(f"{what} is a zero quaternion, which is no orientation", hint=hint)
+        raise InvalidGoalError("wxyz is a zero quaternion, which is no orientation", hint=hint)
     if norm != 1.0:
         array = array / norm
         array.setflags(write=False)
@@ -369,7 +369,7 @@ class OrientationGoal(Goal):
     def __post_init__(self) -> None:
         super().__post_init__()
         weight = nonnegative_number(self.weight, "weight")
-        self._set(wxyz=unit_quaternion(self.wxyz, "wxyz"), weight=weight, weights=(0.0, weight))
+        self._set(wxyz=unit_quaternion(self.wxyz), weight=weight, weights=(0.0, weight))
         self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
 
     @property
@@ -404,7 +404,7 @@ class PoseGoal(Goal):
         radians = nonnegative_number(self.angle_weight, "angle_weight")
         self._set(
             position=vector(self.position, 3, "position"),
-            wxyz=unit_quaternion(self.wxyz, "wxyz"),
+            wxyz=unit_quaternion(self.wxyz),
             position_weight=metres,
             angle_weight=radians,
             weights=(metres, radians),
