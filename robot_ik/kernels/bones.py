@@ -11,10 +11,10 @@ import math
 
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
-from robot_ik.kernels.kinematics import clip, forward, frame_pose, rotate_quat, unit
+from robot_ik.kernels.kinematics import clip, forward, frame_pose, perpendicular, rotate_quat, unit
 from robot_ik.kernels.residuals import POSE
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
-from robot_ik.kernels.vectors import apply, apply_back, dot, length, minus, over, plus, scaled, three
+from robot_ik.kernels.vectors import apply, apply_back, cross, dot, length, minus, over, plus, scaled, three
 
 # Where the number of vectors stands in the sums of ``add_aim``, and how many sums there are.
 _AIMS, AIM_SUMS = 9, 10
@@ -316,6 +316,18 @@ def lever(world, bones, kind, k, c):
     away = offset(bones.now, c, bones, k)
     along = dot(away, hinge_axis(world, k)) if kind == HINGE else 0.0
     return math.sqrt(max(0.0, dot(away, away) - along * along))
+
+
+@outlined
+def side_off_line(tree, world, p, c, line):
+    """To which side a bone leaves the line it lies on: where the hinge at ``p``, or at ``c``, can go."""
+    for k in (p, c):
+        if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
+            off = cross(hinge_axis(world, k), line)
+            norm = length(off)
+            if norm > 1e-6:
+                return over(off, norm)
+    return perpendicular(line)
 
 
 @outlined

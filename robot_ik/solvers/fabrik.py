@@ -18,15 +18,14 @@ from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.bones import (
     distance,
     has_orientation,
-    hinge_axis,
     link_points,
     locate_all,
     offset,
     open_bones,
     settle,
+    side_off_line,
 )
 from robot_ik.kernels.jit import kernel, outlined, pure
-from robot_ik.kernels.kinematics import perpendicular
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
 from robot_ik.kernels.tree import BALL, FREE, HINGE, SLIDE, open_tree
@@ -34,7 +33,6 @@ from robot_ik.kernels.vectors import (
     apply,
     apply_back,
     cross,
-    length,
     minus,
     over,
     plus,
@@ -169,15 +167,9 @@ def bend(tree, goal, work, bones, kick):
 @outlined
 def push_off_line(tree, world, bones, root, tip, line, kick):
     """Moves the points between root and tip off their line, to where their hinges can go."""
-    anywhere = perpendicular(line)
     k = bones.up[tip]
     while k >= 0 and k != root:
-        side = anywhere
-        if tree.kind[k] == HINGE:
-            off = cross(hinge_axis(world, k), line)
-            norm = length(off)
-            if norm > 1e-6:
-                side = over(off, norm)
+        side = side_off_line(tree, world, k, k, line)
         put(bones.now, k, plus(three(bones.now, k, 0), scaled(kick * bones.length[k], side)))
         k = bones.up[k]
 

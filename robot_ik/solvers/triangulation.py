@@ -18,21 +18,20 @@ from typing import ClassVar
 from robot_ik.kernels.bones import (
     chain_path,
     fit_joint,
-    hinge_axis,
     inner_radius,
     link_points,
     locate,
     locate_all,
     offset,
     open_bones,
+    side_off_line,
     third_side_angle,
 )
 from robot_ik.kernels.jit import kernel, outlined
-from robot_ik.kernels.kinematics import perpendicular
 from robot_ik.kernels.loop import advance, begin, proceed
 from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.tree import HINGE, open_tree
-from robot_ik.kernels.vectors import cross, dot, length, minus, over, plus, put, scaled, three
+from robot_ik.kernels.tree import open_tree
+from robot_ik.kernels.vectors import dot, length, minus, over, plus, put, scaled, three
 from robot_ik.kernels.workspace import open_work
 from robot_ik.solvers.base import option, options_of
 from robot_ik.solvers.bones import BoneSolver
@@ -68,18 +67,6 @@ open_options = options_of(Triangulation)
 
 
 @outlined
-def side(tree, work, bones, p, c, line):
-    """To which side a bone leaves the line it lies on: where its hinge, or the next, can go."""
-    for k in (p, c):
-        if k < tree.parent.shape[0] and tree.kind[k] == HINGE:
-            off = cross(hinge_axis(work.world, k), line)
-            norm = length(off)
-            if norm > 1e-6:
-                return over(off, norm)
-    return perpendicular(line)
-
-
-@outlined
 def bone_direction(tree, work, goal, bones, i, j, count, improved):
     """Unit vector along which the bone from path[i] to path[j] should lie."""
     p, c = bones.path[i], bones.path[j]
@@ -99,7 +86,7 @@ def bone_direction(tree, work, goal, bones, i, j, count, improved):
     if improved:
         least = third_side_angle(a, far, inner_radius(bones, j + 1, count))
         angle = min(max(math.atan2(sine, along), least), angle)
-    off = over(off, sine) if sine > 1e-9 else side(tree, work, bones, p, c, line)
+    off = over(off, sine) if sine > 1e-9 else side_off_line(tree, work.world, p, c, line)
     return plus(scaled(math.cos(angle), line), scaled(math.sin(angle), off))
 
 
