@@ -16,10 +16,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from measure_page import CHROMIUM, DRAWN, find_chromium
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from robot_ik.bench.page import CHROMIUM, DRAWN, find_chromium
 from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page

@@ -1,4 +1,4 @@
-"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the testbed's page; the camera."""
+"""``robot-ik bench``: solvers × robots on seeded problem sets; the figure; the camera."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -17,7 +16,7 @@ from tyro.conf import arg
 from robot_ik.bench.camera import ROWS, Effort, MeasuredRows, Row
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, require, several, single, wrong
-from robot_ik.errors import MissingExtraError, unknown_name_text
+from robot_ik.errors import unknown_name_text
 from robot_ik.files import claimed, write_atomically
 from robot_ik.jobs.results import require_plots, results_folder, save_json
 
@@ -42,7 +41,7 @@ class BenchOptions:
     compiled and warmed up before; collection of garbage is off. Nothing passes or fails by its time.
 
     Writes bench.json and plots; Ctrl-C keeps what is done. See also: robot-ik bench camera --help,
-    robot-ik bench figure --help, robot-ik bench page --help
+    robot-ik bench figure --help
 
         robot-ik bench --solvers auto lm --robots puma560 --sets cold warm
     """
@@ -258,55 +257,6 @@ def run_figure(options: BenchFigureOptions) -> int:
 
 def _quantity_cells(row: Quantity) -> tuple[object, ...]:
     return row.quantity, row.measured_text, row.wanted_text, console.verdict_mark(row.passed)
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik bench page``: what the testbed's page costs, beside what is wanted of it.
-
-
-@dataclass(frozen=True)
-class BenchPageOptions:
-    """Measures the testbed's page: its loop, its drawing, its start, and how soon a drag is answered.
-
-    Needs a quiet machine: the rows are times by the clock and processor time of the page alone. The start is
-    that of `robot-ik view` with Chromium already open; cold: with an empty cache of kernels. Ctrl-C keeps
-    what is done.
-
-    Exit code 0 where every figure was measured and is as wanted, else 1.
-    """
-
-    seconds: float = 10.0
-    """For which processor time and bytes are counted, three times."""
-    json: Json = False
-
-
-def run_page(options: BenchPageOptions) -> int:
-    """Measures and prints."""
-    require(1.0 <= options.seconds <= 600.0, "--seconds", f"{options.seconds:g} s", "1 to 600")
-    if find_spec("viser") is None:
-        raise MissingExtraError("viser", "web", "the page in the browser")
-    from robot_ik.bench.page import measure_page
-
-    rows: list[Quantity] = []
-    try:
-        with console.progress() as bar:
-            task = bar.add_task("measuring", total=None, note="")
-            for row in measure_page(options.seconds, lambda text: bar.update(task, note=text)):
-                rows.append(row)  # one by one: an interrupt keeps what is done
-    finally:
-        if options.json:
-            facts = [
-                {
-                    "what": row.quantity, "value": row.value, "unit": row.unit, "most": row.most,
-                    "note": row.missing, "passed": bool(row.passed),
-                }
-                for row in rows
-            ]  # fmt: skip
-            console.print_json({"schema": 1, "rows": facts})
-        else:
-            cells = [_quantity_cells(row) for row in rows]
-            console.show(console.table("what", "measured", "wanted", "", rows=cells))
-    return console.DONE if all(row.passed for row in rows) else console.NOT_ACHIEVED
 
 
 # ------------------------------------------------------------------------------------------

@@ -53,7 +53,6 @@ ROWS: dict[str, tuple[str, str]] = {
     "bench figure": (
         "bench", "the figure instead of the methods: gait, balance, hands, decisions, judged by MuJoCo"
     ),
-    "bench page": ("bench", "the testbed's page instead of the methods: its loop, its drawing, its start"),
     "run": ("run", "a scripted test run on simulated or real servos, faults included"),
     "poses": ("", "key poses and motions: record, list, play, export, import"),
     "poses list": ("key_poses", "the poses and motions of a file"),

@@ -24,11 +24,12 @@ from robot_ik.testbed.commands import (
     SetRobot,
     SetRunning,
 )
+from tests.doc_pages import script
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.bench.page import CHROMIUM, DRAWN
+measure_page = script("measure_page")
 
 HARMLESS = (
     "THREE.Clock: This module has been deprecated",
@@ -138,7 +139,7 @@ def chromium(require: Callable[..., str]) -> Iterator[Any]:
     sync_api = pytest.importorskip("playwright.sync_api", reason="needs playwright (the extra dev)")
     path = require("browser", "opens the page")
     with sync_api.sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=path, args=list(CHROMIUM))
+        browser = playwright.chromium.launch(executable_path=path, args=list(measure_page.CHROMIUM))
         yield browser
         browser.close()
 
@@ -154,7 +155,7 @@ def open_window(chromium: Any, url: str, *, scene: bool, width: int = 1000, heig
     page.goto(url)
     page.get_by_role("button", name="STOP").wait_for()
     if scene:
-        page.wait_for_function(DRAWN)
+        page.wait_for_function(measure_page.DRAWN)
         # viser's remark on software rendering comes seconds later, over the scene and in the mouse's way.
         page.add_style_tag(content=f"{NOTICE} {{ display: none !important; }}")
     return window

@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.bench.page import PageClient
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.panels import joint_bars
 from robot_ik.testbed.session import Session
+from tests.doc_pages import script
 from tests.waiting import LONG, wait_for
+
+PageClient = script("measure_page").PageClient
 
 ELSEWHERE = {"Path", "Hand over"}
 """A field that a button reads, and a button that acts on the gate: they, and the camera, have own tests."""
@@ -29,7 +31,7 @@ class Sent(queue.SimpleQueue[Command]):
 
 
 @pytest.fixture(scope="module")
-def controls() -> Iterator[tuple[Page, PageClient, Sent]]:
+def controls() -> Iterator[tuple[Page, Any, Sent]]:
     """A page that shows everything, and what looks at it; no loop runs."""
     sent = Sent()
     with Session(Start(), beside=False) as session:
@@ -65,7 +67,7 @@ def counts(page: Page, buffers: list[Any]) -> list[int]:
     return found
 
 
-def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) -> str:
+def effect(page: Page, client: Any, sent: Sent, message: dict[str, Any]) -> str:
     """What a message led to: a command, or what the page sent but the value itself; empty: nothing."""
     server = page.server._websock_server
     buffers = [
@@ -91,7 +93,7 @@ def effect(page: Page, client: PageClient, sent: Sent, message: dict[str, Any]) 
 
 
 def test_every_control_leads_to_a_command_or_changes_the_page(
-    controls: tuple[Page, PageClient, Sent],
+    controls: tuple[Page, Any, Sent],
 ) -> None:
     page, client, sent = controls
     dead = []
@@ -105,7 +107,7 @@ def test_every_control_leads_to_a_command_or_changes_the_page(
     assert dead == []
 
 
-def test_every_key_leads_to_a_command_or_changes_the_page(controls: tuple[Page, PageClient, Sent]) -> None:
+def test_every_key_leads_to_a_command_or_changes_the_page(controls: tuple[Page, Any, Sent]) -> None:
     page, client, sent = controls
     handles = page.server.gui._command_handle_from_uuid
     dead = [
@@ -116,7 +118,7 @@ def test_every_key_leads_to_a_command_or_changes_the_page(controls: tuple[Page, 
     assert len(handles) > 10 and dead == []
 
 
-def test_a_model_is_loaded_by_its_path(controls: tuple[Page, PageClient, Sent]) -> None:
+def test_a_model_is_loaded_by_its_path(controls: tuple[Page, Any, Sent]) -> None:
     page, client, sent = controls
     inputs = page.server.gui._gui_input_handle_from_uuid
     uuid_of = {getattr(handle, "label", ""): uuid for uuid, handle in inputs.items()}
@@ -129,7 +131,7 @@ def test_a_model_is_loaded_by_its_path(controls: tuple[Page, PageClient, Sent]) 
         assert session.view().message == "there is no file arms/mine.xml"
 
 
-def test_a_plot_of_distances_has_ticks_at_decades_only(controls: tuple[Page, PageClient, Sent]) -> None:
+def test_a_plot_of_distances_has_ticks_at_decades_only(controls: tuple[Page, Any, Sent]) -> None:
     plots = controls[0]._measured._plots
     for (_, name), plot in plots.items():
         splits = plot.axes[1].get("splits")

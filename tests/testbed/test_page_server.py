@@ -9,11 +9,13 @@ import pytest
 pytest.importorskip("viser", reason="needs the extra web")
 from viser._messages import EnableLightsMessage
 
-from robot_ik.bench.page import PageClient
 from robot_ik.cli.main import main
 from robot_ik.testbed.frontends import page_server
 from robot_ik.testbed.frontends.page_server import PageServer
+from tests.doc_pages import script
 from tests.waiting import wait_for
+
+PageClient = script("measure_page").PageClient
 
 
 def _lights(opened: PageServer) -> list[bool]:

@@ -1,8 +1,8 @@
-"""`robot-ik bench page`: what it prints, and that its client sees what the page sends."""
+"""`docs/make/measure_page.py`: what it prints, and that its client sees what the page sends."""
 
 from __future__ import annotations
 
-import json
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from robot_ik.bench.quantity import Quantity
-from robot_ik.cli.main import main
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session, run
 
 pytest.importorskip("viser", reason="needs the extra web")
-from robot_ik.bench import page as bench
 from robot_ik.testbed.frontends.browser import Page
+from tests.doc_pages import script
 from tests.waiting import LONG
+
+bench = script("measure_page")
 
 
 def test_what_misses_its_target_or_was_not_measured_is_said(
@@ -34,16 +35,14 @@ def test_what_misses_its_target_or_was_not_measured_is_said(
         yield from rows
 
     monkeypatch.setattr(bench, "measure_page", measure)
-    assert main(["bench", "page"]) == 1
+    monkeypatch.setattr(sys, "argv", ["measure_page.py"])
+    assert bench.main() == 1
     text = capsys.readouterr().out
     assert "0.5 ms" in text and "FAIL" in text and "no browser" in text
     rows.pop(1)
-    assert main(["bench", "page"]) == 1 and "FAIL" not in capsys.readouterr().out
+    assert bench.main() == 1 and "FAIL" not in capsys.readouterr().out
     rows.pop()
-    assert main(["bench", "page", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"][0]["passed"] is True
-    assert main(["bench", "page", "--seconds", "0"]) == 2
-    assert "--seconds" in capsys.readouterr().err
+    assert bench.main() == 0
 
 
 def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:

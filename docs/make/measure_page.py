@@ -1,11 +1,16 @@
 """What the testbed's page costs and how soon it is there, each figure beside what is wanted of it.
 
+    python docs/make/measure_page.py [--seconds N]
+
+Needs a quiet machine and the extra web; the rows of the start need Chromium and the extra dev (playwright).
 The page runs in this process and the browsers in others, so that processor time is the page's own.
-A browser costs more than the page; only the rows of the start have one.
+A browser costs more than the page; only the rows of the start have one.  They are of `robot-ik view` with
+Chromium already open; with no kernel compiled: with an empty cache.  Ctrl-C keeps what is done.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import multiprocessing
 import os
@@ -31,6 +36,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from robot_ik.bench.quantity import Quantity
+from robot_ik.cli import console
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.session import Session, View, run
@@ -352,3 +358,29 @@ def _first_reply(url: str) -> float:
             if client.receive(1.0)[1]:
                 return time.perf_counter()
     return float("inf")
+
+
+def main() -> int:
+    """Prints the table; 0 where every figure was measured and is as wanted, else 1."""
+    parser = argparse.ArgumentParser(description="what the testbed's page costs")
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=10.0,
+        help="for which processor time and bytes are counted, three times",
+    )
+    asked, rows = parser.parse_args(), list[Quantity]()
+    try:
+        for row in measure_page(asked.seconds, lambda text: console.say(text, "dim")):
+            rows.append(row)  # one by one: an interrupt keeps what is done
+    finally:
+        cells = [
+            (one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed))
+            for one in rows
+        ]
+        console.show(console.table("what", "measured", "wanted", "", rows=cells))
+    return 0 if all(row.passed for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
