@@ -130,7 +130,7 @@ def _print(report: ArReport) -> None:
 
 
 def _default_out() -> str:
-    from robot_ik.jobs.ar.output import films_can_be_written
+    from robot_ik.jobs.films import films_can_be_written
 
     if films_can_be_written():
         return "ar.mp4"

@@ -199,8 +199,8 @@ def _balls(options: FigureOptions) -> tuple[tuple[float, float, float], ...]:
 def _frames(abilities: Abilities, options: FigureOptions) -> Iterator[FigureFrame]:
     """Of what it does, with ``--ar`` drawn into the camera's pictures already."""
     from robot_ik.jobs.ar.job import ArRequest, marker_positions
-    from robot_ik.jobs.ar.output import films_can_be_written
     from robot_ik.jobs.figure import FigureRequest, draw_on_camera, run_figure, run_marker
+    from robot_ik.jobs.films import films_can_be_written
 
     path = "" if options.path == "marker" else options.path
     request = FigureRequest(

@@ -123,7 +123,7 @@ class ReachOptions:
 def run(options: ReachOptions) -> int:
     """Runs the job; 0 reached, 1 not."""
     request = make_request(options)
-    from robot_ik.jobs.ar.output import require_films
+    from robot_ik.jobs.films import require_films
     from robot_ik.jobs.reach import run_reach
     from robot_ik.jobs.reach_files import FILES
     from robot_ik.jobs.results import results_folder

@@ -33,7 +33,7 @@ from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode
 from robot_ik.geometry import axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
-from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.model import compiled, read_spec
 from robot_ik.ports import Array

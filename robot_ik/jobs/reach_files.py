@@ -24,7 +24,7 @@ from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import apart
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar.output import Film
+from robot_ik.jobs.films import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
 from robot_ik.jobs.results import save_json
 from robot_ik.jobs.verdict import Judgement

@@ -21,7 +21,7 @@ from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.ar.output import open_sink
+from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for

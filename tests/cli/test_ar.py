@@ -17,7 +17,7 @@ from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar import output
+from robot_ik.jobs import films as output
 from robot_ik.reading import FORMER
 
 

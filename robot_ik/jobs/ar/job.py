@@ -22,8 +22,8 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.ar.motion import DrawnMotion, make_motion, marker_from_base, standing
-from robot_ik.jobs.ar.output import PictureSink, open_sink
 from robot_ik.jobs.ar.scene import AT_REST, BOARD, FOLLOWED, BoardMotion, synthetic_scene
+from robot_ik.jobs.films import PictureSink, open_sink
 from robot_ik.jobs.precompile import Precompilation
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.ports import Array

@@ -1,4 +1,4 @@
-"""Where the pictures of ``robot-ik ar`` go: a film, one picture, or a folder of pictures.
+"""Where pictures go, of the augmented reality, the testbed, the figure and a reach: film, picture or folder.
 
 They appear when complete; a run that is interrupted leaves what it has, playable.
 """
