@@ -52,10 +52,12 @@ def resolved_robot(arm: Path | None, bus: str) -> str:
     """The robot where none is named: the arm's; at a port the one that servos move; else the shown one.
 
     Raises:
-        UnknownRobotError, ConfigError: As ``ArmConfig.load``.
+        UnknownRobotError, ConfigError: As ``ArmConfig.load``; or the arm file names no robot.
     """
     if arm:
-        return load_arm(arm).robot
+        from robot_ik.jobs.robot_setup import robot_named_in
+
+        return robot_named_in(load_arm(arm))
     return SHOWN_ROBOT if bus == NONE or bus_row(bus).virtual else SERVO_ROBOT
 
 

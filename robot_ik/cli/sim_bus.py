@@ -86,9 +86,10 @@ def run(options: SimBusOptions) -> int:
     bus.inject(*_faults(options, config))
     if options.physics:
         from robot_ik.hardware.virtual.world import World
+        from robot_ik.jobs.robot_setup import robot_named_in
         from robot_ik.robot import load_robot
 
-        World(load_robot(config.robot).model, config, bus)
+        World(load_robot(robot_named_in(config)).model, config, bus)
     bus.inject(*(file.faults if file else ()))
     match, baud, late = options.match_baud, options.wire_baud, options.latency_ms
     served = make_port(bus, options.link, match_baud=match, wire_baud=baud, latency_ms=late)

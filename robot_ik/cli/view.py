@@ -74,7 +74,7 @@ class ViewOptions:
     """Without a GPU the browser is quicker without."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float, single(None, "until Ctrl-C")] = 0.0
+    seconds: Annotated[float | None, single("FLOAT", "until Ctrl-C")] = None
     """End by itself."""
     seed: int = 1
     """Of the ball's random places."""
@@ -89,11 +89,19 @@ def run(options: ViewOptions) -> int:
     if options.replay is not None:
         return _replay(options.replay)
     require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
-    endless = "above 0, at most 1e6; left out: until Ctrl-C"
-    require(0.0 <= options.seconds <= 1e6, "--seconds", f"{options.seconds:g} s", endless)
+    _check_seconds(options.seconds, "until Ctrl-C")
+    for option, given in (("--arm", options.arm), ("--on-exit", options.on_exit)):
+        alone = f"{given} is for servos, and no bus is named"
+        require(options.bus != NONE or not given, option, alone, "with --bus sim, pty or PORT")
     viewer = choose_viewer(options.viewer)
     with claimed(options.log, overwrite=options.overwrite):
         return _view(options, viewer)
+
+
+def _check_seconds(seconds: float | None, endless: str) -> None:
+    if seconds is not None:
+        allowed = f"above 0, at most 1e6; left out: {endless}"
+        require(0.0 < seconds <= 1e6, "--seconds", f"{seconds:g} s", allowed)
 
 
 def choose_viewer(asked: str) -> str:
@@ -231,7 +239,7 @@ def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) 
         if not draw(view):
             stop.set()
 
-    timer = threading.Timer(options.seconds, stop.set) if options.seconds else None
+    timer = None if options.seconds is None else threading.Timer(options.seconds, stop.set)
     if timer is not None:
         timer.daemon = True
         timer.start()
@@ -287,7 +295,7 @@ class VideoOptions:
     """Without a log: robots side by side, 1, 2 or 4."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
-    seconds: Annotated[float, single(None, "as long as the log")] = 0.0
+    seconds: Annotated[float | None, single("FLOAT", "as long as the log")] = None
     """How long."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
     """Numbers of every picture: angles, misses, times."""
@@ -310,6 +318,7 @@ def run_video(options: VideoOptions) -> int:
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
     require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
     require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")
+    _check_seconds(options.seconds, "as long as the log")
     log, out = _log(options), options.files[-1]
     from robot_ik.jobs.testbed import film
 
@@ -339,7 +348,7 @@ def _log(options: VideoOptions) -> CommandLog:
         return CommandLog.load(options.files[0])
     if options.files[0].suffix == ".jsonl":
         raise wrong("OUT", f"{options.files[0]} is a command log and there is no film", "LOG.jsonl OUT.mp4")
-    require(options.seconds > 0.0, "--seconds", "no log and no length", "--seconds N, above 0")
+    require(options.seconds is not None, "--seconds", "no log and no length", "--seconds N, above 0")
     if options.count not in COUNTS:
         raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
     require_methods_fit(options.method, options.count)

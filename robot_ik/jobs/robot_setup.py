@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from robot_ik.errors import ConfigError, UnknownJointError, UnsupportedJointError
+from robot_ik.errors import ConfigError, ModelError, UnknownJointError, UnsupportedJointError
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
 from robot_ik.robot import Robot, load_robot
+from robot_ik.robot_file import find_robot
 
 if TYPE_CHECKING:
     from robot_ik.hardware.arm import Arm
@@ -314,6 +315,20 @@ def require_joints(robot: Robot, config: ArmConfig) -> None:
             f"{robot.name} has no joint {', '.join(map(repr, strangers))}",
             file=config.file or config.name, key="joints", allowed=", ".join(robot.joints),
         )  # fmt: skip
+
+
+def robot_named_in(config: ArmConfig) -> str:
+    """The robot that an arm file names: name or path.
+
+    Raises:
+        ConfigError: There is no such robot.
+    """
+    try:
+        find_robot(config.robot)
+    except ModelError as error:
+        file, problem = config.file or config.name, str(error.args[0])
+        raise ConfigError(problem, file=file, key="robot", hint=error.hint) from error
+    return config.robot
 
 
 def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Robot, Any]:

@@ -24,10 +24,11 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import stale_time
+from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.motion.trajectory import APPROACH
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
 from robot_ik.problem import Budget, Problem
-from robot_ik.robot import Robot, load_robot
+from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 
 LOST = 0.2
@@ -97,7 +98,8 @@ def _onto(value: float, one: tuple[float, float], other: tuple[float, float]) ->
 class Hand:
     """The hand of a follower, led by inverse kinematics from the last command (``pose``) on."""
 
-    def __init__(self, config: ArmConfig, robot: Robot) -> None:
+    def __init__(self, config: ArmConfig) -> None:
+        robot = load_robot(robot_named_in(config))
         self.names = config.names
         self._order = [robot.joints.index(name) for name in config.names]
         lower, upper = np.full((2, robot.nv), np.inf) * [[-1.0], [1.0]]
@@ -163,8 +165,8 @@ class LeaderArm:
         if by == "joints":
             self._joints = JointCoupling(arm.config, follower)
         else:
-            self._robot = load_robot(arm.config.robot, joints=arm.config.names)
-            self._hand = Hand(follower, load_robot(follower.robot))
+            self._robot = load_robot(robot_named_in(arm.config), joints=arm.config.names)
+            self._hand = Hand(follower)
         if force:
             self._require_gentle()
 
@@ -248,7 +250,7 @@ class Jog:
     """
 
     def __init__(self, config: ArmConfig, hand: bool, stop: Callable[[], object] = lambda: None) -> None:
-        self._hand = Hand(config, load_robot(config.robot))
+        self._hand = Hand(config)
         self.joints = config.whole.joints
         self.angles: dict[str, float] = {}
         self.hand, self.stop, self.over = hand, stop, False

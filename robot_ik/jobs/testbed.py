@@ -126,7 +126,7 @@ def film(
     *,
     numbers: Path | None = None,
     record: Path | None = None,
-    seconds: float = 0.0,
+    seconds: float | None = None,
     rate_hz: float = 30.0,
     size: tuple[int, int] = (1280, 720),
     backend: str = "gl",
@@ -140,7 +140,7 @@ def film(
         out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg) or a folder; None: no pictures.
         numbers: CSV file with a row for each instance of each picture.
         record: Angles and ball at each picture, .csv or .mcap: what other tools read.
-        seconds: How long; 0: as long as the log.
+        seconds: How long; None: as long as the log.
         rate_hz: Pictures a second.
         size: Of the pictures, pixels.
         backend: Who draws: ``gl``, where it works, or ``painter``.
@@ -151,7 +151,7 @@ def film(
         ConfigError: Nothing happens in the log and no length is given.
         OutputError: Something cannot be written.
     """
-    wanted = round(seconds * log.start.rate) if seconds else log.ticks
+    wanted = log.ticks if seconds is None else round(seconds * log.start.rate)
     if not wanted:
         raise ConfigError(
             "it says nothing of its length", file="command log", key="end", allowed="--seconds N"

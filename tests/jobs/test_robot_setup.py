@@ -7,11 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError, UnsupportedJointError
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest
 from robot_ik.jobs.robot_setup import Rehearsal, joints_that_move, prepare_robot
+from robot_ik.jobs.teleop import KeyboardJog
 from robot_ik.ports import VirtualClock
 from robot_ik.robot import load_robot
+from robot_ik.robot_file import catalogue
 
 
 def arm_text() -> str:
@@ -63,6 +67,26 @@ def test_a_slide_that_moves_the_tool_has_no_generic_servo(arms: dict[str, Path])
 def test_an_arm_file_may_be_the_one_of_a_robot() -> None:
     setup = prepare_robot(ReachRequest(robot="tabletop_puma", bus="sim", arm_file=Path("tabletop_puma")))
     assert setup.config is not None and setup.config.file == load_robot("tabletop_puma").arm_file
+
+
+@pytest.mark.parametrize("robot", ["nowhere.xml", "puma56"])
+@pytest.mark.parametrize("words", ["reach --bus none --arm", "sim-bus --physics --arm", "ar --motion"])
+def test_an_arm_file_of_a_robot_that_is_not_there_is_named(
+    words: str,
+    robot: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "mine.toml"
+    text = (catalogue()["puma560"] / "arm.toml").read_text(encoding="utf-8")
+    file.write_text(text.replace('robot = "puma560"', f'robot = "{robot}"'), encoding="utf-8")
+    assert main([*words.split(), str(file)]) == 2
+    said = capsys.readouterr().err
+    assert f"{file}: robot: " in said and robot in said
+    with pytest.raises(ConfigError, match=r"mine\.toml: robot: "):
+        KeyboardJog(ArmConfig.load(file), str)
 
 
 def test_an_arm_file_may_leave_joints_out_but_not_invent_any(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from robot_ik.errors import ConfigError
 from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs.robot_setup import robot_named_in
 from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
 from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
@@ -66,7 +67,7 @@ def robot_of(text: str) -> str:
     if path.suffix != ".toml":
         return ""
     read_text(path, "the script or arm file")
-    return ArmConfig.load(path).robot
+    return robot_named_in(ArmConfig.load(path))
 
 
 def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
