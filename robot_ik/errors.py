@@ -304,3 +304,7 @@ class NotConvergedError(RobotIkError):
 
 class TrajectoryError(RobotIkError):
     """No path within the limits joins the given configurations or poses."""
+
+
+NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
+"""Errors that mean "tried, not achieved"; every other one is wrong input or environment."""

@@ -26,13 +26,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from robot_ik.errors import (
-    MarkerNotFoundError,
-    MotorFaultError,
-    NotConvergedError,
-    RobotIkError,
-    TrajectoryError,
-)
+from robot_ik.errors import NOT_ACHIEVED_ERRORS, RobotIkError
 from robot_ik.files import plain
 
 # ------------------------------------------------------------------------------------------
@@ -83,9 +77,6 @@ def prepare_streams() -> bool:
 
 
 DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
-
-#: Errors that mean "tried, not achieved"; every other error of this package is wrong input or environment.
-NOT_ACHIEVED_ERRORS = (NotConvergedError, MarkerNotFoundError, TrajectoryError, MotorFaultError)
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.
 PIPE_WIDTH = 240

@@ -167,17 +167,14 @@ def _print_robot(robot: Robot) -> None:
         *(("tool", f"{shown_as[name]}: {about_frame(robot, name)}") for name in robot.file.tools),
         ("frames", ", ".join(shown_as[name] for name in others)),
     ]
-    rows = []
-    at_q = at_v = 0
-    for name, kind in zip(robot.joints, joint_kinds(robot), strict=True):
+    rows, tree = [], robot.tree
+    for name, kind, at_q, at_v in zip(robot.joints, joint_kinds(robot), tree.qadr, tree.vadr, strict=True):
         rotary = kind in ("hinge", "ball")
         limits = [_number(values[at_v], rotary) for values in (robot.lower, robot.upper)]
         speeds = [_number(values[at_v], rotary) for values in (robot.velocity, robot.acceleration)]
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))
-        at_q += {"free": 7, "ball": 4}.get(kind, 1)
-        at_v += {"free": 6, "ball": 3}.get(kind, 1)
     columns = ("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
     console.show(
         console.table(robot.name, robot.file.title, rows=head), "", console.table(*columns, rows=rows)

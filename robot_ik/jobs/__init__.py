@@ -11,3 +11,8 @@ from collections.abc import Callable
 
 #: Called with the phase ("looking", "moving", …) and the share of it that is done.
 Progress = Callable[[str, float], None]
+
+
+def share_of(progress: Progress, phase: str, done: int, parts: int) -> Callable[[float], None]:
+    """Takes the share of one part that is done, of a job of so many alike; ``done``: those before it."""
+    return lambda share: progress(phase, (done + share) / parts)

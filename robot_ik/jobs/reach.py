@@ -13,15 +13,7 @@ import numpy as np
 
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.marker_goals import LostPolicy
-from robot_ik.errors import (
-    CameraError,
-    ConfigError,
-    MarkerNotFoundError,
-    MotorFaultError,
-    NotConvergedError,
-    RobotIkError,
-    TrajectoryError,
-)
+from robot_ik.errors import NOT_ACHIEVED_ERRORS, CameraError, ConfigError, RobotIkError
 from robot_ik.execution import Execution, FollowReport, execute, follow
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
@@ -183,8 +175,6 @@ class ReachReport:
         )
 
 
-# Errors that mean "tried, not achieved": they end up in the report.
-_NOT_ACHIEVED = (MarkerNotFoundError, NotConvergedError, TrajectoryError, MotorFaultError)
 # How long the servos may take to arrive after the last command.
 _SETTLE_SECONDS = 0.4
 
@@ -221,7 +211,7 @@ def run_reach(
         with setup.connected():
             try:
                 _Reach(report, window, method, progress).run(compiling)
-            except _NOT_ACHIEVED as problem:
+            except NOT_ACHIEVED_ERRORS as problem:
                 report.problem = problem
             report.counters = setup.counters()
         done(report)

@@ -226,22 +226,22 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     """
     robot, rehearsal = load_robot(request.robot), request.rehearsal
     frame = robot.frame(request.frame).name
-    if request.bus == "none":
+    without_bus = request.bus == "none"
+    clock: Clock = RealClock() if request.view else VirtualClock()
+    if without_bus:
         _refuse_servo_faults(rehearsal)
-        clock: Clock = RealClock() if request.view else VirtualClock()
         if request.arm_file is None:
             robot = _only_what_moves(robot, request.robot, frame)
             return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
-        robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
-        limited = robot.with_limits(config.lower, config.upper)
-        return RobotSetup(limited, frame, _joint_limits(robot, limited, config), None, None, clock)
+    robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
+    limited = robot.with_limits(config.lower, config.upper)
+    limits = _joint_limits(robot, limited, config)
+    if without_bus:
+        return RobotSetup(limited, frame, limits, None, None, clock)
     from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
-    robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
-    limited = robot.with_limits(config.lower, config.upper)
-    limits = _joint_limits(robot, limited, config)
     virtual = bus_row(request.bus).virtual
     if not virtual:
         _refuse_servo_faults(rehearsal)
@@ -349,11 +349,9 @@ def _arm_of(robot: Robot, name: str, frame: str, file: Path | None) -> tuple[Rob
             _HEADROOM * robot.velocity, _HEADROOM * robot.acceleration,
         )  # fmt: skip
     config = ArmConfig.load(path)
-    if not set(config.names) <= set(robot.joints):  # servos beyond the group `arm`, such as a gripper's
+    if set(config.names) != set(robot.joints):  # without some, or beyond the group `arm`: a gripper's
         with contextlib.suppress(UnknownJointError):
             robot = load_robot(name, joints=config.names)
     require_joints(robot, config)
-    if len(config.joints) < len(robot.joints):
-        robot = load_robot(name, joints=config.names)
     by_name = {joint.name: joint for joint in config.joints}
     return robot, replace(config, joints=tuple(by_name[joint] for joint in robot.joints))

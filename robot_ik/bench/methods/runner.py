@@ -15,7 +15,7 @@ from robot_ik.bench.methods.problems import SLACK, ProblemSet, apart, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.jobs import Progress
+from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import Robot, load_robot
@@ -207,12 +207,8 @@ class Campaign:
     def _sets(self, benches: Sequence[Bench], results: Results, progress: Progress) -> None:
         for done, bench in enumerate(benches):
             cell = bench.cell
-            what = f"{cell.set}, {cell.robot}, {cell.solver}"
+            share = share_of(progress, f"{cell.set}, {cell.robot}, {cell.solver}", done, len(benches))
             results.cells.append(cell)
-
-            def share(part: float, what: str = what, done: int = done) -> None:
-                progress(what, (done + part) / len(benches))
-
             share(0.0)
             bench.run(self.settings, share)
             if cell.set == "cold" and (found := curve(bench, self.settings)):

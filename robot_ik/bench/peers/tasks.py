@@ -14,7 +14,7 @@ import numpy as np
 from robot_ik.bench.methods.problems import ProblemSet, make_set
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.files import make_folder, plain, write_atomically
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, rotation_z_to
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
 
@@ -241,19 +241,11 @@ def frames_of(model: mujoco.MjModel) -> Array:
     before, found = np.eye(4), []
     for point, axis in zip(data.xanchor, data.xaxis, strict=True):
         here = np.eye(4)
-        here[:3, :3], here[:3, 3] = _along(axis), point
+        here[:3, :3], here[:3, 3] = rotation_z_to(axis), point
         found.append(np.linalg.inv(before) @ here)
         before = here
     found.append(np.linalg.inv(before) @ Sites(model).poses(data.qpos)[0])
     return np.array(found)
-
-
-def _along(axis: Array) -> Array:
-    """A rotation (3, 3) whose z is ``axis``."""
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    x = np.cross(helper, axis)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(axis, x), axis], axis=1)
 
 
 def urdf_of(model: mujoco.MjModel) -> str:

@@ -14,7 +14,7 @@ from robot_ik.chain import make_chain
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
-from robot_ik.jobs import Progress
+from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot
@@ -357,10 +357,7 @@ def run_a00(report: A00Report, progress: Progress = lambda phase, share: None) -
         report.witness_miss[number] = course.witness_miss()
         report.courses[number] = course
         for name in report.solvers:
-
-            def show(share: float, phase: str = f"test {number}: {name}", done: int = done) -> None:
-                progress(phase, (done + share) / jobs)
-
+            show = share_of(progress, f"test {number}: {name}", done, jobs)
             problem = Problem(course.robot, course.goal, tolerance=TOLERANCE, seed=report.seed)
             solver, start = make_solver(name), course.robot.home
             report.tracks[name, number] = track(problem, solver, course.targets, start, show)

@@ -14,7 +14,7 @@ import numpy as np
 from robot_ik.bench.theses.tracking import Track, track
 from robot_ik.geometry import Pose
 from robot_ik.goals import PositionGoal, Tolerance
-from robot_ik.jobs import Progress
+from robot_ik.jobs import Progress, share_of
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.ports import Array
 from robot_ik.problem import Budget, Problem
@@ -171,11 +171,7 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
         for variant in VARIANTS:
             budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
             for name in variant.methods:
-                phase = f"case {case.number}: {name}, {variant.title}"
-
-                def show(share: float, phase: str = phase, done: int = done) -> None:
-                    progress(phase, (done + share) / jobs)
-
+                show = share_of(progress, f"case {case.number}: {name}, {variant.title}", done, jobs)
                 goal = PositionGoal("tip", targets[0].position)
                 problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
                 solver = make_method(variant.name, name, problem)

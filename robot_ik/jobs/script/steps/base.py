@@ -5,7 +5,7 @@ Lengths are metres, angles degrees (``_deg``), tolerances millimetres and degree
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar, get_args
 
@@ -24,9 +24,14 @@ from robot_ik.robot import Robot
 from robot_ik.tables import Pair, Table
 
 
+def require_known(what: str, name: str | None, known: Iterable[str], key: str = "") -> None:
+    """Raises ``WrongKey`` unless ``name`` is None or one of those that are ``known``."""
+    if name is not None and name not in (names := list(known)):
+        raise WrongKey.unknown(what, name, names, key)
+
+
 def _error_class(name: str) -> str:
-    if name not in error_classes():
-        raise WrongKey.unknown("error", name, error_classes())
+    require_known("error", name, error_classes())
     return name
 
 
@@ -183,14 +188,7 @@ class Framed(ScriptStep):
 
     def check(self, now: RunState) -> None:
         super().check(now)
-        if self.frame is not None and self.frame not in now.robot.frames:
-            raise WrongKey.unknown("frame", self.frame, now.robot.frames, "frame")
-
-
-def require_keyframe(robot: Robot, keyframe: str | None) -> None:
-    """Raises ``WrongKey`` unless the robot has that keyframe."""
-    if keyframe is not None and keyframe not in (known := keyframes(robot)):
-        raise WrongKey.unknown("keyframe", keyframe, known, "keyframe")
+        require_known("frame", self.frame, now.robot.frames, "frame")
 
 
 class JointValues(ScriptStep):
@@ -216,8 +214,7 @@ class JointValues(ScriptStep):
         for key in ("joints_deg", "joints_mm"):
             for joint, number in (getattr(self, key) or {}).items():
                 at = f"{key}.{joint}"
-                if joint not in robot.joints:
-                    raise WrongKey.unknown("joint", joint, robot.joints, at)
+                require_known("joint", joint, robot.joints, at)
                 right, unit = ("joints_mm", " mm") if slides(robot, joint) else ("joints_deg", "°")
                 if key != right:
                     counts = "a slide counts in millimetres" if unit == " mm" else "a hinge counts in degrees"

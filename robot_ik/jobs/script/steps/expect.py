@@ -23,7 +23,7 @@ from robot_ik.jobs.script.steps.base import (
     keyframes,
     near,
     report_findings,
-    require_keyframe,
+    require_known,
     width_mm,
 )
 from robot_ik.ports import Array
@@ -82,15 +82,12 @@ class ExpectStep(Framed, JointValues, Tolerant, GripperWidth):
 
     def check(self, now: RunState) -> None:
         super().check(now)
-        robot = now.robot
         if self.shafts and not now.simulated:
             problem = "nobody knows where real shafts are"
             raise WrongKey(problem, "shafts", "false, or --bus sim or pty")
-        require_keyframe(robot, self.keyframe)
-        if self.status is not None and self.status not in (names := [s.name for s in Status]):
-            raise WrongKey.unknown("status", self.status, names, "status")
-        if self.joint is not None and self.joint not in robot.joints:
-            raise WrongKey.unknown("joint", self.joint, robot.joints, "joint")
+        require_known("keyframe", self.keyframe, keyframes(now.robot), "keyframe")
+        require_known("status", self.status, [status.name for status in Status], "status")
+        require_known("joint", self.joint, now.robot.joints, "joint")
         if self.width_mm is not None:
             self.check_gripper(now)
 

@@ -35,7 +35,7 @@ from robot_ik.jobs.script.steps.base import (
     keyframes,
     near,
     report_findings,
-    require_keyframe,
+    require_known,
     width_mm,
 )
 from robot_ik.jobs.verdict import SOLVE_TOLERANCE
@@ -167,9 +167,9 @@ class MarkerStep(Move):
         goal = seen.goal
         if isinstance(goal, PoseGoal) and goal.free_axis is not None:
             # Five joints point the axis within a plane, and it is seen a little beside that.
-            near = Tolerance(SOLVE_TOLERANCE.position, 0.5 * float(np.radians(self.tolerance_deg)))
-            return self.to_goal(now, start, replace(goal, tolerance=near), goal.moved_to(true))
-        return self.to_goal(now, start, goal, goal.moved_to(true))
+            angle = 0.5 * float(np.radians(self.tolerance_deg))
+            goal = replace(goal, tolerance=Tolerance(SOLVE_TOLERANCE.position, angle))
+        return self.to_goal(now, start, goal, seen.goal.moved_to(true))
 
 
 class LineStep(Framed, Move):
@@ -228,7 +228,7 @@ class KeyframeStep(Move):
 
     def check(self, now: RunState) -> None:
         super().check(now)
-        require_keyframe(now.robot, self.keyframe)
+        require_known("keyframe", self.keyframe, keyframes(now.robot), "keyframe")
 
     def plan(self, now: RunState, start: Array, result: StepResult) -> tuple[Trajectory, Judge]:
         return self.to_joints(now, start, keyframes(now.robot)[self.keyframe])
