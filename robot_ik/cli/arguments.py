@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO, TypeVar, get_type_hint
 
 from tyro.conf import arg
 
-from robot_ik.cli.console import NARROWEST
+from robot_ik.cli.console import HELP_FLAGS, NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
 from robot_ik.reading import FORMER
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from robot_ik.geometry import Pose
 
 Request = TypeVar("Request")
-HELP_FLAGS = ("--help", "-h")
 #: What tyro writes for programs to read: no line of it is folded.
 _ENDLESS = 10_000
 #: Longer lines of prose are hard to read, however wide the terminal.

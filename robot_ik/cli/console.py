@@ -76,6 +76,8 @@ def prepare_streams() -> bool:
     return there
 
 
+HELP_FLAGS = ("--help", "-h")
+
 DONE, NOT_ACHIEVED, WRONG_INPUT, INTERRUPTED, TERMINATED = 0, 1, 2, 130, 143
 
 #: Columns when the output is not a terminal: no table of ours is wider, so nothing is folded.

@@ -306,10 +306,7 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
     own = [f"{one.name}.png" for one in robots] + ["gallery.png"]
     kept = results_folder(folder, "gallery", own, overwrite=options.overwrite)
     with kept as path, console.progress() as bar:
-        task = bar.add_task("drawing", total=len(robots), note="")
-        portraits, files = draw_gallery(
-            robots, path, options.seed, lambda name, k: bar.update(task, completed=k, note=name)
-        )
+        portraits, files = draw_gallery(robots, path, options.seed, console.shares_on(bar, "drawing"))
     drawn = list(zip(portraits, files, strict=False))
     if options.json:
         rows = [_portrait_facts(portrait, file) for portrait, file in drawn]

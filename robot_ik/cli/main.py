@@ -13,7 +13,7 @@ from types import FrameType
 from typing import Any
 
 from robot_ik.cli import console
-from robot_ik.errors import OutputError, close_matches, unknown_name_text
+from robot_ik.errors import OutputError, RobotIkError, close_matches, unknown_name_text
 
 # ------------------------------------------------------------------------------------------
 # The table of commands and of their subcommands: names, where each lives, one line about it.
@@ -130,7 +130,6 @@ def find_command(arguments: Sequence[str]) -> tuple[str, CommandRow, list[str]]:
 
 
 _VERSION_FLAGS = ("--version", "-V", "version")
-_HELP_FLAGS = ("--help", "-h")
 
 
 class Terminated(BaseException):
@@ -172,14 +171,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _dispatch(arguments: list[str], *, debug: bool) -> int:
     if arguments and arguments[0] == "help":  # robot-ik help servo scan
         arguments = [*arguments[1:], "--help"]
-    if not arguments or arguments[0] in _HELP_FLAGS:
+    if not arguments or arguments[0] in console.HELP_FLAGS:
         _print_help()
         return 0 if arguments else 2
     if arguments[0] in _VERSION_FLAGS:
         _print_versions()
         return 0
     if arguments[0] not in COMMANDS:
-        return _unknown(arguments[0])
+        raise _unknown(arguments[0])
     name, command, rest = find_command(arguments)
     misspelt = command.subcommands and rest and not rest[0].startswith("-")
     if command.options and not misspelt:
@@ -189,7 +188,7 @@ def _dispatch(arguments: list[str], *, debug: bool) -> int:
 
 def _group(name: str, command: CommandRow, rest: list[str]) -> int:
     """A command that is only the name of its subcommands: its help, or which of them was meant."""
-    if any(argument in _HELP_FLAGS for argument in rest):
+    if any(argument in console.HELP_FLAGS for argument in rest):
         _print_group(name, command)
         return 0
     what = f"subcommand of {name}"
@@ -201,7 +200,7 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
     else:
         asked = next((argument for argument in rest if not argument.startswith("-")), rest[0])
         text = unknown_name_text(what, asked, list(command.subcommands))
-    return _report_wrong(text, f"robot-ik {name} --help")
+    raise _wrong_command(text, f"robot-ik {name} --help")
 
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
@@ -228,20 +227,18 @@ def _silence_stdout() -> None:
         os.close(sink)
 
 
-def _unknown(name: str) -> int:
+def _unknown(name: str) -> RobotIkError:
     if not name.startswith("-"):
         text = unknown_name_text("command", name, list(COMMANDS))
     else:
         close = close_matches(name, ["--help", "--version", "--debug"])
         meant = f"; did you mean {close[0]!r}?" if close else ""
         text = f"unknown option {name!r} before the command{meant}"
-    return _report_wrong(text, "robot-ik --help")
+    return _wrong_command(text, "robot-ik --help")
 
 
-def _report_wrong(text: str, see: str) -> int:
-    console.say(f"error: {text}", "bold red")
-    console.say(f"see all commands with: {see}", "cyan")
-    return console.WRONG_INPUT
+def _wrong_command(text: str, see: str) -> RobotIkError:
+    return RobotIkError(text, hint=f"see all commands with: {see}")
 
 
 def _print_group(name: str, command: CommandRow) -> None:

@@ -327,12 +327,11 @@ def run_video(options: VideoOptions) -> int:
         console.kept(out),
         console.progress() as bar,
     ):
-        task = bar.add_task("filming", total=None, note="")
         view = film(
             log, out, numbers=options.csv, record=options.record, seconds=options.seconds,
             rate_hz=rate, size=(width - width % 2, height - height % 2), backend=options.backend,
             overwrite=options.overwrite,
-            on_tick=lambda view, count: bar.update(task, total=count, completed=view.tick),
+            progress=console.shares_on(bar, "filming"),
         )  # fmt: skip
     numbers = f"; numbers: {options.csv}" if options.csv else ""
     console.say(f"{out}: {view.now:.1f} s of {view.robot}{numbers}")

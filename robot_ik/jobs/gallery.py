@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from robot_ik.errors import ModelError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
+from robot_ik.jobs import Progress
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.robot_file import GalleryScene
@@ -293,19 +294,18 @@ def _strip(row: Sequence[Portrait], height: int) -> Image:
 
 
 def draw_gallery(
-    robots: Sequence[Robot], folder: Path, seed: int = 0, progress: Callable[[str, int], None] | None = None
+    robots: Sequence[Robot], folder: Path, seed: int = 0, progress: Progress = lambda name, share: None
 ) -> tuple[list[Portrait], list[Path]]:
     """Draws every robot into ``folder``/NAME.png, and all on gallery.png: the portraits and the files.
 
-    ``progress`` is given a robot's name and its number before it is drawn.
+    ``progress`` is given a robot's name before it is drawn, and the share of all that is done.
 
     Raises:
         OutputError: A file cannot be written.
     """
     portraits, written = [], []
     for k, robot in enumerate(robots):
-        if progress is not None:
-            progress(robot.name, k)
+        progress(robot.name, k / len(robots))
         portraits.append(draw_robot(robot, seed))
         written.append(folder / f"{robot.name}.png")
         write_image(written[-1], portraits[-1].image)

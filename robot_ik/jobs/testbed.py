@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
@@ -131,7 +131,7 @@ def film(
     size: tuple[int, int] = (1280, 720),
     backend: str = "gl",
     overwrite: bool = False,
-    on_tick: Callable[[View, int], None] = lambda view, count: None,
+    progress: Progress = lambda phase, share: None,
 ) -> View:
     """Runs a command log without a screen, and films it; gives the last view.
 
@@ -145,7 +145,7 @@ def film(
         size: Of the pictures, pixels.
         backend: Who draws: ``gl``, where it works, or ``painter``.
         overwrite: Whether files may be replaced.
-        on_tick: Called after each tick with the view and the number of ticks in all.
+        progress: Called after each tick.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.
@@ -182,7 +182,7 @@ def film(
                         text, robot = view.message if k == 0 else "", k + 1 if view.count > 1 else 0
                         moment = Moment(view.now, commanded=one.q, goal=view.ball, text=text, robot=robot)
                         rows.write(moment)
-            on_tick(view, wanted)
+            progress("", view.tick / wanted)
         if recorder is not None and numbers is not None:
             recorder.save_numbers(numbers)
     assert view is not None

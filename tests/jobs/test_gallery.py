@@ -164,5 +164,5 @@ def test_a_sheet_shows_every_robot_in_full_rows(tmp_path: Path) -> None:
         assert white < (0.75 if count == 1 else 0.3)
     reported: list[str] = []
     robots = [load_robot(two_links(tmp_path))]
-    draw_gallery(robots, tmp_path, progress=lambda name, k: reported.append(f"{k} {name}"))
+    draw_gallery(robots, tmp_path, progress=lambda name, share: reported.append(f"{share:g} {name}"))
     assert reported == ["0 two_links"]

@@ -77,12 +77,12 @@ def near(image: Any, colour: tuple[int, int, int], within: int = 40) -> int:
 def test_a_film_is_read_back_and_shows_the_robot_moving(tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason="needs the extra video")
     out, numbers = tmp_path / "bed.mp4", tmp_path / "bed.csv"
-    seen: list[int] = []
+    seen: list[float] = []
     view = film(
         SCRIPT, out, numbers=numbers, size=(320, 240), rate_hz=30.0, backend="painter",
-        on_tick=lambda view, count: seen.append(count),
+        progress=lambda phase, share: seen.append(share),
     )  # fmt: skip
-    assert view.tick == 40 and seen == [40] * 40
+    assert view.tick == 40 and seen == [k / 40 for k in range(1, 41)]
     with av.open(str(out)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(frames) == 20 and frames[0].shape == (240, 320, 3)
