@@ -53,7 +53,7 @@ class RunOptions:
 
 def run(options: RunOptions) -> int:
     """Runs the script; 0 passed, 1 not."""
-    from robot_ik.jobs.script import find_script, load_script, shipped
+    from robot_ik.jobs.script import load_script, shipped
 
     if not options.script:
         if options != RunOptions():
@@ -62,7 +62,7 @@ def run(options: RunOptions) -> int:
         rows = [(name, load_script(file).content.about) for name, file in shipped().items()]
         console.show(console.table("script", "what it does", rows=rows))
         return console.DONE
-    script = load_script(find_script(options.script))
+    script = load_script(options.script)
     files = [file for file in (options.junit, options.json) if str(file) != "-"]
     if files[0] is not None and len(files) == 2 and files[0] == files[1]:
         raise wrong("--json", f"{files[0]} is the file of --junit, too", "a name of its own")

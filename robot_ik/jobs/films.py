@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +32,7 @@ _NUMBERED = "[0-9]" * 6 + ".png"
 
 
 class PictureSink(ABC):
-    """Takes pictures one by one; a context manager that keeps what it got however the block ends."""
+    """Takes pictures one by one, and is closed at the end."""
 
     @abstractmethod
     def write(self, image: Image, time: float) -> None:
@@ -41,12 +41,6 @@ class PictureSink(ABC):
     @abstractmethod
     def close(self) -> Path | None:
         """Ends the file; gives what was written, None for nothing."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 @contextlib.contextmanager
@@ -161,7 +155,7 @@ def _palettes(width: int, height: int) -> Any:
 class Pictures(PictureSink):
     """A folder of numbered PNG files, which take the place of ``older`` ones."""
 
-    def __init__(self, folder: Path, older: Sequence[Path] = ()) -> None:
+    def __init__(self, folder: Path, older: Sequence[Path]) -> None:
         self._folder, self._older, self._count = folder, older, 0
 
     def write(self, image: Image, time: float) -> None:
@@ -207,6 +201,8 @@ def require_films(purpose: str = "writing a film") -> None:
 def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator[PictureSink]:
     """What the name asks for: a film of ``rate_hz``, a picture or, without a suffix, a folder.
 
+    It keeps what it got however the block ends.
+
     Raises:
         MissingExtraError: A film without the extra ``video``.
         OutputError: Nothing of this kind is written, it is there already and not to be overwritten, or it
@@ -221,11 +217,12 @@ def open_sink(out: Path, rate_hz: float, *, overwrite: bool = False) -> Iterator
                 f"cannot write {out}: neither films nor pictures of this kind are made",
                 hint=f"films: {', '.join(FILMS)}; pictures: {', '.join(PICTURES)}; a folder has no suffix",
             )
-        with claimed_folder(out, _NUMBERED, overwrite=overwrite) as older, Pictures(out, older) as pictures:
+        folder = claimed_folder(out, _NUMBERED, overwrite=overwrite)
+        with folder as older, contextlib.closing(Pictures(out, older)) as pictures:
             yield pictures
         return
-    sink: PictureSink = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
-    with claimed(out, overwrite=overwrite), sink:
+    kept: PictureSink = Film(out, rate_hz) if kind in FILMS else LastPicture(out)
+    with claimed(out, overwrite=overwrite), contextlib.closing(kept) as sink:
         yield sink
 
 

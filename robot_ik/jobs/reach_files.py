@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import asdict
 from pathlib import Path
@@ -254,7 +255,7 @@ def save_film(report: ReachReport, path: Path) -> Path | None:
     shown = [q[0]]
     times = np.arange(run.times[0], run.times[-1] + 1.0 / FILM_RATE_HZ, 1.0 / FILM_RATE_HZ)
     source = SyntheticSource(scene.synthetic(report.robot), lambda: shown[0], seed=0, quality="fast")
-    with Film(path, FILM_RATE_HZ) as film:
+    with contextlib.closing(Film(path, FILM_RATE_HZ)) as film:
         for time in times.tolist():
             shown[0] = q[min(int(np.searchsorted(run.times, time)), len(q) - 1)]
             film.write(source.read().image, time)

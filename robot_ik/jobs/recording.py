@@ -6,13 +6,14 @@ them.  A file that was cut off is mended by ``mcap recover``.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -52,12 +53,6 @@ class Recording(ABC):
     @abstractmethod
     def close(self) -> None:
         """Finishes the file."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class TableRecording(Recording):
@@ -166,8 +161,9 @@ def _opened(path: Path, mode: str) -> Any:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def open_recording(path: Path, joints: Sequence[str]) -> Recording:
-    """A recording by the ending of its name.
+@contextlib.contextmanager
+def open_recording(path: Path, joints: Sequence[str]) -> Iterator[Recording]:
+    """A recording by the ending of its name, closed with the block.
 
     Raises:
         ConfigError: Another ending.
@@ -177,7 +173,9 @@ def open_recording(path: Path, joints: Sequence[str]) -> Recording:
     if path.suffix not in SUFFIXES:
         problem = f"the format is not clear from the name {path.name!r}"
         raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
-    return (TableRecording if path.suffix == ".csv" else McapRecording)(path, joints)
+    kind = TableRecording if path.suffix == ".csv" else McapRecording
+    with contextlib.closing(kind(path, joints)) as recording:
+        yield recording
 
 
 class RecordingSink:

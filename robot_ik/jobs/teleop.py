@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
@@ -373,7 +373,6 @@ class TeleopReport:
     lag: float = 0.0
     delay: float = 0.0
     end: str = ""
-    delays: list[float] = field(default_factory=list, repr=False)
 
 
 @dataclass(frozen=True)
@@ -416,6 +415,7 @@ def teleoperate(
         follower.enable()
     report, schedule = TeleopReport(), Schedule(clock)
     begin, blend = schedule.origin, None
+    delays: list[float] = []
     while not over() and (seconds is None or clock.now() - begin < seconds):
         now = schedule.wait(report.ticks / rate, 1.0 / rate if report.ticks else 0.0)
         report.ticks += 1
@@ -438,15 +438,15 @@ def teleoperate(
             continue
         commanded = blend(wanted, now)
         follower.send(commanded, now)
-        if len(report.delays) < _DELAYS:
-            report.delays.append(time.perf_counter() - read)
+        if len(delays) < _DELAYS:
+            delays.append(time.perf_counter() - read)
         measured = follower.positions()
         operator.feel(measured)
         if blend.over(now):
             report.lag = max([report.lag, *(abs(measured[n] - commanded[n]) for n in commanded)])
         on_tick(TeleopTick(now - begin, commanded, measured, blend.over(now)))
     report.seconds = clock.now() - begin
-    report.delay = float(np.median(report.delays)) if report.delays else 0.0
+    report.delay = float(np.median(delays)) if delays else 0.0
     report.end = "it was ended" if over() else "the time was over"
     return report
 

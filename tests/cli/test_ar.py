@@ -17,7 +17,7 @@ from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
-from robot_ik.jobs import films as output
+from robot_ik.jobs import films
 from robot_ik.reading import FORMER
 
 
@@ -39,9 +39,9 @@ def test_without_the_extra_video_it_runs_and_says_how_to_get_a_film(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    real = output.importlib.util.find_spec
+    real = films.importlib.util.find_spec
     monkeypatch.setattr(
-        output.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
+        films.importlib.util, "find_spec", lambda name, *more: None if name == "av" else real(name, *more)
     )
     assert main(["ar", "--seconds", "0.05", "--size", "640", "480"]) == 0
     assert 'pip install "robot_ik[video]"' in capsys.readouterr().err

@@ -51,7 +51,7 @@ def test_an_mcap_file_is_read_back_by_its_own_reader(tmp_path: Path) -> None:
 
 def test_another_ending_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"format is not clear from the name 'a\.txt'; allowed: \.csv"):
-        open_recording(tmp_path / "a.txt", JOINTS)
+        open_recording(tmp_path / "a.txt", JOINTS).__enter__()
 
 
 def rows_of(file: Path) -> list[dict[str, str]]:

@@ -16,7 +16,7 @@ from robot_ik.goals import PositionGoal
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.robot_setup import robot_named_in
-from robot_ik.jobs.script import ScriptRequest, ScriptRun, find_script, load_script, shipped
+from robot_ik.jobs.script import ScriptRequest, ScriptRun, load_script, shipped
 from robot_ik.jobs.script.run import resolved
 from robot_ik.motion.trajectory import RecorderSink, Trajectory
 from robot_ik.ports import Array, Clock, JointSource
@@ -61,7 +61,7 @@ def robot_of(text: str) -> str:
         ConfigError: The script or the arm file is wrong.
     """
     if is_script(text):
-        script = load_script(find_script(text))
+        script = load_script(text)
         return resolved(script, script.content.robot)
     path = Path(text.partition("@")[0])
     if path.suffix != ".toml":
@@ -79,13 +79,13 @@ def play_script(text: str, robot: Robot) -> tuple[Trajectory, str]:
         ConfigError: The script is of another robot, or it is wrong.
         RobotIkError: Of the simulated arm.
     """
-    file = find_script(text)
-    run = ScriptRun(load_script(file), ScriptRequest())
+    script = load_script(text)
+    run = ScriptRun(script, ScriptRequest())
     setup, report = run.setup, run.report
     if report.robot != robot.name:
         raise ConfigError(
             f"is a script of {report.robot}, and {robot.name} is drawn",
-            file=file, key="robot", allowed=f"--robot {report.robot}",
+            file=script.file, key="robot", allowed=f"--robot {report.robot}",
         )  # fmt: skip
     recorder = RecorderSink(setup.robot.joints)
     recorder.send(setup.true_q(), setup.clock.now())  # of a script that waits nowhere, this is all

@@ -3,7 +3,7 @@
 ``load_script`` reads one, ``ScriptRun`` runs it; ``shipped`` names those that come along.
 """
 
-from robot_ik.jobs.script.file import find_script, load_script, parse_script, shipped
+from robot_ik.jobs.script.file import load_script, parse_script, shipped
 from robot_ik.jobs.script.report import ScriptReport, StepResult, json_report
 from robot_ik.jobs.script.run import ScriptRequest, ScriptRun, run_script
 from robot_ik.jobs.script.state import Script
@@ -14,7 +14,6 @@ __all__ = [
     "ScriptRequest",
     "ScriptRun",
     "StepResult",
-    "find_script",
     "json_report",
     "load_script",
     "parse_script",

@@ -74,12 +74,7 @@ def shipped() -> dict[str, Path]:
     return {file.stem: file for file in sorted(folder.glob("*.toml"))}
 
 
-def find_script(name: str) -> Path:
-    """The file of that path, or the script of that name that comes along.
-
-    Raises:
-        ConfigError: Neither.
-    """
+def _found(name: str) -> Path:
     path = Path(name).expanduser()
     known = shipped()
     if path.is_file() or path.suffix or path.name != name:
@@ -91,12 +86,12 @@ def find_script(name: str) -> Path:
 
 
 def load_script(path: Path | str) -> Script:
-    """Reads a script.
+    """Reads a script: the file of that path, or the one of that name that comes along.
 
     Raises:
         ConfigError: It cannot be read, is not TOML, or a key is unknown, missing or out of range.
     """
-    path = Path(path)
+    path = _found(str(path))
     hint = f"scripts that come along: {', '.join(shipped())}"
     return parse_script(read_text(path, "the script", hint), path)
 

@@ -15,7 +15,8 @@ from robot_ik.camera.registration import LatencyOptions, Registrar, Shown
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
-from robot_ik.jobs.ar import job, output
+from robot_ik.jobs import films
+from robot_ik.jobs.ar import job
 from robot_ik.jobs.ar.job import ArRequest, run_ar
 from robot_ik.jobs.ar.motion import make_motion, play_script, robot_of
 from robot_ik.jobs.ar.scene import lens, synthetic_scene
@@ -106,7 +107,7 @@ def test_a_run_that_fails_leaves_the_older_film(request_for: ArRequest, tmp_path
 def test_without_the_extra_a_film_says_how_to_get_it(
     request_for: ArRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(output.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(films.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match="'av'"):  # before anything is loaded
         run_ar(replace(request_for, out=tmp_path / "a.mp4", robot="nowhere.xml"))
     (tmp_path / "file").write_text("")

@@ -17,7 +17,6 @@ from robot_ik.errors import ConfigError
 from robot_ik.jobs.script import (
     ScriptRequest,
     ScriptRun,
-    find_script,
     load_script,
     parse_script,
     shipped,
@@ -100,8 +99,8 @@ def test_no_toml_and_no_file_are_reported(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be read"):
         load_script(tmp_path / "missing.toml")
     with pytest.raises(ConfigError, match="did you mean overload"):
-        find_script("overlaod")
-    assert find_script("overload") == shipped()["overload"]
+        load_script("overlaod")
+    assert load_script("overload") == load_script(shipped()["overload"])
 
 
 @pytest.mark.parametrize(
