@@ -150,7 +150,7 @@ class Vision:
         self._source = WithoutTruth(self.source)
         sides = {id: side for id, (side, _) in self.scene.cube.items()}
         self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
-        self._goals = self.goal_source(self._source)
+        self._goals = _ArmGoals(self, self._source)
         self._followed: SeenTarget | None = None
         self._moving: SyntheticSource | None = None
 
@@ -180,9 +180,8 @@ class Vision:
                 goal = self._goals.poll(self.setup.clock.now())
             except FrameTimeoutError:
                 break
-            last = self._goals.last
-            if isinstance(goal, PoseGoal | PositionGoal) and isinstance(last, MarkerObservation):
-                return self.seen(goal, last, self._source.truth)
+            if isinstance(goal, PoseGoal | PositionGoal) and self._goals.seen is not None:
+                return self._goals.seen
             if self._source.exhausted:
                 break
             tries -= 1
@@ -233,7 +232,7 @@ class Vision:
             self.path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
             self._moving.scene = shown.with_marker(self.scene.marker_id, pose=self.path)
             source = WithoutTruth(self._moving)
-        goals = self.goal_source(source, follow=True)
+        goals = _ArmGoals(self, source, follow=True)
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.made.summary(), goals.used.summary()
@@ -242,32 +241,6 @@ class Vision:
         elif self.path is not None:
             pose = self.path(clock.now())
             self.synthetic.scene = self.synthetic.scene.with_marker(self.scene.marker_id, pose=pose)
-
-    def goal_source(self, source: WithoutTruth, *, follow: bool = False) -> _ArmGoals:
-        """Goals from the target marker; each picture of ``source`` for itself, unless to ``follow``."""
-        scene = self.scene
-        sizes = {scene.marker_id: scene.marker_size}
-        goals = _ArmGoals(
-            source,
-            MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
-            scene.pose_world_camera,
-            scene.marker_id,
-            scene.pose_marker_tool,
-            self.setup.frame,
-            motion=FilterOptions() if follow else None,
-            predict=follow and self.live,
-            lead=self.lead if follow else 0.0,
-            when_lost=self.when_lost if follow else WhenLost(),
-            clock=self.setup.clock,
-        )
-        goals.vision = self if follow else None
-        return goals
-
-    def seen(self, goal: PoseGoal | PositionGoal, observation: MarkerObservation, truth: Any) -> SeenTarget:
-        """What an observation means for this arm."""
-        true_pose = (truth or {}).get("pose_world_marker", {}).get(self.scene.marker_id)
-        pose = self.scene.pose_world_camera.compose(observation.pose)
-        return SeenTarget(self.for_arm(goal), observation, pose, true_pose)
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
@@ -295,19 +268,40 @@ class Vision:
 
 
 class _ArmGoals(MarkerGoalSource):
-    """Goals as the arm of a ``vision`` can have them; remembers what was seen last."""
+    """Goals as the arm of a ``vision`` can have them; ``seen`` is the last sighting that gave one.
 
-    vision: Vision | None = None
-    seen: SeenTarget | None = None
+    Each picture for itself, unless to ``follow``.
+    """
+
+    def __init__(self, vision: Vision, pictures: WithoutTruth, *, follow: bool = False) -> None:
+        scene = vision.scene
+        sizes = {scene.marker_id: scene.marker_size}
+        super().__init__(
+            pictures,
+            MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
+            scene.pose_world_camera,
+            scene.marker_id,
+            scene.pose_marker_tool,
+            vision.setup.frame,
+            motion=FilterOptions() if follow else None,
+            predict=follow and vision.live,
+            lead=vision.lead if follow else 0.0,
+            when_lost=vision.when_lost if follow else WhenLost(),
+            clock=vision.setup.clock,
+        )
+        self._vision, self._pictures = vision, pictures
+        self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
         super().observe(now, wait=wait)
-        if self.vision is not None and self.measured is not None and isinstance(self.last, MarkerObservation):
-            self.seen = self.vision.seen(self.measured, self.last, getattr(self.source, "truth", None))
+        goal, last, scene = self.measured, self.last, self._vision.scene
+        if goal is not None and isinstance(last, MarkerObservation):
+            true_poses = (self._pictures.truth or {}).get("pose_world_marker", {})
+            pose = scene.pose_world_camera.compose(last.pose)
+            self.seen = SeenTarget(self._vision.for_arm(goal), last, pose, true_poses.get(scene.marker_id))
 
     def goal_at(self, now: float) -> Any:
-        goal = super().goal_at(now)
-        return goal if self.vision is None else self.vision.for_arm(goal)
+        return self._vision.for_arm(super().goal_at(now))
 
 
 # ------------------------------------------------------------------------------------------
