@@ -140,12 +140,11 @@ def run_ar(
         sink = stack.enter_context(open_sink(request.out, _RATE_HZ, overwrite=request.overwrite))
         robot = robot or load_robot(request.robot)
         compiling = stack.enter_context(Precompilation.overlay())
-        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
+        figure = _figure(request, robot)
         motion = _motion(request, robot, figure, mover, stack)
-        opened = _open(request, motion, stack)
+        opened = _open(request, figure, motion, stack)
         if opened.pose_board_camera is not None and not request.scale:  # all of it stays in the picture
-            scale = _scale_in_view(request, robot, motion, opened, opened.pose_board_camera)
-            figure = _figure(request, robot, scale)
+            figure = _in_view(figure, request, robot, motion, opened, opened.pose_board_camera)
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
@@ -248,8 +247,8 @@ def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, 
     """
     request = replace(request, motion="follow")
     with contextlib.ExitStack() as stack:
-        figure = _figure(request, robot, request.scale or _usual_scale(request, robot))
-        opened = _open(request, standing(robot), stack)
+        figure = _figure(request, robot)
+        opened = _open(request, figure, standing(robot), stack)
         watcher, begin = _watcher(request, opened.intrinsics), None
         for frame in opened.frames:
             begin = frame.time if begin is None else begin
@@ -257,58 +256,59 @@ def marker_positions(request: ArRequest, robot: Robot) -> Iterator[tuple[float, 
             yield frame.time - begin, None if seen is None else marker_from_base(seen, figure)
 
 
-def _usual_scale(request: ArRequest, robot: Robot) -> float:
-    low, high = heights(robot)
-    return _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+def _in_view(
+    usual: DrawnRobot,
+    request: ArRequest,
+    robot: Robot,
+    motion: DrawnMotion,
+    opened: _Opened,
+    camera_at: Callable[[float], Pose],
+) -> DrawnRobot:
+    """The usual drawing, or the largest in which the whole robot is in all pictures of the scene.
 
-
-def _scale_in_view(
-    request: ArRequest, robot: Robot, motion: DrawnMotion, opened: _Opened, camera_at: Callable[[float], Pose]
-) -> float:
-    """The usual scale, or the largest at which the whole robot is in all pictures of the scene.
-
-    A robot that is nowhere near the middle of the picture (``base``) keeps the usual one.
+    A robot that is nowhere near the middle of the picture (``base``) keeps the usual scale.
     """
-    usual, size = _usual_scale(request, robot), np.array(opened.intrinsics.size)
+    size = np.array(opened.intrinsics.size)
     # A few moments tell as much as all of them: robot and board go on slowly.
     times = np.linspace(0.0, opened.total / _RATE_HZ, min(_MOMENTS, opened.total)).tolist()
     moments = [
         (surface_points(robot.model, robot.qpos(motion.q(time, None))), camera_at(time)) for time in times
     ]
 
-    def fits(scale: float) -> bool:
-        figure = _figure(request, robot, scale)
+    def scaled(scale: float) -> DrawnRobot:
+        return replace(usual, pose_board_base=_base(request, robot, scale), scale=scale)
+
+    def fits(figure: DrawnRobot) -> bool:
         for points, camera in moments:
             pixels, _, within = project(figure.camera(camera).inverse().apply(points), opened.intrinsics)
             if not (within.all() and (np.abs(pixels - 0.5 * size) < (0.5 - _MARGIN) * size).all()):
                 return False
         return True
 
-    if fits(usual):
-        return usual
-    least, most = _LEAST_SHARE * usual, usual
-    if not fits(least):
+    least, most = _LEAST_SHARE * usual.scale, usual.scale
+    if fits(usual) or not fits(scaled(least)):
         return usual
     while most > 1.02 * least:
         middle = float(np.sqrt(least * most))
-        least, most = (middle, most) if fits(middle) else (least, middle)
-    return least
+        least, most = (middle, most) if fits(scaled(middle)) else (least, middle)
+    return scaled(least)
 
 
-def _figure(request: ArRequest, robot: Robot, scale: float) -> DrawnRobot:
-    x, y, z, yaw = request.base
-    low, _ = heights(robot)
-    # its lowest point stands on the board
-    base = Pose((x, y, z - scale * low), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
+def _figure(request: ArRequest, robot: Robot) -> DrawnRobot:
+    """The robot as asked for, or at its usual scale."""
+    low, high = heights(robot)
+    usual = _TABLE_SIZE / max(high - low, 1e-6) if request.camera == "synthetic" else 1.0
+    scale = request.scale or usual
+    geoms = _named_geoms(robot, request.occluder_geoms)
     occluders = None if request.occluders is None else load_occluders(request.occluders)
-    return DrawnRobot(
-        robot.model,
-        base,
-        scale,
-        occluders,
-        _named_geoms(robot, request.occluder_geoms),
-        shadow=request.shadow,
-    )
+    base = _base(request, robot, scale)
+    return DrawnRobot(robot.model, base, scale, occluders, geoms, shadow=request.shadow)
+
+
+def _base(request: ArRequest, robot: Robot, scale: float) -> Pose:
+    """Where it stands: with its lowest point on the board."""
+    x, y, z, yaw = request.base
+    return Pose((x, y, z - scale * heights(robot)[0]), rotation_exp([0.0, 0.0, np.deg2rad(yaw)]))
 
 
 def heights(robot: Robot) -> tuple[float, float]:
@@ -328,13 +328,14 @@ def _named_geoms(robot: Robot, names: tuple[str, ...]) -> NDArray[np.bool_] | No
     return np.array([name in names for name in known]) if names else None
 
 
-def _open(request: ArRequest, motion: DrawnMotion, stack: contextlib.ExitStack) -> _Opened:
+def _open(
+    request: ArRequest, figure: DrawnRobot, motion: DrawnMotion, stack: contextlib.ExitStack
+) -> _Opened:
     if request.camera == "synthetic":
         width, height = request.size or (1280, 720)
-        occluders = None if request.occluders is None else load_occluders(request.occluders)
-        still = None if occluders is None else AT_REST
+        still = None if figure.occluders is None else AT_REST
         source, clock = synthetic_scene(
-            width, height, motion=still, occluders=occluders, follow=request.motion == "follow",
+            width, height, motion=still, occluders=figure.occluders, follow=request.motion == "follow",
             seed=request.seed,
         )  # fmt: skip
         board, camera = still or BoardMotion(), source.scene.pose_world_camera

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -91,7 +92,7 @@ def synthetic_scene(
     occluders: mujoco.MjModel | None = None,
     follow: bool = False,
     seed: int = 0,
-    quality: str = "fast",
+    quality: Literal["full", "fast"] = "fast",
     eye: tuple[float, float, float] = _EYE,
     target: tuple[float, float, float] = _TARGET,
 ) -> tuple[SyntheticSource, VirtualClock]:
@@ -122,7 +123,4 @@ def synthetic_scene(
         table=SceneTable(0.0, (-0.55, 0.55), (-0.40, 0.45)),
     )
     clock = VirtualClock()
-    source = SyntheticSource(
-        scene, lambda: np.zeros(0), seed=seed, clock=clock, quality="full" if quality == "full" else "fast"
-    )
-    return source, clock
+    return SyntheticSource(scene, lambda: np.zeros(0), seed=seed, clock=clock, quality=quality), clock

@@ -312,7 +312,7 @@ def test_a_script_is_played_as_its_servos_turned(state: str, notice: str, tmp_pa
         for q in moved.q[moved.times > moved.duration - 0.3]:
             np.testing.assert_allclose(q, end, atol=4e-3)
         # the synthetic film is as long as the script
-        count = job._open(ArRequest(size=(64, 48)), motion, stack).total
+        count = job._open(ArRequest(size=(64, 48)), figure, motion, stack).total
         assert count == round(30 * moved.duration)
         with pytest.raises(ConfigError, match="is a script of tabletop_puma, and puma560 is drawn"):
             make_motion(str(path), load_robot("puma560"), figure, stack)
