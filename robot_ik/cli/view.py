@@ -16,7 +16,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import ArmFile, require, robot_argument, several, single, wrong
-from robot_ik.cli.connection import NONE, bus_argument
+from robot_ik.cli.connection import NONE, bus_argument, resolved_robot
 from robot_ik.environment import probe_display
 from robot_ik.errors import MissingExtraError
 from robot_ik.files import claimed
@@ -133,7 +133,8 @@ def require_methods_fit(methods: tuple[str, ...], count: int) -> None:
 def _view(options: ViewOptions, viewer: str) -> int:
     from robot_ik.testbed.commands import CommandLog, Start, checked_start
 
-    robot = options.robot or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
+    of_arm = resolved_robot(options.arm, options.bus) if options.arm else ""
+    robot = options.robot or of_arm or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
     require_methods_fit(options.method, options.count)
     start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]

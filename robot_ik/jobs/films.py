@@ -1,4 +1,4 @@
-"""Where pictures go, of the augmented reality, the testbed, the figure and a reach: film, picture or folder.
+"""Where the pictures of jobs go: a film, one picture, or a folder of pictures.
 
 They appear when complete; a run that is interrupted leaves what it has, playable.
 """

@@ -164,6 +164,14 @@ def test_view_opens_the_page_writes_its_log_and_ends(
     assert main([*arguments.split(), str(log), "--overwrite"]) == 0
 
 
+def test_view_shows_the_robot_of_the_arm_that_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("viser", reason="needs the extra web")
+    log = tmp_path / "log.jsonl"
+    words = "view --bus sim --arm puma560 --no-open --no-camera --port 8725 --viewer browser --seconds 0.2"
+    assert main([*words.split(), "--log", str(log)]) == 0
+    assert CommandLog.load(log).start.robot == "puma560"
+
+
 def test_a_film_of_the_recorder_is_overwritten_only_when_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
