@@ -25,7 +25,6 @@ from hypothesis import strategies as st
 
 import robot_ik
 from robot_ik import load_robot, reading, tables
-from robot_ik.bench.methods.results import Machine, Results, Settings, read_results, results_text
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.bodies import load_bodies
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
@@ -113,14 +112,6 @@ def _verify() -> VerifySamples:
     known = KnownPose.within(Pose(), 1e-3, 1e-3)
     rows = tuple(servo_values(joint) for joint in ARM.joints)
     return VerifySamples(_samples(), known, known, False, np.zeros(ROBOT.nv), rows)
-
-
-def _results() -> Results:
-    machine = Machine(
-        system="s", processor="p", cores=2, python="3", versions={}, calibration_us=1.0, load=0.1, when="now"
-    )
-    asked = Settings(command="c", count=1, seed=0, position_tolerance=1e-4, angle_tolerance=1e-3, seconds=1.0)
-    return Results(machine=machine, settings=asked, cells=[])
 
 
 def _motion() -> Trajectory:
@@ -231,7 +222,6 @@ ROWS = {
     "command log": Row(
         CommandLog.load, "log.jsonl", lambda _: CommandLog(Start("puma560"), ((3, Reset()),)).text()
     ),
-    "results": Row(read_results, "bench.json", lambda _: results_text(_results())),
 }
 
 

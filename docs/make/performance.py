@@ -38,7 +38,7 @@ PICTURES = {
 
 def collect(results: Path) -> dict[str, Any]:
     """What the page needs of a folder of results; also puts the pictures into docs/images."""
-    from robot_ik.bench.methods.results import Cell, read_results
+    from robot_ik.bench.methods.results import Cell, Results
 
     def summary(cell: Cell) -> dict[str, Any]:
         times = {str(k): round(cell.microsecond(k), 2) for k in ("median", "mean")} if cell.count else {}
@@ -54,7 +54,9 @@ def collect(results: Path) -> dict[str, Any]:
         data |= {"comparison": comparison, "peers": collect_peers(found)}
         data["four_goals"] = collect_four_goals(found)
     runs = {
-        name: read_results(results / name / "bench.json") for name in BENCHES if (results / name).is_dir()
+        name: Results.model_validate_json((results / name / "bench.json").read_bytes())
+        for name in BENCHES
+        if (results / name).is_dir()
     }
     if "methods" in runs:
         data["machine"] = runs["methods"].machine.model_dump()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_ik.bench.methods.results import Results, read_results
+from robot_ik.bench.methods.results import Results
 from robot_ik.cli.main import main
 
 
@@ -22,4 +22,4 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def results(folder: Path) -> Results:
     """What it found."""
-    return read_results(folder / "bench.json")
+    return Results.model_validate_json((folder / "bench.json").read_bytes())

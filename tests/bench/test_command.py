@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from robot_ik.bench.methods import growth
-from robot_ik.bench.methods.results import read_results
+from robot_ik.bench.methods.results import Results
 from robot_ik.cli.main import main
 
 
@@ -61,7 +61,7 @@ def test_kernels_and_batches(
     )
     assert main([*arguments.split(), str(tmp_path)]) == 0
     reported = capsys.readouterr()
-    results = read_results(tmp_path / "bench.json")
+    results = Results.model_validate_json((tmp_path / "bench.json").read_bytes())
     assert not results.cells and [one.joints for one in results.lower_bounds] == [7, 6]
     points = {(point.solver, point.across, point.size): point for point in results.growth}
     lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
@@ -102,7 +102,7 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, real_time: None) -> None:
     out, err = child.communicate()
     assert child.returncode == 130, err
     assert "interrupted" in err and "partial results" in err and "Traceback" not in err
-    results = read_results(tmp_path / "bench.json")
+    results = Results.model_validate_json((tmp_path / "bench.json").read_bytes())
     assert not results.complete
     assert results.cells[0].count > 0 and sum(cell.count for cell in results.cells) < 4000
     for cell in results.cells:

@@ -1,4 +1,4 @@
-"""What a benchmark found, as data: one JSON file, read back without loss."""
+"""What a benchmark found, as data: one JSON file; ``Results.model_validate_json`` reads it back."""
 
 from __future__ import annotations
 
@@ -13,20 +13,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from robot_ik.batch import usable_cores
 from robot_ik.bench.peers.worker import calibration
 from robot_ik.jobs.results import png_of, require_plots
-from robot_ik.reading import read_json
-from robot_ik.table_errors import config_error
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
-_MADE_BY = "robot-ik bench makes such files (version 1)"
 
 #: A larger step of a joint between two warm solutions is a jump to another branch, rad.
 JUMP = 0.2
@@ -171,20 +167,6 @@ class Results(_Data):
     lower_bounds: list[LowerBound] = []
     growth: list[Growth] = []
     batches: list[Batch] = []
-
-
-def read_results(path: Path) -> Results:
-    """Results of a file that ``robot-ik bench`` wrote.
-
-    Raises:
-        ConfigError: It cannot be read, or is not such a file.
-    """
-    try:
-        return Results.model_validate(read_json(path, "the results", _MADE_BY))
-    except ValidationError as error:
-        found = config_error(error, path)
-        found.hint = _MADE_BY
-        raise found from error
 
 
 def results_text(results: Results) -> str:

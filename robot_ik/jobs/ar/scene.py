@@ -24,6 +24,8 @@ FOLLOWED = (9, 0.05)
 _DICTIONARY = "DICT_5X5_50"
 # An id that is not searched for.
 _SHEET = 49
+# Of the board's motion, seconds.
+_PERIOD = 5.0
 _EYE, _TARGET = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
 
 
@@ -46,18 +48,16 @@ class TableObjects:
 class BoardMotion:
     """How the board is moved about: sines with an amplitude each.
 
-    Metres to the side and away, radians about the vertical, a ``period`` in seconds, about a ``middle`` on
-    the table, metres.
+    Metres to the side and away, radians about the vertical, about a ``middle`` on the table, metres.
     """
 
     slide: tuple[float, float] = (0.05, 0.03)
     yaw: float = 0.35
-    period: float = 5.0
     middle: tuple[float, float] = (0.0, 0.04)
 
     def pose(self, t: float) -> Pose:
         """``pose_world_board`` at time t, on the table's top."""
-        a = 2.0 * np.pi * t / self.period
+        a = 2.0 * np.pi * t / _PERIOD
         x, y = self.middle
         position = (x + self.slide[0] * np.sin(a), y + self.slide[1] * np.sin(2.0 * a), 0.0005)
         return Pose(position, rotation_exp([0.0, 0.0, self.yaw * np.sin(a)]))
