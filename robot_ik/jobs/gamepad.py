@@ -99,16 +99,12 @@ class Gamepad(Jog):
         if not self.hand:
             for number, share in enumerate(axes.tolist()):
                 if number not in self._grippers:
-                    self._move_joint(number, share)
+                    self.move_joint(number, share * _ANGULAR_SPEED, share * _SPEED)
         elif axes.any():
             self.move_hand(_SPEED * axes[:3], _ANGULAR_SPEED * axes[3:])
+        grip = passed * (("up" in state.pressed) - ("down" in state.pressed))
         for number in self._grippers[:1]:
-            self._move_joint(number, passed * (("up" in state.pressed) - ("down" in state.pressed)))
-
-    def _move_joint(self, number: int, share: float) -> None:
-        if share and number < len(self.joints):
-            joint = self.joints[number]
-            self.move_joint(number, share * (_ANGULAR_SPEED if joint.unit == "deg" else _SPEED))
+            self.move_joint(number, grip * _ANGULAR_SPEED, grip * _SPEED)
 
     def recover(self, timeout: float) -> None:
         self._wait(timeout)

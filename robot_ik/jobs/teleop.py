@@ -264,11 +264,13 @@ class Jog:
         self.hand = not self.hand
         self._hand.engage(self.angles)
 
-    def move_joint(self, number: int, step: float) -> None:
-        """One joint by ``step``, rad or m; does nothing where there is none of that number."""
-        if number < len(self.joints):
-            joint = self.joints[number]
-            low, high = joint.limits
+    def move_joint(self, number: int, rotation: float, slide: float) -> None:
+        """One joint by ``rotation``, rad, or ``slide``, m; nothing where there is none of that number."""
+        if number >= len(self.joints):
+            return
+        joint = self.joints[number]
+        step, (low, high) = slide if joint.slides else rotation, joint.limits
+        if step:
             self.angles[joint.name] = min(max(self.angles[joint.name] + step, low), high)
 
     def move_hand(self, along: Array, about: Array) -> None:
@@ -318,10 +320,10 @@ class KeyboardJog(Jog):
         elif key in (FINER, COARSER):
             self._size = float(np.clip(self._size * (2.0 if key == COARSER else 0.5), _FINEST, _COARSEST))
         elif not self.hand:
-            for number, (joint, pair) in enumerate(zip(self.joints, JOINT_KEYS, strict=False)):
+            for number, pair in enumerate(JOINT_KEYS):
                 if key in pair:
-                    step = self._size * (_ROTATION if joint.unit == "deg" else _STEP)
-                    self.move_joint(number, step if key == pair[0] else -step)
+                    size = self._size if key == pair[0] else -self._size
+                    self.move_joint(number, size * _ROTATION, size * _STEP)
         elif key in HAND_KEYS:
             axis, sign = HAND_KEYS[key]
             motion = np.zeros(6)
