@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from robot_ik.errors import ConfigError, ModelError, UnknownJointError, UnsupportedJointError
+from robot_ik.hardware import bus_row, open_arm
 from robot_ik.jobs.recording import Recording, RecordingSink
 from robot_ik.kernels.tree import HINGE, SLIDE
 from robot_ik.ports import Array, Clock, JointSink, RealClock, VirtualClock
@@ -227,24 +228,25 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
     robot, rehearsal = load_robot(request.robot), request.rehearsal
     frame = robot.frame(request.frame).name
     without_bus = request.bus == "none"
+    virtual = not without_bus and bus_row(request.bus).virtual
+    if not virtual and (rehearsal.zero_offset_deg or rehearsal.stuck):
+        raise ConfigError(
+            "servo faults can be rehearsed on simulated servos only",
+            file="command line", key="--rehearse", allowed="--bus pty or --bus sim",
+        )  # fmt: skip
     clock: Clock = RealClock() if request.view else VirtualClock()
-    if without_bus:
-        _refuse_servo_faults(rehearsal)
-        if request.arm_file is None:
-            robot = _only_what_moves(robot, request.robot, frame)
-            return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
+    if without_bus and request.arm_file is None:
+        robot = _only_what_moves(robot, request.robot, frame)
+        return RobotSetup(robot, frame, _joint_limits(robot, robot, None), None, None, clock)
     robot, config = _arm_of(robot, request.robot, frame, request.arm_file)
     limited = robot.with_limits(config.lower, config.upper)
     limits = _joint_limits(robot, limited, config)
     if without_bus:
         return RobotSetup(limited, frame, limits, None, None, clock)
-    from robot_ik.hardware import bus_row, open_arm
     from robot_ik.hardware.calibration import check_model
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
-    virtual = bus_row(request.bus).virtual
     if not virtual:
-        _refuse_servo_faults(rehearsal)
         check_model(config, {limit.joint: limit.model for limit in limits})
     arm = open_arm(config, request.bus, start=limited.home if virtual else None)
     if arm.virtual_bus is not None:
@@ -268,14 +270,6 @@ def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> lis
         )
         for joint, kind, k in zip(robot.joints, robot.tree.kind, robot.tree.vadr, strict=True)
     ]  # fmt: skip
-
-
-def _refuse_servo_faults(rehearsal: Rehearsal) -> None:
-    if rehearsal.zero_offset_deg or rehearsal.stuck:
-        raise ConfigError(
-            "servo faults can be rehearsed on simulated servos only",
-            file="command line", key="--rehearse", allowed="--bus pty or --bus sim",
-        )  # fmt: skip
 
 
 def joints_that_move(robot: Robot, frame: str) -> tuple[str, ...]:
