@@ -23,7 +23,6 @@ from robot_ik.jobs.results import require_plots, results_folder, save_json
 if TYPE_CHECKING:
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
-    from robot_ik.bench.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 
@@ -250,13 +249,12 @@ def run_figure(options: BenchFigureOptions) -> int:
         ]  # fmt: skip
         console.print_json({"schema": 1, "rows": facts})
     else:
-        cells = [(motion, *_quantity_cells(one)) for motion, one in rows]
+        cells = [
+            (motion, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed))
+            for motion, one in rows
+        ]
         console.show(console.table("motion", "what", "measured", "wanted", "", rows=cells))
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
-
-
-def _quantity_cells(row: Quantity) -> tuple[object, ...]:
-    return row.quantity, row.measured_text, row.wanted_text, console.verdict_mark(row.passed)
 
 
 # ------------------------------------------------------------------------------------------
