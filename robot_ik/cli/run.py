@@ -101,7 +101,8 @@ def _quiet(bus: str) -> Iterator[None]:
 
 
 def _report(report: ScriptReport, options: RunOptions) -> None:
-    from robot_ik.files import plain, write_atomically
+    from robot_ik.files import write_atomically
+    from robot_ik.jobs.results import save_json
     from robot_ik.jobs.script import json_report
     from robot_ik.jobs.script.report import junit_report
 
@@ -111,7 +112,7 @@ def _report(report: ScriptReport, options: RunOptions) -> None:
         console.print_json(json_report(report))
         return
     if options.json is not None:
-        write_atomically(options.json, console.json_text(plain(json_report(report))) + "\n")
+        save_json(options.json, json_report(report))
     rows = [
         (
             number, step.name, Text(step.outcome, style=_STYLE[step.outcome]),
