@@ -94,6 +94,8 @@ def run(options: ViewOptions) -> int:
         alone = f"{given} is for servos, and no bus is named"
         require(options.bus != NONE or not given, option, alone, "with --bus sim, pty or PORT")
     viewer = choose_viewer(options.viewer)
+    moved = viewer != "recorder" or options.bus == NONE
+    require(moved, "--bus", "the recorder moves no servos", "with --viewer browser or window")
     with claimed(options.log, overwrite=options.overwrite):
         return _view(options, viewer)
 
