@@ -89,11 +89,10 @@ class _Soles:
 
 def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
     """Lowest points, and (n, nbody, 3) positions and (n, nbody, 3, 3) rotations of all bodies."""
-    model, data = figure.model, figure.data
+    model = figure.model
     position, matrix = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
     for i, row in enumerate(q):
-        data.qpos[:] = row
-        mujoco.mj_kinematics(model, data)
+        data = figure.at(row)
         position[i], matrix[i] = data.xpos, data.xmat.reshape(-1, 3, 3)
     heights, points, bodies, ends = [], [], [], []
     for name in SIDES:
@@ -500,8 +499,7 @@ def by_figure(figure: Figure, goals: FrameGoals) -> PeerFrames:
     rows.orientation(figure.pelvis, goals.pelvis[1], 60.0)
     rows.orientation(figure.trunk, goals.chest, 60.0)
     rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
-    assert figure.gaze is not None
-    rows.aim(figure.gaze, goals.gaze_target, 5.0, figure.neck or None)
+    rows.aim(goals.gaze_target, 5.0)
     stiffness = figure.stiffnesses({"*": 0.02, "*toe*": 1e3})
 
     def solve() -> Frames:

@@ -188,9 +188,9 @@ class Abilities:
 
 def shoulder_of(figure: Figure, arm: str, q: Array | None = None) -> Array:
     """(3,) the point about which an arm rotates, at home or at ``q``: the third from the hand."""
-    figure.center(figure.home if q is None else q)
+    data = figure.at(figure.home if q is None else q)
     hand, trunk = (figure.robot.frame(frame).body for frame in (figure.hands[arm], figure.trunk))
-    anchors = rotation_points(figure.model, figure.data, hand, trunk)
+    anchors = rotation_points(figure.model, data, hand, trunk)
     return anchors[min(2, len(anchors) - 1)]  # wrist, elbow, shoulder
 
 
@@ -396,9 +396,7 @@ def _is_mirrored(figure: Figure) -> bool:
     """Whether left is the mirror image of right: the model, by its masses, joints and frames at home."""
     if set(figure.hands) != {"left", "right"}:
         return False
-    model, data = figure.model, figure.data
-    data.qpos[:] = figure.home
-    mujoco.mj_forward(model, data)
+    model, data = figure.model, figure.at(figure.home)
     names = [model.body(b).name for b in range(1, model.nbody)]
     flip = np.array([1.0, -1.0, 1.0])
     for name in names:

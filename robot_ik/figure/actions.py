@@ -16,7 +16,7 @@ from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame
 from robot_ik.figure.footprints import Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
-from robot_ik.figure.poses import REACH, STIFF, find_pose, pinned, support, touches_itself
+from robot_ik.figure.poses import REACH, STIFF, find_pose, support, touches_itself
 from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
@@ -97,7 +97,7 @@ def _gaze(figure: Figure, rows: FrameRows, q: Array, ball: Array, t: Array, with
     shares = (np.sin((1 - s) * angle), np.sin(s * angle)) if bent else (1 - s, s)
     arc = shares[0] * forward + shares[1] * to
     arc = arc / np.maximum(np.linalg.norm(arc, axis=1, keepdims=True), 1e-6)
-    rows.aim(figure.gaze, (eyes + distance * arc) * (1 - s) + ball * s, 8.0, figure.neck or None)
+    rows.aim((eyes + distance * arc) * (1 - s) + ball * s, 8.0)
 
 
 def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
@@ -199,7 +199,7 @@ class _Way:
         omega2 = np.full(len(t), GRAVITY / figure.center_at_home[2])
         for left in reversed(range(_ROUNDS)):
             rows = FrameRows(figure, len(t))
-            pinned(figure, start, rows)
+            rows.feet(figure.feet_at(start))
             rows.center(center, axes="xy")
             rows.orientation(figure.trunk, _interpolated_rotation(*trunk, s), self.upright)
             self.add(rows, t, duration)

@@ -335,9 +335,7 @@ def inside_body(figure: Figure, local: Array) -> str:
 @once_each
 def _trunk_shapes(figure: Figure) -> tuple[NDArray[np.int64], Array, Array]:
     """Colliding geoms that belong to no arm, and their (g, 3) positions and (g, 3, 3) rotations at home."""
-    model, data, frame = figure.model, figure.data, figure.robot.frame
-    data.qpos[:] = figure.home
-    mujoco.mj_kinematics(model, data)
+    model, data, frame = figure.model, figure.at(figure.home), figure.robot.frame
     trunk = frame(figure.trunk).body
     arms = [body for hand in figure.hands.values() for body in chain(model, frame(hand).body, trunk)]
     geoms = np.flatnonzero((model.geom_contype != 0) & ~np.isin(model.geom_bodyid, arms))

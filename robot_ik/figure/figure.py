@@ -188,6 +188,12 @@ class Figure:
         """(nv,) posture weights by patterns of joint names; a later pattern wins; the base has none."""
         return _stiffnesses(self, tuple(rows.items()))
 
+    def at(self, q: Array) -> mujoco.MjData:
+        """MuJoCo's data with all bodies where they are at ``q`` (nq,); good until the next call."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        return self.data
+
     def pose(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(3,) position and (3, 3) rotation of a frame, by MuJoCo."""
         positions, matrices = self.poses(q[None], frame)
@@ -195,19 +201,22 @@ class Figure:
 
     def poses(self, q: Array, frame: str) -> tuple[Array, Array]:
         """(n, 3) positions and (n, 3, 3) rotations of a frame in frames (n, nq)."""
-        at, data = self.robot.frame(frame), self.data
+        at = self.robot.frame(frame)
         position, matrix = np.empty((len(q), 3)), np.empty((len(q), 9))
         for i, row in enumerate(q):
-            data.qpos[:] = row
-            mujoco.mj_kinematics(self.model, data)
+            data = self.at(row)
             position[i], matrix[i] = data.xpos[at.body], data.xmat[at.body]
         matrices = matrix.reshape(-1, 3, 3)
         return position + matrices @ at.local.position, matrices @ at.local.rotation
 
+    def feet_at(self, q: Array) -> dict[str, tuple[Array, Array]]:
+        """(3,) position and (3, 3) rotation of the feet at ``q`` (nq,), by side."""
+        return {side: self.pose(q, foot.frame) for side, foot in self.feet.items()}
+
     @cached_property
     def feet_at_home(self) -> dict[str, tuple[Array, Array]]:
-        """Place and rotation of the feet at home."""
-        return {side: self.pose(self.home, foot.frame) for side, foot in self.feet.items()}
+        """As ``feet_at``."""
+        return self.feet_at(self.home)
 
     @cached_property
     def hands_at_home(self) -> dict[str, Array]:
@@ -221,9 +230,7 @@ class Figure:
 
     def center(self, q: Array) -> Array:
         """(3,) centre of mass, by MuJoCo."""
-        self.data.qpos[:] = q
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.at(q))
         return np.array(self.data.subtree_com[0])
 
     def placed(self, q: Array, x: float, y: float, heading: float) -> Array:
@@ -234,7 +241,7 @@ class Figure:
 
     def stance(self, q: Array) -> Array:
         """(3,) x, y and heading of the middle between the feet."""
-        poses = [self.pose(q, foot.frame) for foot in self.feet.values()]
+        poses = list(self.feet_at(q).values())
         middle = (poses[0][0] + poses[1][0]) / 2
         forward = poses[0][1][:, 0] + poses[1][1][:, 0]
         return np.array([middle[0], middle[1], np.arctan2(forward[1], forward[0])])

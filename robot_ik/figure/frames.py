@@ -49,11 +49,11 @@ class FrameRows:
 
     def _add(
         self, kind: int, frame: str | None, target: Array, weight: ArrayLike, axes: str = "xyz",
-        joints: tuple[str, ...] | None = None,
+        joints: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         node, local = self.figure.robot.attachment(frame) if frame else (-1, np.zeros(12))
         share = np.ones(self.figure.robot.nv)
-        if joints is not None:
+        if joints:
             share[:] = 0.0
             share[[self.figure.addresses(joint)[1] for joint in joints]] = 1.0
         row = np.zeros((self.frames, 12))
@@ -74,14 +74,10 @@ class FrameRows:
         """The centre of mass at (3,) or (n, 3)."""
         self._add(whole_body.CENTER_OF_MASS, None, target, weight, axes)
 
-    def aim(
-        self, frame: str, target: Array, weight: ArrayLike, joints: tuple[str, ...] | None = None
-    ) -> None:
-        """The x axis of a frame at (3,) or (n, 3), served by some joints only.
-
-        Eyes that follow bend no trunk.
-        """
-        self._add(whole_body.AIM, frame, target, weight, joints=joints)
+    def aim(self, target: Array, weight: ArrayLike) -> None:
+        """The eyes, if there are any, at (3,) or (n, 3), by the neck where there is one: no trunk bends."""
+        if self.figure.gaze is not None:
+            self._add(whole_body.AIM, self.figure.gaze, target, weight, joints=self.figure.neck)
 
     def momentum(self, weight: ArrayLike = HARD) -> None:
         """No angular momentum about the centre of mass between a frame and the one before."""

@@ -348,7 +348,7 @@ def _solve(plan: _Plan, q: Array, height: Array, shift: Array, dt: float) -> Sli
         forward = 3.0 * axis_rotations("z", heading)[:, :, 0]
         forward += np.column_stack([plan.com, np.full(len(z), eyes[2] - 0.2)])
         seen = before + (forward - before) * minimum_jerk(plan.times / 0.8)[:, None]
-        rows.aim(figure.gaze, seen, 5.0, figure.neck or None)
+        rows.aim(seen, 5.0)
     posture = _posture(plan, q, start, go)
     return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, dt=dt))
 

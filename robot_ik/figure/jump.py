@@ -17,7 +17,7 @@ from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
 from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, once_each
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
-from robot_ik.figure.poses import STIFF, pinned, touches_itself
+from robot_ik.figure.poses import STIFF, touches_itself
 from robot_ik.geometry import axis_rotations
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.motion.timing import minimum_jerk
@@ -153,7 +153,7 @@ def _ready(figure: Figure) -> Array:
     """Standing with slightly bent knees."""
     rows = FrameRows(figure, 12)
     home = figure.home
-    pinned(figure, home, rows)
+    rows.feet(figure.feet_at_home)
     center = figure.center(home)
     share = minimum_jerk(np.linspace(0.1, 1, 12))[:, None]
     goal = np.array([_MIDDLE, 0.0, center[2] - _READY])
@@ -328,7 +328,7 @@ def _frames(
         seen = eyes + gaze[:, 0] * np.linalg.norm(plan.ball - eyes)
         within = min(max(0.6, glance_time(figure, start, plan.ball)), 1.0)  # before the push at the latest
         to = seen + (plan.ball - seen) * minimum_jerk(t / within)[:, None]
-        rows.aim(figure.gaze, to, 6.0, figure.neck or None)
+        rows.aim(to, 6.0)
     palm = _palm(plan, forward)
     # The hand's weight grows by a constant factor a frame: a power of time would seize the arm within two.
     near = minimum_jerk((t - T[2] + 0.05) / (plan.apex - 0.01 - T[2] + 0.05))

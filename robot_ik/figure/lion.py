@@ -9,22 +9,21 @@ Any model serves whose ``robot.toml`` names tools that end in ``_paw``, and one 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import ModelError, TrajectoryError
 from robot_ik.figure.balance import hull, hull_edges, inset
+from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import chain
 from robot_ik.goals import AimGoal, CenterOfMassGoal, Goal, HalfSpaceGoal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Budget
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers import make_solver
 
 # m: the centre of mass stays so far inside the triangle of the standing paws.
 MARGIN = 0.03
@@ -39,14 +38,6 @@ _GAZE_LIMIT_DEG = 100.0
 # A paw whose pose is not found by then is taken to be out of reach.
 _SEARCH = Budget(iterations=1200, restarts=6)
 _FRAME = Budget(iterations=60, restarts=0)
-
-
-@dataclass(frozen=True)
-class PawDecision:
-    """Which paw reaches."""
-
-    paw: str | None  # its frame; None: the ball is in the reach set of none
-    reason: str  # a sentence
 
 
 def is_lion(robot: Robot) -> bool:
@@ -84,21 +75,23 @@ class Lion:
             )  # fmt: skip
         self._prints = {paw: self.robot.forward(self.relaxed, paw) for paw in self.paws}
         self._span = {paw: self._way_from_root(paw) for paw in self.paws}
-        self._solver = make_solver("lm")
 
-    def decide(self, ball: ArrayLike) -> PawDecision:
-        """The paw that reaches ``ball`` (3,), the nearest first; each is tried by solving for its pose."""
+    def decide(self, ball: ArrayLike) -> Decision:
+        """``reach`` with the nearest paw that gets to ``ball`` (3,), its frame the arm, else ``nothing``.
+
+        Each is tried by solving for its pose.
+        """
         position = _ball(ball)
         if position is None:
-            return PawDecision(None, "there is no ball: its position is not finite")
+            return Decision("nothing", None, "there is no ball: its position is not finite")
         if position[2] < 0.0:
-            return PawDecision(None, f"the ball lies {-1e3 * position[2]:.0f} mm under the floor")
+            return Decision("nothing", None, f"the ball lies {-1e3 * position[2]:.0f} mm under the floor")
         away = {paw: float(np.linalg.norm(self._prints[paw].position - position)) for paw in self.paws}
         for paw in sorted(self.paws, key=away.__getitem__):
             if self._reaching(paw, position) is not None:
                 reason = f"{paw} is {away[paw]:.2f} m away, and reaches it on the other three"
-                return PawDecision(paw, reason)
-        return PawDecision(None, "no paw reaches it while the other three stand")
+                return Decision("reach", paw, reason)
+        return Decision("nothing", None, "no paw reaches it while the other three stand")
 
     def reach(self, ball: ArrayLike, paw: str | None = None, *, rate: float = 60.0) -> Keyframes:
         """The whole motion: leans over, reaches, holds, and comes back to the relaxed pose.
@@ -113,9 +106,9 @@ class Lion:
         """
         if paw is None:
             decision = self.decide(ball)
-            if decision.paw is None:
+            if decision.arm is None:
                 raise TrajectoryError(f"he does not reach {np.asarray(ball).tolist()}: {decision.reason}")
-            paw = decision.paw
+            paw = decision.arm
         elif paw not in self.paws:
             raise TrajectoryError(f"there is no paw {paw!r}", hint=f"his paws: {', '.join(self.paws)}")
         position = _ball(ball)
@@ -192,7 +185,6 @@ class Lion:
         relaxed, leaning = self._mass(None), self._mass(paw)
         up, down = float(plan.times[1]), float(plan.times[4])
         times = np.arange(0.0, plan.duration, 1.0 / rate)
-        problems: dict[bool, Problem] = {}
         rows, q = [self.relaxed], self.relaxed
         for t in times[1:].tolist():
             lifted = up < t < down
@@ -202,10 +194,7 @@ class Lion:
             if lifted:
                 goals.append(HalfSpaceGoal(paw, (0.0, 0.0, 0.0), "z"))
             goals.append(PostureGoal(plan.at(t), soft=True))
-            if lifted not in problems:
-                problems[lifted] = Problem(self.robot, goals, budget=_FRAME)
-            problems[lifted].exchange(goals)
-            q = np.array(self._solver.solve(problems[lifted], q).q)
+            q = np.array(solve(self.robot, goals, solver="lm", start=q, budget=_FRAME).q)
             rows.append(q)
         rows.append(self.relaxed)
         return Keyframes(self.robot, np.append(times, plan.duration), rows)

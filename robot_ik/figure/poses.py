@@ -48,11 +48,6 @@ NEARLY = 0.02
 _FRESH = 6
 
 
-def pinned(figure: Figure, q: Array, rows: FrameRows) -> None:
-    """Both feet stay where they are at q."""
-    rows.feet({side: figure.pose(q, foot.frame) for side, foot in figure.feet.items()})
-
-
 # Degrees of joints that a figure without bending keeps to: what separates ``reach`` from ``bend``.
 _UPRIGHT = {
     "knee_pitch": (0.0, 25.0),
@@ -271,7 +266,7 @@ class _Polish:
         off = float(np.abs(self.pose[0:n:2] - self.feet).max())  # m, or about as much as the angle, rad
         missing = max(0.0, BALANCED + 0.0005 - float((normal @ center - offset).min()))
         away = self.pose[n, :3] - ball
-        body, point, height = _lowest(self.figure, q) if above else (0, center, np.inf)
+        body, point, height = _lowest(self.figure, self.figure.at(q)) if above else (0, center, np.inf)
         under = 10.0 * min(height, 0.0)  # no finger goes into the floor for a ball
         short = float(np.sqrt(away @ away + missing**2 + 10.0 * off**2 + under**2))
         outside = inset(normal, offset, center, BALANCED + 0.001) if missing else None
@@ -302,8 +297,7 @@ def _attempt(
     hand = figure.hands_at_home[arm]
     rows.position(figure.hands[arm], hand + (ball - hand) * s[:, None], 10.0 ** (2.0 + 4.0 * s**2))
     rows.orientation(figure.trunk, axis_rotations("y", np.radians(4.0 + 62.0 * deep) * s), 0.5)
-    if figure.gaze is not None:
-        rows.aim(figure.gaze, ball, 8.0, figure.neck or None)
+    rows.aim(ball, 8.0)
     goal = start + (figure.bent - start) * deep
     goal[:7] = start[:7]
     if flat:
@@ -319,9 +313,7 @@ def _attempt(
 @once_each
 def support(figure: Figure) -> tuple[Array, Array]:
     """Edges of the hull of the soles at home, as of ``hull_edges``."""
-    found, data = [], figure.data
-    data.qpos[:] = figure.home
-    mujoco.mj_kinematics(figure.model, data)
+    found, data = [], figure.at(figure.home)
     for body, geoms in (part for foot in figure.feet.values() for part in foot.parts):
         matrix = data.xmat[body].reshape(3, 3)
         points = np.concatenate([shape_points(figure.model, g, matrix[2:3])[:, 0] for g in geoms])
@@ -354,18 +346,16 @@ def _collision(figure: Figure) -> str:
                 model.body(model.geom_bodyid[g]).name.replace("_", " ") for g in data.contact[c].geom
             )
             return f"its {names[0]} would run into its {names[1]}"
-    body, _, height = _lowest(figure)
+    body, _, height = _lowest(figure, data)
     low = str(model.body(body).name).replace("_", " ")
     return f"the {low} would go under the floor" if height < 0.0 else ""
 
 
 def touches_itself(figure: Figure, q: Array) -> bool:
     """Whether bodies touch in any of some frames (n, nq), by MuJoCo."""
-    model, data = figure.model, figure.data
     for row in q:
-        data.qpos[:] = row
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_collision(model, data)
+        data = figure.at(row)
+        mujoco.mj_collision(figure.model, data)
         if data.ncon and (data.contact.dist < 0.0).any():
             return True
     return False
@@ -378,13 +368,9 @@ def _no_soles(figure: Figure) -> NDArray[np.int64]:
     return np.flatnonzero((figure.model.geom_contype != 0) & ~np.isin(figure.model.geom_bodyid, soles))
 
 
-def _lowest(figure: Figure, q: Array | None = None) -> tuple[int, Array, float]:
+def _lowest(figure: Figure, data: mujoco.MjData) -> tuple[int, Array, float]:
     """The lowest body but for the soles, which point of it (3,) in its frame, and that point's height, m."""
-    model, data = figure.model, figure.data
-    if q is not None:
-        data.qpos[:] = q
-        mujoco.mj_kinematics(model, data)
-    may_not = _no_soles(figure)
+    model, may_not = figure.model, _no_soles(figure)
     least: tuple[int, Array, float] = 0, np.zeros(3), np.inf
     near = data.geom_xpos[may_not, 2] < model.geom_rbound[may_not] + _CLEAR
     for g in may_not[near].tolist():

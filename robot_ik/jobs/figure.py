@@ -225,16 +225,15 @@ def run_lion(lion: Lion, balls: Sequence[tuple[float, float, float]]) -> Iterato
     """Frames of a lion that is shown balls; one for each that no paw reaches."""
     t, none = 0.0, np.full(3, np.nan)
     for ball in balls:
-        found = lion.decide(ball)
-        decision = Decision("reach" if found.paw else "nothing", found.paw, found.reason)
-        there = np.asarray(ball, dtype=float)
-        q = lion.reach(ball, found.paw, rate=RATE).q if found.paw else [lion.relaxed]
+        decision = lion.decide(ball)
+        there, paw = np.asarray(ball, dtype=float), decision.arm
+        q = lion.reach(ball, paw, rate=RATE).q if paw else [lion.relaxed]
         end = len(q) * (LEAN + REACH + HOLD) / (2 * (LEAN + REACH) + HOLD)
         for k, row in enumerate(q):
             t += 1.0 / RATE
             # The reach is over when he begins to come back.
-            phase = min(1.0, (k + 1) / end) if found.paw else 1.0
-            action = "stand" if not found.paw else "reach" if k < end else "rest"
+            phase = min(1.0, (k + 1) / end) if paw else 1.0
+            action = "stand" if not paw else "reach" if k < end else "rest"
             yield FigureFrame(t, row, action, phase, np.array([FLAT, FLAT]), none[:2], there, decision)
 
 
@@ -321,9 +320,7 @@ def _anchor(figure: Figure, frame: FigureFrame, side: int) -> Array:
         return np.full(3, np.nan)
     if frame.contact[side] == FLAT:
         return figure.pose(frame.q, figure.feet[SIDES[side]].frame)[0]
-    foot, data = figure.feet[SIDES[side]], figure.data
-    data.qpos[:] = frame.q
-    mujoco.mj_kinematics(figure.model, data)
+    foot, data = figure.feet[SIDES[side]], figure.at(frame.q)
     best = np.array([0.0, 0.0, np.inf])
     for body, geoms in foot.parts:
         matrix = data.xmat[body].reshape(3, 3)

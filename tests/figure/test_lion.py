@@ -28,7 +28,7 @@ def lion() -> Lion:
 def test_a_paw_reaches_its_ball_on_the_other_three(lion: Lion, paw: str) -> None:
     robot, ball = lion.robot, np.array(BALLS[paw])
     decision = lion.decide(ball)
-    assert decision.paw == paw and "reaches it" in decision.reason
+    assert decision.arm == paw and "reaches it" in decision.reason
     motion = lion.reach(ball, rate=RATE)
     prints = {p: robot.measure(lion.relaxed, p) for p in lion.paws}
     corners = lion.support(paw)
@@ -68,7 +68,7 @@ def test_a_paw_reaches_its_ball_on_the_other_three(lion: Lion, paw: str) -> None
 )
 def test_a_ball_that_no_paw_reaches_is_left_alone(lion: Lion, ball: tuple[float, ...], reason: str) -> None:
     decision = lion.decide(ball)
-    assert decision.paw is None and reason in decision.reason
+    assert decision.arm is None and reason in decision.reason
     with pytest.raises(TrajectoryError, match="does not reach"):
         lion.reach(ball)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.figure import RATE, Figure
 from robot_ik.figure.frames import FrameRows
-from robot_ik.figure.poses import STIFF, pinned
+from robot_ik.figure.poses import STIFF
 from robot_ik.motion.timing import minimum_jerk
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 def solved(figure: Figure, hand: Array, frames: int = 40, speeds: str | None = "daily") -> Array:
     """A hand moved by ``hand`` (3,), feet pinned, the centre of mass kept."""
     rows = FrameRows(figure, frames)
-    pinned(figure, figure.home, rows)
+    rows.feet(figure.feet_at_home)
     rows.center(figure.center(figure.home), axes="xy")
     start = figure.pose(figure.home, "right_hand")[0]
     share = minimum_jerk(np.linspace(0, 1, frames))[:, None]
@@ -78,7 +78,7 @@ def test_rows_that_contradict_each_other_are_missed_not_fled(figure: Figure) -> 
     """A hand that is to be five metres away: the body stays where it can be, and says by how much it
     misses."""
     rows = FrameRows(figure, 10)
-    pinned(figure, figure.home, rows)
+    rows.feet(figure.feet_at_home)
     rows.position("right_hand", np.array([5.0, 0.0, 1.0]))
     found = rows.solve(figure.home, figure.stiffnesses(STIFF), figure.home)
     assert np.isfinite(found.q).all() and found.miss.min() > 1.0
