@@ -24,12 +24,13 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.watchdogs import stale_time
+from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs.robot_setup import robot_named_in
-from robot_ik.motion.trajectory import APPROACH
+from robot_ik.motion.timing import minimum_jerk
+from robot_ik.motion.trajectory import approach_profile
 from robot_ik.ports import Array, Clock, RealClock, VirtualClock
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Budget
 from robot_ik.robot import load_robot
-from robot_ik.solvers import make_solver
 
 LOST = 0.2
 """s without a good sample of the leader after which it counts as lost; a wire loses a packet now and then."""
@@ -105,8 +106,6 @@ class Hand:
         lower, upper = np.full((2, robot.nv), np.inf) * [[-1.0], [1.0]]
         lower[self._order], upper[self._order] = config.lower, config.upper
         self._robot = robot.with_limits(lower, upper)
-        self._solver = make_solver("lm")
-        self._problem: Problem | None = None
         self._q = self._robot.home.copy()
         self.pose = self._robot.forward(self._q)
 
@@ -126,11 +125,7 @@ class Hand:
         goals: list[Goal] = [PoseGoal.at(None, pose)]
         if not whole:  # it cannot carry every pose: the position is needed, the orientation is wanted
             goals = [PositionGoal(None, pose.position), OrientationGoal(None, pose.wxyz, soft=True)]
-        if self._problem is None:
-            self._problem = Problem(self._robot, goals, budget=_BUDGET)
-        else:
-            self._problem.exchange(goals)
-        found = self._solver.solve(self._problem, self._q).q
+        found = solve(self._robot, goals, solver="lm", start=self._q, budget=_BUDGET).q
         if np.isfinite(found).all():
             there = self._robot.forward(found)
             away, angle = there.distance(pose)
@@ -336,20 +331,11 @@ class Blend:
 
     def __init__(self, here: Angles, there: Angles, config: ArmConfig, now: float) -> None:
         self._apart = {name: here[name] - there[name] for name in there}
-        whole = config.whole
-        # A quintic's peaks are 1.875 d/T and 5.774 d/T^2.
-        times = [
-            max(1.875 * abs(d) / (APPROACH * v), (5.774 * abs(d) / (APPROACH * a)) ** 0.5)
-            for d, v, a in (
-                (self._apart.get(joint.name, 0.0), joint.velocity, joint.acceleration)
-                for joint in whole.joints
-            )
-        ]
-        self._begin, self.seconds = now, max([0.0, *times])
+        distance = np.array([self._apart.get(name, 0.0) for name in config.whole.names])
+        self._begin, self.seconds = now, approach_profile(distance, config.whole).duration
 
     def __call__(self, there: Angles, now: float) -> dict[str, float]:
-        s = 1.0 if self.seconds <= 0.0 else min(1.0, (now - self._begin) / self.seconds)
-        left = 1.0 - s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+        left = 0.0 if self.over(now) else 1.0 - float(minimum_jerk((now - self._begin) / self.seconds))
         return {name: value + left * self._apart.get(name, 0.0) for name, value in there.items()}
 
     def over(self, now: float) -> bool:

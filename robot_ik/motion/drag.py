@@ -17,12 +17,12 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
 from robot_ik.goals import CenterOfMassGoal, Goal, PoseGoal, PositionGoal, PostureGoal, vector
+from robot_ik.inverse_kinematics import solve
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.motion.trajectory import require_positive
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Budget
 from robot_ik.robot import Robot
-from robot_ik.solvers import make_solver
 
 # A solve of one tick begins a tick away from its solution: no search.
 _BUDGET = Budget(iterations=20, restarts=0)
@@ -83,8 +83,6 @@ class Drag:
         require_positive("speed", speed, "times the limits")
         self.robot, self.rate = robot, float(rate)
         self._most = speed * robot.velocity / rate
-        self._solver = make_solver("lm")
-        self._problem: Problem | None = None
         self._point = np.zeros(3)
         self._mass: Array | None = None
         self._pins: dict[str, PoseGoal] = {}
@@ -240,7 +238,6 @@ class Drag:
 
     def _moved(self) -> None:
         """What is wanted has changed: from now on the dragged point is where its frame is."""
-        self._problem = None
         if self.dragged is not None:
             self._point = self.robot.measure(self.q, self.dragged).position
 
@@ -271,11 +268,7 @@ class Drag:
     def _solved(self, point: Array, mass: Array | None) -> Array | None:
         """The pose for these; None where pins would not hold."""
         goals = self._goals(point, mass)
-        if self._problem is None:
-            self._problem = Problem(self.robot, goals, budget=_BUDGET)
-        else:
-            self._problem.exchange(goals)
-        found = self._solver.solve(self._problem, self.q)
+        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
         holds = found.converged or all(goal.soft for goal in goals)
         return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 

@@ -22,15 +22,15 @@ from pydantic import Field, field_validator
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
 from robot_ik.motion.bvh import Bvh
 from robot_ik.motion.bvh_robot import data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import Budget
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.solvers import make_solver
 from robot_ik.tables import Several, Table, read_table
 
 SIDES = ("left", "right")
@@ -366,7 +366,7 @@ def retarget(
 
 
 def _goals(bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
-    """Of one frame, always in the same order: what is compiled for the first serves all."""
+    """Of one frame."""
     goals: list[Goal] = [
         PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
         for side, feet in zip(SIDES, wanted.feet, strict=True)
@@ -385,20 +385,14 @@ def _goals(bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> lis
 
 def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> tuple[list[Array], Array]:
     """Joint vectors (n, nq) and the misses of the hands (n, 2)."""
-    solver, rows = make_solver("lm"), []
+    rows: list[Array] = []
     q, miss = np.array(robot.home), np.zeros((len(wanted.pelvis), 2))
     base = free_base(robot)
     if base is not None:
         q[base : base + 3] += wanted.pelvis[0].position - robot.forward(q, bodies["pelvis"]).position
-    problem: Problem | None = None
     for k in range(len(wanted.pelvis)):
         goals = _goals(bodies, wanted, k, robot.home)
-        if problem is None:
-            problem = Problem(robot, goals, budget=_FIRST_BUDGET)
-        else:
-            problem.exchange(goals)
-            problem.budget = _BUDGET
-        q = solver.solve(problem, q).q
+        q = solve(robot, goals, solver="lm", start=q, budget=_BUDGET if k else _FIRST_BUDGET).q
         rows.append(q)
         for i, side in enumerate(SIDES):
             hand = robot.forward(q, bodies[f"{side}_wrist"]).position

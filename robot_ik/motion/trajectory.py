@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
-from robot_ik.motion.timing import PROFILES, quintic
+from robot_ik.motion.timing import PROFILES, Profile, quintic
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
@@ -448,12 +448,18 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
+def approach_profile(distance: Array, caps: MotionCaps) -> Profile:
+    """A quintic over (n,) distances at ``APPROACH`` of the caps; of no duration where all are zero."""
+    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
+        fast, soft = np.min(
+            APPROACH * np.array([caps.velocity, caps.acceleration]) / np.abs(distance), axis=1
+        )
+    return quintic(float(fast), float(soft))
+
+
 def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
     """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
-    distance = np.abs(there - here)
-    with np.errstate(divide="ignore"):  # a joint that stands still needs no time
-        fast, soft = np.min(APPROACH * np.array([caps.velocity, caps.acceleration]) / distance, axis=1)
-    shape = quintic(float(fast), float(soft))
+    shape = approach_profile(there - here, caps)
     seconds = max(shape.duration, 2.0 / caps.rate_hz)
     t = np.linspace(0.0, seconds, math.ceil(seconds * caps.rate_hz) + 1)
     return Trajectory(t, here + np.outer(shape.progress(t / seconds), there - here), caps.names)

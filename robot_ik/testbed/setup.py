@@ -30,6 +30,7 @@ from robot_ik.goals import (
     PositionGoal,
     PostureGoal,
 )
+from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.drag import Drag
 from robot_ik.motion.sources import CurveSource
@@ -413,13 +414,11 @@ def reachable_curve(robot: Robot, goals: RobotGoals, solver: Solver) -> CurveSou
 
 def _follows(robot: Robot, goals: RobotGoals, solver: Solver, curve: CurveSource) -> bool:
     """Whether the tool gets to all of a curve, from home on."""
-    q, problem = robot.home, None
+    q = robot.home
     for t in np.linspace(0.0, CURVE_PERIOD, _CURVE_STEPS):
         wanted = goals.all(curve.poll(float(t)).target, solver)
-        problem = problem or Problem(robot, wanted, budget=BUDGET)
         try:
-            retarget(problem, wanted)
-            solution = solver.solve(problem, q)
+            solution = solve(robot, wanted, solver=solver, start=q, budget=BUDGET)
         except RobotIkError:
             return True  # the method cannot serve these goals: any curve will do
         q = solution.q
