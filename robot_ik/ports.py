@@ -13,7 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,20 @@ class RealClock:
         wait = deadline - time.monotonic()
         if wait > 0.0:
             time.sleep(wait)
+
+
+class Closing:
+    """A context manager whose block ends with its own ``close``."""
+
+    def close(self) -> None:
+        """Lets go of what it holds."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
 
 
 _SWITCH_INTERVAL_S = 0.0005

@@ -174,12 +174,12 @@ class Robot:
     def measure(self, q: ArrayLike, frame: str | None = None) -> Pose:
         """Pose of a frame by MuJoCo's own forward pass: the independent judge of every solution."""
         at = self.frame(frame)
-        data = self._kinematics(q)
+        data = self.data_at(q)
         return Pose(data.xpos[at.body], data.xquat[at.body]).compose(at.local)
 
     def center_of_mass(self, q: ArrayLike, body: str | None = None) -> Array:
         """(3,) centre of mass of a body and all that hangs on it (None: the whole model), by MuJoCo."""
-        data = self._kinematics(q)
+        data = self.data_at(q)
         mujoco.mj_comPos(self.model, data)
         return np.array(data.subtree_com[self.body_id(body)])
 
@@ -189,8 +189,8 @@ class Robot:
         mujoco.mj_differentiatePos(self.model, whole, 1.0, self.qpos(start), self.qpos(end))
         return np.asarray(whole[np.isin(self.model.dof_jntid, self.tree.joint_ids)])
 
-    def _kinematics(self, q: ArrayLike) -> mujoco.MjData:
-        """MuJoCo's data at ``q``, good until this thread's next call: making it costs most."""
+    def data_at(self, q: ArrayLike) -> mujoco.MjData:
+        """MuJoCo's data with all bodies where they are at ``q``, good until this thread's next call."""
         own = self.memory.setdefault("kinematics", threading.local())
         data = getattr(own, "data", None)
         if data is None:

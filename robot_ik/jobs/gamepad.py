@@ -9,14 +9,14 @@ import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from robot_ik.errors import HardwareError, MissingExtraError
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.teleop import Angles, Jog
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Closing
 
 DEAD_ZONE = 0.15
 """Share of a stick's range: one that is let go may rest within it."""
@@ -110,7 +110,7 @@ class Gamepad(Jog):
         self._wait(timeout)
 
 
-class PadDevice:
+class PadDevice(Closing):
     """The first gamepad of this machine; a context manager.
 
     Raises:
@@ -181,9 +181,3 @@ class PadDevice:
         self._pad = None
         self._controllers.quit()
         self._pygame.display.quit()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()

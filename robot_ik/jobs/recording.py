@@ -19,7 +19,7 @@ import numpy as np
 
 from robot_ik.errors import ConfigError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Closing
 
 SUFFIXES = (".csv", ".mcap")
 FRAME = "world"
@@ -43,16 +43,12 @@ class Moment:
     robot: int = 0
 
 
-class Recording(ABC):
+class Recording(Closing, ABC):
     """Takes moments as they come, and is closed at the end."""
 
     @abstractmethod
     def write(self, moment: Moment) -> None:
         """One row more."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Finishes the file."""
 
 
 class TableRecording(Recording):

@@ -64,7 +64,6 @@ class _Node:
 def data_at_rest(model: mujoco.MjModel) -> mujoco.MjData:
     """MuJoCo's kinematics at qpos0."""
     data = mujoco.MjData(model)
-    data.qpos[:] = model.qpos0
     mujoco.mj_kinematics(model, data)
     return data
 

@@ -39,7 +39,6 @@ def mirrored(robot: Robot, q: ArrayLike) -> Array:
     rows = np.atleast_2d(np.asarray(q, dtype=float))
     out = rows.copy()
     data = mujoco.MjData(robot.model)
-    data.qpos[:] = robot.model.qpos0
     mujoco.mj_kinematics(robot.model, data)
     flip = np.array([-1.0, 1.0, -1.0])  # a rotation vector in a mirror across y
     for k, joint in enumerate(robot.joints):

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import mujoco
 import numpy as np
 
 from robot_ik.errors import ArmStateError, HardwareError, RobotIkError
@@ -61,7 +60,6 @@ class ArmLink:
     def __init__(self, arm: Arm, robot: Robot, port: str) -> None:
         self._arm, self._robot, self._port = arm, robot, port
         self._order = [robot.joints.index(joint) for joint in arm.joints]
-        self._data = mujoco.MjData(robot.model)
         self._mode: ArmMode = "hold"
         self._wanted: tuple[Array, float] | None = None
         self._measured: Array | None = None
@@ -112,9 +110,8 @@ class ArmLink:
         if q is not None:
             whole = self._robot.home.copy()
             whole[self._order] = q
-            self._data.qpos[:] = self._robot.qpos(whole)
-            mujoco.mj_kinematics(self._robot.model, self._data)
-            poses = self._data.xpos.copy(), self._data.xquat.copy()
+            data = self._robot.data_at(whole)
+            poses = data.xpos.copy(), data.xquat.copy()
             if self._wanted is not None:
                 apart = float(np.abs(q - self._wanted[0]).max())
             q = whole

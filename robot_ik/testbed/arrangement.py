@@ -61,10 +61,7 @@ def arranged(robot: Robot, count: int) -> Arrangement:
 
 def corners(robot: Robot, arrangement: Arrangement, path: Array) -> Array:
     """(n, 3) what a camera should see: boxes round the instances at home and round the ball's path (m, 3)."""
-    model = robot.model
-    data = mujoco.MjData(model)
-    data.qpos[:] = robot.qpos(robot.home)
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.model, robot.data_at(robot.home)
     solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
     # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
     reach, positions = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]

@@ -16,7 +16,6 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +26,7 @@ from robot_ik.errors import RobotIkError
 from robot_ik.figure.session import FigureFrame, FigureSession, ResetFigure, SetBall, StartPassive
 from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
-from robot_ik.ports import Array, short_switch_interval
+from robot_ik.ports import Array, Closing, short_switch_interval
 from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed import commands
 from robot_ik.testbed.instance import Instance, InstanceView
@@ -119,7 +118,7 @@ class View:
         return seen.hexdigest()[:32]
 
 
-class Session(AbstractContextManager["Session"]):
+class Session(Closing):
     """One model, one ball, one to four instances that follow it.
 
     Args:
@@ -181,9 +180,6 @@ class Session(AbstractContextManager["Session"]):
         self._preparer.close()
         if self.arm is not None:
             self.arm.close()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     # ------------------------------------------------------------------------------------ the loop's own
 
@@ -423,7 +419,7 @@ class Session(AbstractContextManager["Session"]):
         self.robot = robot
         self.instances = [Instance(robot, self.start.rate) for _ in range(count)]
         self._ball = first_ball(robot)
-        self._branches, self._scratch = (), mujoco.MjData(robot.model)
+        self._branches = ()
 
     def _begin_random(self) -> None:
         self._random = RandomSource(self.robot, seed=self.start.seed, period=_RANDOM_PERIOD)
@@ -437,10 +433,8 @@ class Session(AbstractContextManager["Session"]):
             self._branches = ()
             self._say(str(error).splitlines()[0])
             return
-        data = self._scratch
         for branch in branches:
-            data.qpos[:] = ready.robot.qpos(branch.q)
-            mujoco.mj_kinematics(ready.robot.model, data)
+            data = ready.robot.data_at(branch.q)
             found.append(BranchView(branch.name, branch.q.copy(), data.xpos.copy(), data.xquat.copy()))
         self._branches = tuple(found)
 

@@ -13,7 +13,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,7 @@ from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import Closing
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
@@ -48,7 +48,7 @@ _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
 
 
-class Page(AbstractContextManager["Page"]):
+class Page(Closing):
     """The front end ``browser``; a context manager.
 
     Args:
@@ -95,9 +95,6 @@ class Page(AbstractContextManager["Page"]):
         if self._camera is not None:
             self._camera.close()
         self._page_server.close()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     # --------------------------------------------------------------------------------------- panels
 

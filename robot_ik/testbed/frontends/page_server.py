@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from viser import ClientHandle, _icons
 
+from robot_ik.ports import Closing
 from robot_ik.testbed.frontends.gate import open_server, quiet
 
 _BRAND = (37, 99, 235)
@@ -24,7 +25,7 @@ _LIGHT = ((222, 226, 232), (196, 202, 210), (246, 247, 249))
 _DARK = ((52, 58, 68), (78, 86, 98), (26, 29, 34))
 
 
-class PageServer(contextlib.AbstractContextManager["PageServer"]):
+class PageServer(Closing):
     """What listens for browsers; a context manager.
 
     Args:
@@ -96,9 +97,6 @@ class PageServer(contextlib.AbstractContextManager["PageServer"]):
         """Stops the server."""
         with quiet():
             self.server.stop()
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 def own_address() -> str:

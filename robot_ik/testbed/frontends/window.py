@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -23,7 +23,7 @@ from robot_ik.environment import probe_display
 from robot_ik.errors import ViewerError
 from robot_ik.geometry import Pose
 from robot_ik.model import compiled, read_spec
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Closing
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
@@ -168,8 +168,8 @@ def _add_connector(scene: Any, kind: int, rgba: Sequence[float], width: float, a
         mujoco.mjv_connector(geom, kind, width, a, b)
 
 
-class _ViewerWindow:
-    """A window of MuJoCo's viewer: a context manager that closes it."""
+class _ViewerWindow(Closing):
+    """A window of MuJoCo's viewer."""
 
     _viewer: Any
     _threads: list[threading.Thread]
@@ -180,12 +180,6 @@ class _ViewerWindow:
         for thread in self._threads:
             if thread is not threading.current_thread():
                 thread.join(CLOSE_LIMIT)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
 
 class WindowSink(_ViewerWindow):
