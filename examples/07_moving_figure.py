@@ -13,7 +13,7 @@ import numpy as np
 
 from robot_ik.figure.abilities import load_abilities
 from robot_ik.figure.figure import RATE, load_figure
-from robot_ik.figure.session import FigureSession, SetBall
+from robot_ik.figure.session import FigureSession
 
 BALLS = (0.45, -0.25, 1.3), (0.5, -0.25, 0.25), (1.6, 0.6, 1.2)
 
@@ -21,7 +21,7 @@ BALLS = (0.45, -0.25, 1.3), (0.5, -0.25, 0.25), (1.6, 0.6, 1.2)
 def main(*ball: float) -> None:
     session = FigureSession(load_abilities(load_figure()))
     for position in (ball,) if ball else BALLS:
-        session.send(SetBall(position))
+        session.set_ball(position)
         frame, decision, frames = session.step(), None, 1
         while session.busy and frames < 40 * RATE:
             if frame.decision is not decision:

@@ -28,7 +28,7 @@ from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_
 from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
-from robot_ik.figure.session import FigureSession, SetBall
+from robot_ik.figure.session import FigureSession
 from robot_ik.ports import Array
 
 NORM_DEG: Mapping[str, tuple[float, ...]] = {
@@ -335,8 +335,7 @@ def measure_hands(abilities: Abilities, count: int, seed: int) -> Iterator[Motio
             motion = take(figure, figure.home, ball, decision.arm, decision.action, end=end)
         hand = figure.hands[decision.arm]
         miss = [float(np.linalg.norm(figure.robot.measure(row, hand).position - ball)) for row in motion.q]
-        speeds = "jump" if decision.action == "jump" else "daily"
-        measure = measure_motion(figure, motion.q, motion.contact, speeds=speeds)
+        measure = measure_motion(figure, motion.q, motion.contact, motion.speeds)
         found[decision.action].append((measure, min(miss) if decision.action == "jump" else miss[-1]))
     for name, rows in found.items():
         ms = [m for m, _ in rows]
@@ -410,7 +409,7 @@ def _peer_rows(figure: Figure) -> Iterator[MotionRow]:
 def _session_times(abilities: Abilities) -> Iterator[MotionRow]:
     """Of a walk to a ball 5 m away and the reach there: frames that plan, and those that do not."""
     session = FigureSession(abilities)
-    session.send(SetBall((5.0, 0.5, 1.2)))
+    session.set_ball((5.0, 0.5, 1.2))
     planned: list[float] = []
     played: list[float] = []
     while session.busy and len(planned) + len(played) < 1200:

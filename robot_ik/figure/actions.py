@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
 from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame
-from robot_ik.figure.footprints import Footprint, Gait
+from robot_ik.figure.footprints import Footprint
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.poses import REACH, STIFF, find_pose, support, touches_itself
@@ -320,9 +320,7 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     return replace(motion, q=q, miss=miss)
 
 
-def stop_walk(
-    figure: Figure, start: Array, found: Walk, frame: int, gait: Gait, dt: float = 1.0 / RATE
-) -> Slices[Walk]:
+def stop_walk(figure: Figure, found: Walk, frame: int, dt: float = 1.0 / RATE) -> Slices[Walk]:
     """A walk that begins as another and ends with the step in hand, a short one and the closing one.
 
     The feet move as they did until the step in hand is over, so that the other walk may be left at any frame
@@ -330,10 +328,8 @@ def stop_walk(
 
     Args:
         figure: Who walks.
-        start: (nq,) where the walk began.
         found: The walk.
         frame: The last frame that is shown of it.
-        gait: How it walks.
         dt: Time between frames, s.
     """
     now = (frame + 1) * dt
@@ -347,7 +343,7 @@ def stop_walk(
         apart = (1 - 2 * b.side) * 2 * figure.apart
         beside = (x + apart * np.sin(yaw), y - apart * np.cos(yaw), yaw)
         prints = [*prints[:keep], Footprint(b.side, x, y, yaw), Footprint(prints[keep - 1].side, *beside)]
-    return (yield from walk_slices(figure, start, prints, gait, dt=dt))
+    return (yield from walk_slices(figure, found.start, prints, found.gait, dt=dt))
 
 
 def rest_of(motion: Motion, frame: int) -> Motion:

@@ -81,8 +81,7 @@ class Decision:
     action: str  # ``reach``, ``bend``, ``jump``, ``walk`` or ``nothing``
     arm: str | None  # that acts, after the walk if it walks
     reason: str  # a sentence for the user
-    stand_point: tuple[float, float, float] | None = None  # (x, y, heading) to walk to
-    waypoints: tuple[tuple[float, float, float], ...] = ()  # to walk through, the last is ``stand_point``
+    waypoints: tuple[tuple[float, float, float], ...] = ()  # (x, y, heading) each to walk through and to
     then: str | None = None  # what it will do there
     speed: float | None = None  # at take-off of a jump, at least, m/s
 
@@ -203,7 +202,7 @@ class Decider:
                     nearer = float(np.linalg.norm(ball[:2] - stand[:2])) < away
                     how = f"{verb} with the {arm} hand from {'nearer' if nearer else 'farther off'}"
                     reason = f"the ball is {away:.2f} m away: it can be {how}"
-                    return Decision("walk", arm, reason, waypoints[-1], waypoints, kind)
+                    return Decision("walk", arm, reason, waypoints, kind)
         free = "free " if self.obstacles else ""
         reason = f"no {free}stand point was found from which a hand reaches the ball"
         if ball[2] > max(map(self.abilities.top, self.figure.hands)):

@@ -264,6 +264,8 @@ def _arc(s: Array, rising: float, falling: float) -> Array:
 class Walk:
     """A walk from rest to rest."""
 
+    start: Array  # (nq,) where it began
+    gait: Gait
     frames: Frames  # and how well their hard rows hold
     contact: NDArray[np.int64]  # (n, 2) AIR, HEEL, FLAT or TOE of each foot
     zmp: Array  # (n, 2) planned zero-moment point
@@ -311,7 +313,8 @@ def walk_slices(
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
-    return Walk(frames, plan.contact.T.copy(), plan.zmp, tuple(prints), tuple(plan.strikes), falls)
+    contact, strikes = plan.contact.T.copy(), tuple(plan.strikes)
+    return Walk(q, gait, frames, contact, plan.zmp, tuple(prints), strikes, falls)
 
 
 walk = at_once(walk_slices)

@@ -1,81 +1,28 @@
-"""A figure that runs: commands in (``send``), frames and the decision out (``step``, 60 times a second).
+"""A figure that runs: a ball in (``set_ball``), frames and the decision out (``step``, 60 times a second).
 
-*Active*: it follows the ball while it moves.  *Passive*: ``StartPassive`` freezes the ball and the figure
-acts; the ball stays frozen until passive mode is left or ``ResetFigure`` (Pađen 2011).
+*Active*: it follows the ball while it moves.  *Passive*: ``start_passive`` freezes the ball and the figure
+acts; the ball stays frozen until passive mode is left or ``reset`` (Pađen 2011).
 """
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import Decider, Decision, Obstacle
 from robot_ik.figure.figure import RATE, Figure, in_stance_frame
-from robot_ik.figure.footprints import SHUFFLE, WALK, Gait, prints_of, shuffle_prints, walk_prints, wrapped
+from robot_ik.figure.footprints import SHUFFLE, WALK, prints_of, shuffle_prints, walk_prints, wrapped
 from robot_ik.figure.frames import SLICE, Slices
 from robot_ik.figure.gait import FLAT, Walk, walk_slices
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.goals import vector
 from robot_ik.ports import Array
-
-
-@dataclass(frozen=True)
-class SetBall:
-    """Puts the ball somewhere, m; None takes it away.
-
-    Raises:
-        InvalidGoalError: Not three finite numbers.
-    """
-
-    ball: tuple[float, float, float] | None
-
-    def __post_init__(self) -> None:
-        if self.ball is not None:
-            vector(self.ball, 3, "ball")
-
-
-@dataclass(frozen=True)
-class SetMode:
-    """``active`` or ``passive``; leaving passive mode frees the ball."""
-
-    mode: str
-
-
-@dataclass(frozen=True)
-class StartPassive:
-    """Passive mode: freezes the ball where it is, and acts."""
-
-
-@dataclass(frozen=True)
-class ResetFigure:
-    """Back to where the figure began, at rest, without a ball."""
-
-
-@dataclass(frozen=True)
-class PlaceFigure:
-    """Puts the figure somewhere, at rest: m, m, rad."""
-
-    x: float
-    y: float
-    heading: float
-
-
-@dataclass(frozen=True)
-class SetObstacles:
-    """What it may not walk through."""
-
-    obstacles: tuple[Obstacle, ...]
-
-
-Command = SetBall | SetMode | StartPassive | ResetFigure | PlaceFigure | SetObstacles
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +63,6 @@ class _Planning:
 
     slices: Slices[Motion] | Slices[Walk]
     each: int = _SLICES  # in a frame
-    start: Array | None = None  # (nq,) where a walk begins
-    gait: Gait = WALK
     replaces: bool = False  # it is the end of the walk under way
 
 
@@ -125,7 +70,7 @@ _WAITING = Decision("nothing", None, "nothing has been asked yet")
 
 
 class FigureSession:
-    """Runs one figure.
+    """Runs one figure; one thread uses it.
 
     Args:
         abilities: Of the figure.
@@ -140,10 +85,8 @@ class FigureSession:
     ) -> None:  # fmt: skip
         self.decider = Decider(abilities)
         self.mode, self.dt, self._began = mode, 1.0 / rate, stance
-        self._commands: deque[Command] = deque()
-        self._count = self._index = self._since = 0
-        self._q: Array = self.figure.home
-        self._reset(stance)
+        self._count = 0
+        self.reset()
 
     @property
     def figure(self) -> Figure:
@@ -152,32 +95,64 @@ class FigureSession:
 
     @property
     def ball(self) -> Array | None:
-        """(3,) the ball that counts: in passive mode the frozen one, or none before ``StartPassive``."""
+        """(3,) the ball that counts: in passive mode the frozen one, or none before ``start_passive``."""
         return self._ball if self.mode == "active" else self._frozen
 
     @property
     def busy(self) -> bool:
         """Whether something is being done or about to be."""
         planned = bool(self._waypoints) or self._after is not None or self._planning is not None
-        return self._motion is not None or planned or bool(self._commands) or self._asked()
+        return self._motion is not None or planned or self._asked()
 
     @property
     def planning(self) -> bool:
         """Whether a motion is being planned, some milliseconds a frame."""
         return self._planning is not None
 
-    def send(self, command: Command) -> None:
-        """Queues a command for the next frame; raises ``TypeError`` for what is none."""
-        known = get_args(Command)
-        if not isinstance(command, known):
-            names = ", ".join(kind.__name__ for kind in known)
-            raise TypeError(f"{command!r} is no command of a figure; there are {names}")
-        self._commands.append(command)
+    def reset(self) -> None:
+        """Back to where the figure began, at rest, without a ball."""
+        self._q = self._before = self.figure.placed(self.figure.home, *self._began)
+        self._ball: Array | None = None
+        self._frozen: Array | None = None
+        self._motion: Motion | None = None
+        self._index, self._since = 0, 0
+        self._waypoints: list[tuple[float, float, float]] = []
+        self._walk: Walk | None = None
+        self._planning: _Planning | None = None
+        self._after: Decision | None = None
+        self._served: Array | None = None
+        self.decision = _WAITING
+
+    def set_ball(self, ball: ArrayLike | None) -> None:
+        """Puts the ball somewhere, (3,) m; None takes it away.
+
+        Raises:
+            InvalidGoalError: Not three finite numbers.
+        """
+        self._ball = None if ball is None else vector(ball, 3, "ball")
+
+    def set_mode(self, mode: str) -> None:
+        """``active`` or ``passive``; leaving passive mode frees the ball."""
+        if mode != self.mode:
+            self.mode, self._frozen = mode, None
+
+    def start_passive(self) -> None:
+        """Passive mode: freezes the ball where it is, and acts."""
+        self._frozen, self._served = self._ball, None
+
+    def place(self, x: float, y: float, heading: float) -> None:
+        """Puts the figure somewhere, at rest and without a ball: m, m, rad."""
+        self._began = (x, y, heading)
+        self.reset()
+
+    def set_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
+        """What it may not walk through."""
+        self.decider.obstacles, self._served = tuple(obstacles), None
+        if self._motion is None:
+            self._planning = None
 
     def step(self) -> FigureFrame:
         """The next frame."""
-        while self._commands:
-            self._obey(self._commands.popleft())
         if self._motion is not None and (self._planning is None or self._asked(_ELSEWHERE)) and self._leave():
             self._choose()
         if self._planning is not None:
@@ -200,40 +175,6 @@ class FigureSession:
         self._count += 1
         self._since += 1
         return frame
-
-    def _reset(self, stance: tuple[float, float, float]) -> None:
-        self._q = self._before = self.figure.placed(self.figure.home, *stance)
-        self._ball: Array | None = None
-        self._frozen: Array | None = None
-        self._motion: Motion | None = None
-        self._index, self._since = 0, 0
-        self._waypoints: list[tuple[float, float, float]] = []
-        self._walk: tuple[Array, Walk, Gait] | None = None
-        self._planning: _Planning | None = None
-        self._after: Decision | None = None
-        self._served: Array | None = None
-        self.decision = _WAITING
-
-    def _obey(self, command: Command) -> None:
-        match command:
-            case SetBall(ball):
-                self._ball = None if ball is None else np.asarray(ball, dtype=float)
-            case SetMode(mode):
-                if mode != self.mode:
-                    self.mode, self._frozen = mode, None
-            case StartPassive():
-                self._frozen = None if self._ball is None else self._ball.copy()
-                self._served = None
-            case ResetFigure():
-                self._reset(self._began)
-            case PlaceFigure(x, y, heading):
-                self._began = (x, y, heading)
-                self._reset(self._began)
-            case SetObstacles(obstacles):
-                self.decider.obstacles = obstacles
-                self._served = None
-                if self._motion is None:
-                    self._planning = None
 
     def _frame(
         self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
@@ -263,16 +204,16 @@ class FigureSession:
 
     def _stop_walking(self) -> None:
         """The walk ends with the next steps; what to do then is decided there."""
-        if self._walk is None:
+        walked = self._walk
+        if walked is None:
             return
-        start, walked, gait = self._walk
         self._walk, self._waypoints, self._after = None, [], None
         settled = len(walked.frames.q) - int(walked.strikes[-1] / self.dt)  # frames after the last strike
         if len(walked.frames.q) - self._index < 1.2 * settled:
             return
-        slices = stop_walk(self.figure, start, walked, self._index - 1 + _LOOKAHEAD, gait, self.dt)
+        slices = stop_walk(self.figure, walked, self._index - 1 + _LOOKAHEAD, self.dt)
         each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _LOOKAHEAD)))
-        self._planning = _Planning(slices, each, start, gait, replaces=True)
+        self._planning = _Planning(slices, each, replaces=True)
 
     def _plan_on(self) -> None:
         """Some more of what is being planned; begins it when it is done."""
@@ -301,8 +242,7 @@ class FigureSession:
                 self._begin(motion)
             return
         self._begin(motion)
-        assert planning.start is not None
-        self._walk = (planning.start, found, planning.gait)
+        self._walk = found
 
     def _next(self) -> None:
         """What comes when nothing is under way."""
@@ -377,7 +317,7 @@ class FigureSession:
             end = goal if aligned else np.array([goal[0], goal[1], course])
             steps = walk_prints(figure, prints, end, gait)
         slices = walk_slices(figure, q, steps, gait, dt=self.dt)
-        self._planning, self._motion = _Planning(slices, start=q, gait=gait), None
+        self._planning, self._motion = _Planning(slices), None
 
     def _begin(self, motion: Motion) -> None:
         self._motion = join(self.figure, self._before, self._q, motion, self.dt)

@@ -29,7 +29,7 @@ from robot_ik.figure.decide import Decider, Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
-from robot_ik.figure.session import FigureFrame, FigureSession, SetBall, SetMode, StartPassive
+from robot_ik.figure.session import FigureFrame, FigureSession
 from robot_ik.geometry import axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
@@ -146,18 +146,18 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
     session = FigureSession(abilities, mode=request.mode, stance=request.stance)
     if request.path:
         for k in range(int(request.seconds * RATE)):
-            session.send(SetBall(moving_ball(request.path, k / RATE, request.seed, request.stance)))
+            session.set_ball(moving_ball(request.path, k / RATE, request.seed, request.stance))
             if k == 0 and request.mode == "passive":
-                session.send(StartPassive())
+                session.start_passive()
             yield session.step()
         return
     for ball in request.balls:
         if request.mode == "passive":  # leaving it frees the ball
-            session.send(SetMode("active"))
-            session.send(SetMode("passive"))
-        session.send(SetBall(ball))
+            session.set_mode("active")
+            session.set_mode("passive")
+        session.set_ball(ball)
         if request.mode == "passive":
-            session.send(StartPassive())
+            session.start_passive()
         idle = 0
         for _ in range(int(_LONGEST * RATE)):
             yield session.step()
@@ -188,9 +188,9 @@ class MarkerFigure:
         """The ball at ``position`` (3,); where it was last for None."""
         if position is not None and float(np.linalg.norm(position - self._shown)) > _NOISE:
             self._shown = position
-            self._session.send(SetBall((float(position[0]), float(position[1]), float(position[2]))))
+            self._session.set_ball(position)
             if self._session.mode == "passive" and self._session.ball is None:
-                self._session.send(StartPassive())
+                self._session.start_passive()
 
     def until(self, t: float) -> Iterator[FigureFrame]:
         """Frames up to a time, s."""

@@ -23,7 +23,7 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import RobotIkError
-from robot_ik.figure.session import FigureFrame, FigureSession, ResetFigure, SetBall, StartPassive
+from robot_ik.figure.session import FigureFrame, FigureSession
 from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
 from robot_ik.ports import Array, Closing, short_switch_interval
@@ -214,8 +214,7 @@ class Session(Closing):
             for one in self.instances[int(self._figure is not None) :]:
                 one.solve(ready.goals, self._ball)
         if self._figure is not None:
-            x, y, z = self._ball.position.tolist()
-            self._figure.send(SetBall((x, y, z)))
+            self._figure.set_ball(self._ball.position)
             self._frame = self._figure.step()
             self.instances[0].stand(self._frame.q, self._frame.action, ready.goals, self._ball)
         for one in self.instances:
@@ -325,13 +324,13 @@ class Session(Closing):
                 for one in self.instances:
                     one.reset()
                 if self._figure is not None:
-                    self._figure.send(ResetFigure())
+                    self._figure.reset()
                     self._motion = "hand"
             case commands.Act():
                 if self._figure is None:
                     self._say("no figure decides: switch it on in the tab Figure")
                 else:
-                    self._figure.send(StartPassive())
+                    self._figure.start_passive()
             case commands.PickBranch(index):
                 if index < len(self._branches):
                     self.instances[0].move_to(self._branches[index].q)

@@ -45,7 +45,7 @@ def test_every_action_is_decided_anywhere(
     x, y, z = axis_rotations("z", stance[2]) @ np.array(BALLS[action]) + [stance[0], stance[1], 0.0]
     found = decider.decide((x, y, z), stance)
     assert found.action == action, found.reason
-    assert (found.stand_point is not None) == (action == "walk")
+    assert bool(found.waypoints) == (action == "walk")
     assert (found.arm is not None) == (action != "nothing") and found.reason
 
 

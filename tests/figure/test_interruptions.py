@@ -14,7 +14,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.balance import derivatives
 from robot_ik.figure.figure import RATE
 from robot_ik.figure.gait import FLAT
-from robot_ik.figure.session import FigureFrame, FigureSession, SetBall
+from robot_ik.figure.session import FigureFrame, FigureSession
 from robot_ik.geometry import axis_rotations
 
 Array = NDArray[np.float64]
@@ -49,14 +49,14 @@ def interrupted(abilities: Abilities, seed: int) -> tuple[list[FigureFrame], int
     rng = np.random.default_rng(seed)
     first, second = PAIRS[seed % len(PAIRS)]
     session = FigureSession(abilities)
-    session.send(SetBall(a_ball(first, np.zeros(3), rng)))
+    session.set_ball(a_ball(first, np.zeros(3), rng))
     frames = [session.step()]
     while session.busy and frames[-1].action == "stand":
         frames.append(session.step())
     for _ in range(int(rng.integers(2, {"walk": 240, "jump": 120}.get(first, 60)))):
         frames.append(session.step())
     cut = len(frames)
-    session.send(SetBall(a_ball(second, session.figure.stance(frames[-1].q), rng)))
+    session.set_ball(a_ball(second, session.figure.stance(frames[-1].q), rng))
     while len(frames) < cut + _WINDOW or (session.busy and len(frames) < cut + _LONGEST * RATE):
         frames.append(session.step())
     return frames, cut
