@@ -318,15 +318,12 @@ def _reached(robot: Robot, q: Array, arguments: Sequence[str]) -> Array | None:
 
 def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
     """The pose with the joints of ``JOINT=DEGREES`` arguments."""
-    from robot_ik.errors import UnknownJointError
     from robot_ik.motion.key_poses import with_joint
 
     for item in items:
         joint, _, text = item.partition("=")
         try:
             q = with_joint(robot, q, joint, float(text))
-        except UnknownJointError:
-            raise
         except ValueError:
             raise wrong("--set", repr(item), "HINGE=DEGREES or SLIDE=METRES") from None
     return q

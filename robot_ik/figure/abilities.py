@@ -7,7 +7,7 @@ else.
 from __future__ import annotations
 
 import hashlib
-import os
+import io
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,6 +22,7 @@ from robot_ik.figure.figure import GRAVITY, Figure, once_each, rotation_points
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.jump import TAKE_OFF, forward_at_take_off, highest_take_off
 from robot_ik.figure.poses import AT_BALL, BEND, NEARLY, REACH, FigurePose, best_pose, find_pose
+from robot_ik.files import write_atomically
 from robot_ik.kernels.jit import cache_folder
 from robot_ik.motion.pose_prior import mirrored, other_side
 from robot_ik.ports import Array
@@ -61,16 +62,15 @@ _SHELL, _FAR_OFF = 1.9 * _GRID, 1.75 * _GRID
 
 @dataclass(frozen=True, eq=False)
 class Map:
-    """Misses of the palm over a grid: 0 where an admissible pose reaches the ball."""
+    """Misses of the palm over the grid from ``ORIGIN``: 0 where an admissible pose reaches the ball."""
 
-    origin: Array  # (3,) first point of the grid
     miss: NDArray[np.float32]  # (i, j, k) m; -1 where the hand comes there, but in no admissible pose
     poses: Array  # (n, nq) of the points in reach, in the order of the grid
 
     @cached_property
     def points(self) -> Array:
         """(n, 3) points in reach."""
-        return np.asarray(self.origin + np.argwhere(self.miss == 0.0) * _GRID)
+        return np.asarray(ORIGIN + np.argwhere(self.miss == 0.0) * _GRID)
 
     def nearby(self, ball: Array, count: int = _STARTS) -> Array:
         """(count, nq) poses that reach the nearest points, the nearest first."""
@@ -81,7 +81,7 @@ class Map:
     def _missed(self) -> tuple[Array, Array]:
         """(m, 3) points out of reach, and (m,) by how much."""
         out = np.isfinite(self.miss) & (self.miss > 0.0)
-        return self.origin + np.argwhere(out) * _GRID, self.miss[out].astype(float)
+        return ORIGIN + np.argwhere(out) * _GRID, self.miss[out].astype(float)
 
     def surely_out(self, ball: Array) -> bool:
         """No pose reaches the ball.
@@ -105,9 +105,9 @@ class Map:
     def comfortable(self, z: float) -> Array:
         """(n, 2) grid points at that height that are in reach, and their neighbours."""
         inside = self._inner
-        k = (z - self.origin[2]) / _GRID
+        k = (z - ORIGIN[2]) / _GRID
         levels = [level for level in {int(np.floor(k)), int(np.ceil(k))} if 0 <= level < inside.shape[2]]
-        return np.asarray(self.origin[:2] + np.argwhere(inside[:, :, levels].any(axis=2)) * _GRID)
+        return np.asarray(ORIGIN[:2] + np.argwhere(inside[:, :, levels].any(axis=2)) * _GRID)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,7 +271,7 @@ def _reflected(figure: Figure, right: Map) -> Map:
     row[right.miss == 0.0] = np.arange(len(right.poses))
     flipped = row[:, ::-1]
     poses = mirrored(figure.robot, right.poses[flipped[flipped >= 0]])
-    return Map(right.origin, right.miss[:, ::-1].copy(), poses)
+    return Map(right.miss[:, ::-1].copy(), poses)
 
 
 def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[str, str], Map] | None:
@@ -284,7 +284,7 @@ def _read(file: Path, digest: str, keys: list[tuple[str, str]]) -> dict[tuple[st
         for kind, arm in keys:
             code = stored[f"{kind}-{arm}"]
             miss = np.where(code == _FAR, np.inf, code / 1000.0).astype(np.float32)
-            out[kind, arm] = Map(stored["origin"], miss, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
+            out[kind, arm] = Map(miss, stored[f"poses-{kind}-{arm}"] / _PER_UNIT)
     return out
 
 
@@ -298,10 +298,10 @@ def write_maps(file: Path, digest: str, maps: dict[tuple[str, str], Map]) -> Non
         # Rounded down: a miss that is reported too small only costs a solve.
         code[near] = np.floor(1000.0 * found.miss[near]).astype(np.int16)
         coarse = np.rint(found.poses * _PER_UNIT).astype(np.int16)
-        arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse, "origin": found.origin}
-    part = file.with_name(f"{file.stem}.{os.getpid()}.part.npz")
-    np.savez_compressed(part, allow_pickle=False, **arrays)
-    part.replace(file)
+        arrays |= {f"{kind}-{arm}": code, f"poses-{kind}-{arm}": coarse}
+    stored = io.BytesIO()
+    np.savez_compressed(stored, allow_pickle=False, **arrays)
+    write_atomically(file, stored.getvalue())
 
 
 def _digest(figure: Figure) -> str:
@@ -340,7 +340,7 @@ def _make_maps(
         for i in np.flatnonzero(np.isfinite(miss)):
             nearer = max(float(miss[i]), 0.0) + np.linalg.norm(POINTS - POINTS[i], axis=1)
             miss = np.where(np.isfinite(miss), np.minimum(miss, nearer), miss).astype(np.float32)
-        maps[key] = Map(ORIGIN, miss.reshape(SHAPE), poses[miss == 0.0])
+        maps[key] = Map(miss.reshape(SHAPE), poses[miss == 0.0])
     return maps
 
 

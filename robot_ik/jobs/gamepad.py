@@ -55,7 +55,7 @@ def _live(pushed: Array) -> Array:
 
 
 class Gamepad(Jog):
-    """An ``Operator``: sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
+    """Sticks, triggers and shoulders jog the hand in the axes of the world, or joints.
 
     B stops and holds (``stop``), Y changes between joints and hand, up and down move the gripper, Start ends
     (``over``).  ``read`` raises ``HardwareError`` where the gamepad is gone; ``recover`` waits for it, s.

@@ -8,9 +8,10 @@ jumps.  A leader that is lost commands nothing: then the follower's own ``on_sta
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -41,24 +42,22 @@ _MET = 1e-3, 1e-2  # m and rad: so near a step of the hand has come where it sho
 Angles = Mapping[str, float]
 
 
-class Operator(Protocol):
+class Operator(ABC):
     """What leads: says where each joint of the follower should be."""
 
+    @abstractmethod
     def engage(self, follower: Angles) -> None:
         """From here on; the follower is at ``follower`` (joint -> rad, m of a slide)."""
-        ...
 
+    @abstractmethod
     def command(self, now: float) -> Angles:
         """Joint -> rad (m of a slide) at ``now``, s; HardwareError: it is lost."""
-        ...
 
-    def feel(self, follower: Angles) -> None:
+    def feel(self, follower: Angles) -> None:  # noqa: B027 - most give nothing back
         """Where the follower is, for those who give it back to the hand."""
-        ...
 
-    def recover(self, timeout: float) -> None:
+    def recover(self, timeout: float) -> None:  # noqa: B027 - keys are never lost
         """Back after it was lost; HardwareError: not within ``timeout`` s."""
-        ...
 
 
 class JointCoupling:
@@ -136,7 +135,7 @@ class Hand:
         return dict(zip(self.names, self._q[self._order].tolist(), strict=True))
 
 
-class LeaderArm:
+class LeaderArm(Operator):
     """An arm that a person guides; torque is off, unless it shall push back.
 
     Args:
@@ -237,8 +236,8 @@ _STEP, _ROTATION = 0.01, np.radians(3.0)  # m or rad (joints and rotations) of o
 _FINEST, _COARSEST = 0.1, 4.0
 
 
-class Jog:
-    """An ``Operator`` that moves joints, or the ``hand`` in the axes of the world; never beyond the limits.
+class Jog(Operator):
+    """Moves joints, or the ``hand`` in the axes of the world; never beyond the limits.
 
     ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last;
     ``stop`` makes the follower hold, and ``over`` says whether the person wants to end.
@@ -274,12 +273,6 @@ class Jog:
         pose = self._hand.pose
         pose = Pose.from_rotation(rotation @ pose.rotation, pose.position + along)
         self.angles |= self._hand.go(pose, exactly=True)
-
-    def feel(self, follower: Angles) -> None:
-        """Gives nothing back."""
-
-    def recover(self, timeout: float) -> None:
-        """It is never lost."""
 
 
 class KeyboardJog(Jog):

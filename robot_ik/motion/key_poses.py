@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, close_matches
+from robot_ik.errors import ConfigError, TrajectoryError, UnknownJointError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, PostureGoal
 from robot_ik.inverse_kinematics import solve
@@ -100,14 +100,15 @@ class KeyPoses:
         self.motions[name] = KeySequence(tuple(poses), tuple(float(d) for d in durations), bool(loop))
         return self.motions[name]
 
-    def motion(self, name: str, *, speed: float = 1.0, velocity: ArrayLike | None = None) -> Keyframes:
-        """The motion of that name; ways that are too short for the speed limits take longer.
+    def motion(self, name: str, *, speed: float = 1.0) -> Keyframes:
+        """The motion of that name; ways that are too short for the robot's speed limits take longer.
+
+        Where a motion has durations, only limits that the robot's file states count: those of other joints
+        are a cautious guess.
 
         Args:
             name: Of a motion; that of a pose is the pose, held.
             speed: As in ``Keyframes.through``.
-            velocity: (nv,) speed limits, rad/s or m/s; None: the robot's.  Where a motion has durations, only
-                limits that the robot's file states: those of other joints are a cautious guess.
         """
         if name in self.poses and name not in self.motions:
             return Keyframes(self.robot, [0.0], [self.poses[name]])
@@ -115,8 +116,7 @@ class KeyPoses:
             wanted = self.motions[name]
         except KeyError:
             raise _unknown("motion", name, [*self.motions, *self.poses]) from None
-        if velocity is None and wanted.durations:
-            velocity = _stated_limits(self.robot)
+        velocity = _stated_limits(self.robot) if wanted.durations else None
         keys = [self[pose] for pose in wanted.poses]
         if wanted.loop:
             keys.append(keys[0])
@@ -213,9 +213,10 @@ def _pose_of(robot: Robot, joints: Mapping[str, float | tuple[float, ...]], file
     for joint, value in joints.items():
         key = f"poses.{name}.{joint}"
         if joint not in robot.joints:
-            close = close_matches(joint, robot.joints)
-            problem = "unknown joint" + (f" (did you mean {close[0]!r}?)" if close else "")
-            raise ConfigError(problem, file=file, key=key, allowed=f"a joint of {robot.name!r}")
+            hint = did_you_mean(joint, robot.joints)
+            raise ConfigError(
+                "unknown joint", file=file, key=key, allowed=f"a joint of {robot.name!r}", hint=hint
+            )
         numbers = _numbers_of_joints(robot)[joint]
         width = numbers.stop - numbers.start
         values = [value] if isinstance(value, int | float) else list(value)
@@ -238,8 +239,7 @@ def _quoted(name: str) -> str:
 
 
 def _unknown(what: str, name: str, known: Iterable[str]) -> TrajectoryError:
-    close = close_matches(name, list(known))
-    hint = f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known) or 'none'}"
+    hint = did_you_mean(name, known) or f"known: {', '.join(known) or 'none'}"
     return TrajectoryError(f"there is no {what} {name!r}", hint=hint)
 
 

@@ -28,8 +28,9 @@ from robot_ik.solvers.base import Solver
 _STEP_LENGTH = 0.005  # m
 _STEP_ANGLE = 0.03  # rad
 _FEWEST = 8  # steps: the timing needs derivatives on the shortest line too
-# The trace halves a step at most this often; what still moves a joint too far in 1/1024 of it is a jump.
-_HALVINGS = 10
+# Largest change of one joint, rad or m, from point to point.  The trace halves a step at most this often;
+# what still moves a joint farther in 1/1024 of it is a jump.
+_MAX_JUMP, _HALVINGS = 0.1, 10
 # A joint this near to a limit is named as the reason when no further point is found: rad or m.
 _AT_LIMIT = 0.02
 # Each round of slowing aims this much below the bound, so that few rounds are needed.
@@ -85,7 +86,6 @@ def line_move(
     angular_speed: float = 1.5,
     rate: float = 100.0,
     deviation: float = 1e-4,
-    max_jump: float = 0.1,
     velocity: ArrayLike | None = None,
     acceleration: ArrayLike | None = None,
 ) -> Trajectory:
@@ -105,8 +105,6 @@ def line_move(
         angular_speed: Most of the tool, rad/s.
         rate: Samples a second, Hz; the duration is rounded up to whole periods.
         deviation: Largest distance of the tool from the line, m.
-        max_jump: Largest change of one joint, rad or m, from one traced point to the next; where it
-            is more even over a few micrometres, the joint jumps.
         velocity: (nq,) further cap in rad/s, such as that of the arm file; the lower one counts.
         acceleration: (nq,) likewise, rad/s^2.
 
@@ -124,7 +122,6 @@ def line_move(
         ("linear_speed", linear_speed, "m/s"),
         ("angular_speed", angular_speed, "rad/s"),
         ("deviation", deviation, "m"),
-        ("max_jump", max_jump, "rad"),
     ):
         require_positive(what, value, unit)
     name = robot.tool if frame is None else frame
@@ -132,7 +129,7 @@ def line_move(
     if line.length <= _TOLERANCE and line.angle <= _TOLERANCE:
         return Trajectory([0.0], [first], robot.joints)
     problem = Problem(robot, PoseGoal.at(name, Pose()), tolerance=Tolerance(_TOLERANCE, _TOLERANCE))
-    tracer = _Tracer(robot, name, line, make_solver(solver), problem, max_jump)
+    tracer = _Tracer(robot, name, line, make_solver(solver), problem)
     knots, path = tracer.trace(first)
     with np.errstate(divide="ignore"):
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
@@ -155,7 +152,6 @@ class _Tracer:
     line: _Line
     solver: Solver
     problem: Problem  # one pose of the frame
-    max_jump: float  # largest change of one joint from point to point
 
     def solve(self, s: float, start: Array) -> Array | None:
         """Joint vector (nq,) of the point ``s`` nearest to ``start``, None where there is none."""
@@ -173,7 +169,7 @@ class _Tracer:
             s = min(1.0, knots[-1] + step)
             s = 1.0 if 1.0 - s < 1e-3 * longest else s  # no crumb of a step at the end
             q = self.solve(s, path[-1])
-            if q is not None and np.abs(q - path[-1]).max() <= self.max_jump:
+            if q is not None and np.abs(q - path[-1]).max() <= _MAX_JUMP:
                 knots.append(s)
                 path.append(q)
                 step = min(longest, 2.0 * step)
@@ -199,7 +195,7 @@ class _Tracer:
                 hint="shorten the line, start from another configuration, or use joint_move",
             )
         k = int(np.argmax(np.abs(beyond - q)))
-        jump, most = apart(abs(beyond[k] - q[k]), self.max_jump, digits=3)
+        jump, most = apart(abs(beyond[k] - q[k]), _MAX_JUMP, digits=3)
         return TrajectoryError(
             f"{self.frame!r} can follow only {reached}: there joint {self.robot.joints[k]!r} would jump by "
             f"{jump}; at most {most} is allowed (rad, m for slides)",
@@ -239,7 +235,7 @@ def _solved(tracer: _Tracer, knots: Array, path: Array, s: Array) -> Array:
     q = near.copy()
     for k in range(1, len(s) - 1):
         found = tracer.solve(float(s[k]), near[k])
-        if found is None or np.abs(found - near[k]).max() > tracer.max_jump:
+        if found is None or np.abs(found - near[k]).max() > _MAX_JUMP:
             raise tracer.broken(float(s[k]), near[k], found)
         q[k] = found
     q[0], q[-1] = path[0], path[-1]

@@ -440,10 +440,8 @@ def playable(motion: Trajectory, caps: MotionCaps, speed: float) -> tuple[Trajec
 
 def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     """The running mean over ``SMOOTHING``, at ``rate`` Hz; it begins and ends where the motion does."""
-    count = math.ceil(motion.duration * rate) + 1
-    q = np.array([motion.at(motion.times[0] + k / rate) for k in range(count)])
     width = max(round(SMOOTHING * rate), 1)
-    padded = np.pad(q, ((width - 1, width - 1), (0, 0)), "edge")
+    padded = np.pad(motion.resampled(rate).q, ((width - 1, width - 1), (0, 0)), "edge")
     mean = np.lib.stride_tricks.sliding_window_view(padded, width, axis=0).mean(axis=-1)
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 

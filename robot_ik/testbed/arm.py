@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -21,8 +20,8 @@ from robot_ik.hardware.watchdogs import ExitGuard
 from robot_ik.motion.trajectory import RecorderSink, Trajectory, approach, playable
 from robot_ik.ports import Array, VirtualClock
 from robot_ik.robot import Robot
+from robot_ik.testbed.commands import ArmMode
 
-ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
 STALE = 0.5
 """Seconds without new joint angles after which the arm holds."""
 TEACH_LIMIT = 600.0

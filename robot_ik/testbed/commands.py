@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_snake
 
-from robot_ik.errors import ConfigError, close_matches
+from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.table_errors import config_error
@@ -31,6 +31,7 @@ Index = Annotated[int, Field(ge=0, le=3)]
 Count = Literal[1, 2, 4]
 Motion = Literal["curve", "random", "hand"]
 GoalKind = Literal["pose", "position", "aim", "line", "plane"]
+ArmMode = Literal["follow", "hold", "release", "teach", "replay"]
 
 COUNTS: tuple[Count, ...] = get_args(Count)
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
@@ -198,7 +199,7 @@ class Act(Command):
 class SetArm(Command):
     """The servo arm: follow the first instance, hold, let go (torque off), record a hand, or repeat that."""
 
-    state: Literal["follow", "hold", "release", "teach", "replay"]
+    state: ArmMode
 
 
 COMMANDS: dict[str, type[Command]] = {
@@ -228,10 +229,9 @@ def command_from(values: Mapping[str, Any], file: Path | str) -> Command:
     rest = dict(values)
     name = str(rest.pop("command", ""))
     if name not in COMMANDS:
-        close = close_matches(name, COMMANDS)
         raise ConfigError(
-            f"there is no command {shown(name)}" + (f" (did you mean {close[0]!r}?)" if close else ""),
-            file=file, key="command", allowed=", ".join(COMMANDS),
+            f"there is no command {shown(name)}",
+            file=file, key="command", allowed=", ".join(COMMANDS), hint=did_you_mean(name, COMMANDS),
         )  # fmt: skip
     command: Command = _checked(COMMANDS[name], rest, file)
     return command

@@ -31,7 +31,15 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.testbed import commands
 from robot_ik.testbed.instance import Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
-from robot_ik.testbed.setup import ExtraGoal, Ready, Setup, branches_of, completed, first_ball
+from robot_ik.testbed.setup import (
+    ExtraGoal,
+    MethodChoice,
+    Ready,
+    Setup,
+    branches_of,
+    completed,
+    first_ball,
+)
 
 if TYPE_CHECKING:
     from robot_ik.testbed.arm import ArmLink, ArmView
@@ -134,7 +142,7 @@ class Session(Closing):
         self, start: commands.Start | None = None, *, beside: bool = True, arm: ArmLink | None = None
     ) -> None:
         self.start = commands.checked_start(commands.Start() if start is None else start)
-        setup = Setup.of(self.start)
+        setup = Setup(self.start.robot, self.start.count, tuple(map(MethodChoice, self.start.methods)))
         for choice in setup.choices:
             choice.solver()
         self._queue: queue.SimpleQueue[commands.Command] = queue.SimpleQueue()

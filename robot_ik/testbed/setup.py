@@ -101,11 +101,6 @@ class Setup:
     branches: bool = False  # whether all branches of a closed form are looked for
     figure: Literal["off", "active", "passive"] = "off"  # the first instance decides by itself
 
-    @classmethod
-    def of(cls, start: commands.Start) -> Setup:
-        """What a session begins with."""
-        return cls(start.robot, start.count, tuple(MethodChoice(method) for method in start.methods))
-
     def after(self, command: commands.SetupCommand) -> Setup:
         """What is solved after a command of this kind.
 

@@ -16,7 +16,7 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.jobs.teleop import Jog, TeleopTick, teleoperate
+from robot_ik.jobs.teleop import KeyboardJog, TeleopTick, teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
 from tests.jobs.test_teleop import arm_file, home
@@ -45,7 +45,7 @@ def test_sticks_move_the_hand_along_the_axes_of_the_world() -> None:
 
 def test_a_hand_at_the_end_of_its_reach_stops_there_as_it_is_and_comes_back_without_drift() -> None:
     config, robot = arm_file("tabletop_puma"), load_robot("tabletop_puma")
-    jog = Jog(config, hand=True)
+    jog = KeyboardJog(config, str, hand=True)
     begin = dict(zip(config.names, home("tabletop_puma").tolist(), strict=True))
     jog.engage(begin | {joint.name: joint.limits[0] for joint in config.auxiliary})
 

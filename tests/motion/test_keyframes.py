@@ -212,7 +212,7 @@ def test_frames_with_comments_and_further_columns_are_read(tmp_path: Path) -> No
     ("text", "message"),
     [
         ("schema = 2", "schema: 2 is not right; allowed: 1"),
-        ("schema = 1\n[poses.a]\njoint9 = 1.0", r"poses.a.joint9: unknown joint \(did you mean 'joint\d'"),
+        ("schema = 1\n[poses.a]\njoint9 = 1.0", r"(?s)poses.a.joint9: unknown joint.*did you mean joint\d"),
         ("schema = 1\n[poses.a]\njoint1 = true", "poses.a.joint1: True is not right; allowed: a number"),
         (
             "schema = 1\n[poses.a]\njoint1 = 99.0",
@@ -250,7 +250,7 @@ def test_durations_hold_unless_a_stated_speed_limit_says_no(humanoid: rik.Robot)
 def test_names_that_are_not_there_are_answered_with_the_close_ones() -> None:
     book = KeyPoses(rik.load_robot("puma560"))
     book.record("stand", book.robot.home)
-    with pytest.raises(TrajectoryError, match="did you mean 'stand'"):
+    with pytest.raises(TrajectoryError, match="did you mean stand"):
         book["stend"]
     with pytest.raises(TrajectoryError, match="there is a pose 'stand' already"):
         book.record("stand", book.robot.home)

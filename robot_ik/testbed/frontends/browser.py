@@ -28,15 +28,17 @@ from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, 
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
+    Control,
     FigurePanel,
     GoalsPanel,
     MeasuredPanel,
     MethodPanel,
     RunPanel,
     key_table,
+    page,
+    pressed,
 )
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
-from robot_ik.testbed.frontends.widgets import Control, page, pressed
 from robot_ik.testbed.session import Session, View
 
 Image = NDArray[np.uint8]
