@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -36,6 +34,7 @@ from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.model import compiled, read_spec
+from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
@@ -276,20 +275,17 @@ def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -
     Speeds are not in it: whoever checks differentiates.  A frame says which contact it claims.
     """
     model = figure.model
-    out = io.StringIO()
     path = figure.robot.path
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:16] if path.is_file() else ""
-    out.write(f"# robot_ik {__version__}, figure frames {FRAMES_SCHEMA}\n")
-    out.write(f"# model {path.name} sha256 {digest}, rate {RATE:g} Hz, SI, rad, quaternions wxyz\n")
+    about = f"# robot_ik {__version__}, figure frames {FRAMES_SCHEMA}\n"
+    about += f"# model {path.name} sha256 {digest}, rate {RATE:g} Hz, SI, rad, quaternions wxyz\n"
     base = ["base_x", "base_y", "base_z", "base_qw", "base_qx", "base_qy", "base_qz"]
     joints = [model.joint(j).name for j in range(1, model.njnt)]
     feet = [f"{side}_anchor_{axis}" for side in SIDES for axis in "xyz"]
     points = ("com_x", "com_y", "com_z", "zmp_plan_x", "zmp_plan_y", "target_x", "target_y", "target_z")
-    writer = csv.writer(out, lineterminator="\n")
     contacts = [f"{side}_contact" for side in SIDES]
-    writer.writerow(
-        ["t", "action", "phase", *base, *joints, *contacts, *feet, *points, "hand", "decision", "seed"]
-    )
+    head = ["t", "action", "phase", *base, *joints, *contacts, *feet, *points, "hand", "decision", "seed"]
+    rows: list[list[object]] = []
     before = None
     for frame in frames:
         q = frame.q.copy()
@@ -298,13 +294,13 @@ def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -
         before = q[3:7].copy()
         anchors = [_anchor(figure, frame, side) for side in range(2)]
         numbers = [*np.concatenate(anchors), *figure.center(frame.q), *frame.zmp, *frame.ball]
-        writer.writerow(
+        rows.append(
             [_digits(frame.t), frame.action, _digits(frame.phase), *map(_digits, q)]
             + [CONTACTS[int(c)] for c in frame.contact]
             + [_digits(x) for x in numbers]
             + [frame.decision.arm or "", frame.decision.action, seed]
         )
-    return out.getvalue()
+    return about + csv_table(head, rows)
 
 
 def _digits(value: float) -> str:

@@ -129,7 +129,7 @@ def _table(report: ReachReport) -> str:
     if run.measured is not None:
         head += [f"{joint}_measured" for joint in run.joints]
         columns.append(run.measured)
-    return csv_table(head, np.hstack(columns))
+    return csv_table(head, np.hstack(columns).tolist())
 
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:

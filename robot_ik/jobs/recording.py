@@ -63,9 +63,9 @@ class TableRecording(Recording):
 
     def write(self, moment: Moment) -> None:
         both, goal = (moment.commanded, moment.measured), moment.goal
-        sides = [self._blank if q is None else list(map(repr, q.tolist())) for q in both]
-        aim = [""] * len(_GOAL) if goal is None else [repr(float(x)) for x in (*goal.position, *goal.wxyz)]
-        self._rows.writerow([repr(float(moment.now)), moment.robot, *sides[0], *sides[1], *aim, moment.text])
+        sides = [self._blank if q is None else q.tolist() for q in both]
+        aim = [""] * len(_GOAL) if goal is None else [*goal.position.tolist(), *goal.wxyz.tolist()]
+        self._rows.writerow([float(moment.now), moment.robot, *sides[0], *sides[1], *aim, moment.text])
 
     def close(self) -> None:
         self._file.close()

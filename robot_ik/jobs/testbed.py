@@ -163,14 +163,14 @@ def film(
     with contextlib.ExitStack() as stack:
         if isinstance(artist, GlArtist):
             stack.callback(artist.close)
-        sink = None
+        write = None
         if out is not None:
-            sink = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite))
+            write = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite)).write
         recorder: Recorder | None = None
         rows: Recording | None = None
         joints: tuple[str, ...] = ()
         for session in replayed(log):
-            recorder = recorder or Recorder(session, artist, size, sink)
+            recorder = recorder or Recorder(session, artist, size, write)
             view = session.view()
             if (view.tick - 1) % every == 0:
                 recorder.draw(view)

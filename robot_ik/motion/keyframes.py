@@ -343,7 +343,8 @@ class Keyframes:
         Raises:
             OutputError: The folder is missing or not writable.
         """
-        text = csv_table(["t", *column_names(self.robot)], np.column_stack([self.times, self.q]))
+        rows = np.column_stack([self.times, self.q]).tolist()
+        text = csv_table(["t", *column_names(self.robot)], rows)
         write_atomically(Path(path), text)
 
     @classmethod

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, rotation_z_to
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.ports import Array
 
@@ -222,9 +222,5 @@ def _in_plane(
         raise InvalidGoalError(
             f"a curve of radius {radius} m and period {period} s", hint="both must be above zero"
         )
-    axis = axis / length
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]  # the world axis least along the normal
-    up = np.cross(axis, helper)
-    up /= np.linalg.norm(up)
-    plane = radius * np.array([np.cross(up, axis), up])  # right-handed with the normal
+    plane = radius * rotation_z_to(axis / length)[:, :2].T  # right-handed with the normal
     return lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane

@@ -232,7 +232,7 @@ class Trajectory:
 
     def csv_text(self) -> str:
         """What ``save_csv`` writes."""
-        return csv_table([_TIME_COLUMN, *self.joints], np.column_stack([self.times, self.q]))
+        return csv_table([_TIME_COLUMN, *self.joints], np.column_stack([self.times, self.q]).tolist())
 
     @classmethod
     def load_csv(cls, path: Path | str) -> Trajectory:
@@ -267,12 +267,10 @@ class Trajectory:
             raise ConfigError(str(error), file=source) from error
 
 
-def csv_table(head: list[str], rows: Array) -> str:
-    """A header and rows (n, k) in full precision as CSV."""
+def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A header and rows of text and numbers, these in full precision, as CSV."""
     stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([map(repr, row) for row in rows.tolist()])
+    csv.writer(stream, lineterminator="\n").writerows([head, *rows])
     return stream.getvalue()
 
 

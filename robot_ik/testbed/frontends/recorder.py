@@ -6,11 +6,9 @@ which needs nothing.  Pictures are BGR.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -22,6 +20,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -46,14 +45,6 @@ _LETTER = 0.022  # height of letters over the picture's
 _NEAR = 0.05  # metres before the lens: what is nearer is not drawn
 
 
-class Sink(Protocol):
-    """Takes pictures (height, width, 3) BGR with their times in seconds."""
-
-    def write(self, image: Image, time: float) -> None:
-        """Adds one."""
-        ...
-
-
 class Recorder:
     """The front end ``recorder``.
 
@@ -61,27 +52,31 @@ class Recorder:
         session: What is filmed.
         artist: Draws a robot.
         size: Width and height of the pictures, pixels.
-        sink: Takes the pictures; None: only numbers are kept.
+        write: Takes the pictures (height, width, 3) BGR with their times, s; None: only numbers are kept.
     """
 
     def __init__(
-        self, session: Session, artist: Artist, size: tuple[int, int] = (1280, 720), sink: Sink | None = None
+        self,
+        session: Session,
+        artist: Artist,
+        size: tuple[int, int] = (1280, 720),
+        write: Callable[[Image, float], None] | None = None,
     ) -> None:
-        self.session, self._artist, self._size, self._sink = session, artist, size, sink
+        self.session, self._artist, self._size, self._write = session, artist, size, write
         self._robot: Robot | None = None
         self._count = 0
         self._rows: list[list[object]] = []
 
     def draw(self, view: View) -> None:
         """One picture and one row for each instance."""
-        if self._sink is not None:
-            self._sink.write(self.picture(view), view.now)
+        if self._write is not None:
+            self._write(self.picture(view), view.now)
         for k, one in enumerate(view.instances):
             joints = dict(zip(self.session.robot.joints, one.q.tolist(), strict=False))
             self._rows.append(
                 [
                     view.tick, f"{view.now:.6f}", view.robot, k + 1, one.method, one.status, one.iterations,
-                    *(repr(float(x)) for x in view.ball.position), repr(one.miss), repr(one.angle),
+                    *view.ball.position.tolist(), one.miss, one.angle,
                     f"{one.statistics.mean:.9f}", f"{one.statistics.solved:.4f}",
                     " ".join(f"{name}={value!r}" for name, value in joints.items()),
                 ]
@@ -93,11 +88,7 @@ class Recorder:
         Raises:
             OutputError: It cannot be written.
         """
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows(self._rows)
-        write_atomically(path, text.getvalue())
+        write_atomically(path, csv_table(COLUMNS, self._rows))
 
     def picture(self, view: View) -> Image:
         """What a camera in front of the robots sees, with the statistics in a corner."""
