@@ -14,7 +14,7 @@ from tyro.conf import arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import Json, request_of, require, single, wrong
-from robot_ik.files import claimed, make_folder, write_atomically
+from robot_ik.files import claimed, write_atomically
 from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
@@ -80,8 +80,6 @@ class FigureOptions:
     """A table of all frames, for programs that check them."""
     viewer: bool = False
     """Show it in MuJoCo's window."""
-    tour: Annotated[Path | None, single("FOLDER", "none")] = None
-    """Draw a picture of each decision, and film strips."""
     seed: int = 0
     """Of random balls."""
     json: Json = False
@@ -99,15 +97,11 @@ def run(options: FigureOptions) -> int:
     if robot.file.figure is None and is_lion(robot):
         return _lion(Lion(robot), options)
     abilities = _abilities(robot)
-    from robot_ik.jobs.figure import decide_balls, frames_table, read_balls, tour
+    from robot_ik.jobs.figure import decide_balls, frames_table, read_balls
 
     if options.balls is not None:
         for row in decide_balls(abilities, read_balls(options.balls), _stance(options)):
             console.print_json_line(row)
-        return console.DONE
-    if options.tour is not None:
-        for file in tour(abilities, make_folder(options.tour), console.say):
-            console.result(str(file))
         return console.DONE
     figure = abilities.figure
     with claimed(options.frames, overwrite=options.overwrite):
@@ -120,16 +114,16 @@ def run(options: FigureOptions) -> int:
 def _checked(options: FigureOptions) -> FigureOptions:
     """The options, with what they imply; raises ``ConfigError`` where some contradict each other."""
     for name in (name for name in ("ar", "camera") if getattr(options, name)):
-        other = next((other for other in ("ball", "balls", "tour") if getattr(options, other)), "")
+        other = next((other for other in ("ball", "balls") if getattr(options, other)), "")
         require(not other, f"--{name}", f"--{other} is given, too", "one of both; the ball is a marker there")
         seen = "--path marker: the ball is a marker that it sees"
         require(options.path in ("", "marker"), f"--{name}", f"--path is {options.path}", seen)
         options = replace(options, path="marker")
     if options.path == "marker" and not options.camera:
         options = replace(options, camera="synthetic")
-    asked = [name for name in ("ball", "balls", "path", "tour") if getattr(options, name)]
+    asked = [name for name in ("ball", "balls", "path") if getattr(options, name)]
     if len(asked) > 1:
-        raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path, --tour")
+        raise wrong(f"--{asked[1]}", f"--{asked[0]} is given, too", "one of --ball, --balls, --path")
     finite = options.ball is None or bool(np.isfinite(options.ball).all())
     require(finite, "--ball", f"{options.ball}", "three finite numbers, metres")
     numbers = "three finite numbers: metres, metres, degrees"
@@ -144,7 +138,7 @@ def _checked(options: FigureOptions) -> FigureOptions:
 def _lion(lion: Lion, options: FigureOptions) -> int:
     from robot_ik.jobs.figure import read_balls, run_lion
 
-    if options.path or options.tour is not None or options.mode != "active":
+    if options.path or options.mode != "active":
         raise wrong("--model", f"{lion.robot.name} stands where it is", "a lion takes --ball or --balls")
     if options.balls is not None:
         for ball in read_balls(options.balls):

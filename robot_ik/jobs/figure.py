@@ -1,4 +1,4 @@
-"""The figure's job: balls in; frames, decisions, films, film strips and the table of frames out."""
+"""The figure's job: balls in; frames, decisions, films and the table of frames out."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import cv2
 import mujoco
 import numpy as np
 
 from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
-from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.image import Image, write_image
+from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
@@ -32,7 +30,6 @@ from robot_ik.geometry import axis_rotations
 from robot_ik.jobs.ar.job import ArReport, ArRequest, PictureProgress, heights, run_ar
 from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
-from robot_ik.jobs.gallery import fitted_camera, lens, photograph
 from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array
@@ -255,18 +252,12 @@ def watch(
         each(frame)
         arm = frame.decision.arm
         if frame.action in ("reach", "bend", "jump") and arm is not None:
-            miss = _miss(robot, hands, frame)
+            miss = float(np.linalg.norm(robot.forward(frame.q, hands[arm]).position - frame.ball))
             nearest = miss if frame.action != "jump" else min(nearest, miss)
             if frame.phase >= 1.0:
                 report.misses.append((frame.action, nearest))
                 nearest = np.inf
     return report
-
-
-def _miss(robot: Robot, hands: Mapping[str, str], frame: FigureFrame) -> float:
-    """Distance, m, of ball and the hand that the decision names."""
-    hand = hands[frame.decision.arm or "right"]
-    return float(np.linalg.norm(robot.forward(frame.q, hand).position - frame.ball))
 
 
 def frames_table(figure: Figure, frames: Sequence[FigureFrame], seed: int = 0) -> str:
@@ -400,70 +391,6 @@ def record(
         for done, frame in enumerate(picked, start=1):
             sink.write(painter.paint(frame), frame.t)
             progress(done, len(picked))
-
-
-_STRIP_WIDTH = 165
-"""px of each picture of a film strip."""
-
-
-def strip(
-    figure: Figure, q: Array, count: int, view_deg: tuple[float, float], *, follow: bool = False
-) -> Image:
-    """Some of the frames (n, nq) beside each other, photographed by the project's own rays."""
-    optics = lens(2 * _STRIP_WIDTH, 560)
-    picks = np.linspace(0, len(q) - 1, count).astype(int)
-    moved = q[picks].copy()
-    if follow:
-        moved[:, :2] -= moved[:, :2].copy()
-    points = np.concatenate([*(surface_points(figure.model, row) for row in moved), np.zeros((1, 3))])
-    camera = fitted_camera(points, view_deg, optics)
-    tiles = [photograph(figure.model, row, camera, optics, 0.0).image for row in moved]
-    whole = np.concatenate(tiles, axis=1)
-    return np.asarray(cv2.resize(whole, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-TOUR: tuple[tuple[str, tuple[float, float, float]], ...] = (
-    ("reach", (0.45, -0.25, 1.45)),
-    ("bend", (0.5, -0.2, 0.15)),
-    ("jump", (0.25, -0.2, 2.4)),
-    ("walk", (2.6, 0.9, 1.2)),
-    ("nothing", (0.6, 0.0, 3.2)),
-)
-"""A ball for each decision of a figure at the origin."""
-
-
-def tour(
-    abilities: Abilities, folder: Path, progress: Callable[[str], None] = lambda name: None
-) -> list[Path]:
-    """The docs' pictures: one for each decision, and film strips of walk, turn, bend and jump."""
-    figure = abilities.figure
-    done: list[Path] = []
-
-    def save(name: str, image: Image) -> None:
-        progress(name)
-        done.append(folder / f"{name}.png")
-        write_image(done[-1], image)
-
-    runs = {}
-    for action, ball in TOUR:
-        report = watch(figure.robot, figure.hands, run_figure(abilities, FigureRequest((ball,))))
-        runs[action] = [f for f in report.frames if f.action in (action, "stand") or action == "nothing"]
-        shown = [f for f in report.frames if f.action == action] or report.frames
-        pick = shown[len(shown) // 2] if action == "walk" else shown[-1]
-        if action == "jump":  # the palm at the ball
-            pick = min(shown, key=lambda frame: _miss(figure.robot, figure.hands, frame))
-        save(f"decision-{action}", Painter(figure.robot, size=(480, 480)).paint(pick))
-    only = lambda name: np.array([f.q for f in runs[name] if f.action == name])  # noqa: E731
-    walked = only("walk")
-    save("strip-walk", strip(figure, walked[len(walked) // 3 :][:70], 9, (-90.0, 6.0), follow=True))
-    save("strip-bend", strip(figure, only("bend"), 7, (-60.0, 8.0)))
-    save("strip-reach", strip(figure, only("reach"), 6, (-50.0, 8.0)))
-    save("strip-jump", strip(figure, only("jump")[20:], 10, (-60.0, 4.0)))
-    behind = FigureRequest(((-1.8, -0.3, 1.2),))
-    walk = watch(figure.robot, figure.hands, run_figure(abilities, behind))
-    steps = np.array([f.q for f in walk.frames if f.action == "walk"])
-    save("strip-turn", strip(figure, steps, 9, (-30.0, 8.0), follow=True))
-    return done
 
 
 def decide_balls(

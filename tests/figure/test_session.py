@@ -209,7 +209,7 @@ def test_the_lion_is_a_figure_of_the_command(tmp_path: Path, capsys: pytest.Capt
         ("--ball 1 2 3 --path circle", "--path: --ball"), ("--ball nan 0 0", "--ball"),
         ("--ball 0 inf 0", "--ball"), ("--camera synthetic --path circle", "--camera: --path is circle"),
         ("--ar --path circle", "--ar: --path is circle"), ("--place nan 0 0", "--place"),
-        ("--ar --ball 0.5 0 1", "--ar: --ball is given, too"), ("--camera 0 --tour x", "--camera: --tour is"),
+        ("--ar --ball 0.5 0 1", "--ar: --ball is given, too"), ("--camera 0 --balls x", "--balls is"),
         ("--seconds 0", "--seconds"), ("--path circle --seconds nan", "--seconds"), ("--model puma560", ""),
         ("--model lion --path circle", "--model"), ("--balls missing.csv", "missing.csv"),
         ("--ar --viewer", "--viewer"), ("--camera missing.mp4 --ar", "missing.mp4"), ("--ar --scale -1", ""),
