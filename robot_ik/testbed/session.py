@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 
 from robot_ik.errors import RobotIkError
+from robot_ik.figure.decide import Decision
 from robot_ik.figure.session import FigureFrame, FigureSession
 from robot_ik.geometry import Pose
 from robot_ik.motion.sources import RandomSource
@@ -71,10 +72,7 @@ class FigureView:
     mode: str  # ``active``: it follows the ball; ``passive``: it acts on the ball as it was at the command
     action: str  # what it does now
     phase: float  # how far that has come, 0 to 1
-    decision: str  # what it decided to do
-    arm: str  # with which arm; empty: none
-    reason: str  # why, in one sentence
-    then: str  # what it does where it walks to; empty: it does not walk
+    decision: Decision  # what it decided to do, and why
     waiting: bool  # passive, and not asked to act yet
 
 
@@ -273,11 +271,9 @@ class Session(Closing):
     def _figure_view(self) -> FigureView | None:
         if self._figure is None:
             return None
-        mode, frame, decision = self._figure.mode, self._frame, self._frame.decision
-        return FigureView(
-            mode, frame.action, frame.phase, decision.action, decision.arm or "", decision.reason,
-            decision.then or "", mode == "passive" and self._figure.ball is None,
-        )  # fmt: skip
+        mode, frame = self._figure.mode, self._frame
+        waiting = mode == "passive" and self._figure.ball is None
+        return FigureView(mode, frame.action, frame.phase, frame.decision, waiting)
 
     def log(self) -> commands.CommandLog:
         """All that took effect up to now, and the digest of the present view."""

@@ -278,8 +278,8 @@ def test_the_figure_tab_says_what_it_decides_and_why(window: Window, bed: Bed) -
     window.press("Enter", lambda: bed.count(Act) > 0, "the button does not arrive", on=button)
     seen = bed.until(lambda view: view.figure and not view.figure.waiting, "it does not act")
     bed.session.send(SetRunning(False))
-    assert seen.figure is not None and seen.figure.decision in ("reach", "bend", "walk", "nothing")
-    window.page.get_by_text(seen.figure.reason).first.wait_for()
+    assert seen.figure is not None and seen.figure.decision.action in ("reach", "bend", "walk", "nothing")
+    window.page.get_by_text(seen.figure.decision.reason).first.wait_for()
     window.page.get_by_role("cell", name="itself").wait_for()  # and not a method's numbers of before
 
 

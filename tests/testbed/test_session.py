@@ -341,12 +341,16 @@ def test_a_figure_decides_by_itself_and_says_why(session: Session) -> None:
     assert view.can_act and view.figure is not None and view.motion == "hand"
     session.send(MoveGoal((0.5, -0.2, 1.3)))
     view = view_after(session, ticks=150)
-    assert view.figure is not None and view.figure.decision == "reach" and len(view.figure.reason) > 10
+    assert (
+        view.figure is not None
+        and view.figure.decision.action == "reach"
+        and len(view.figure.decision.reason) > 10
+    )
     palm = session.robot.measure(view.instances[0].q, "right_hand").position
     assert np.linalg.norm(palm - view.ball.position) < 0.1
     assert view.instances[0].statistics.count == 0
     view = view_after(session, MoveGoal((2.0, 0.5, 1.2)), ticks=120)
-    assert view.figure is not None and view.figure.decision == "walk" and view.figure.then
+    assert view.figure is not None and view.figure.decision.action == "walk" and view.figure.decision.then
     assert view.instances[0].q[0] > 0.05
     assert (
         "drag the ball"
@@ -363,7 +367,7 @@ def test_a_passive_figure_waits_until_it_is_reported(session: Session) -> None:
     assert view.figure is not None and view.figure.waiting
     assert np.allclose(view.instances[0].q, session.robot.home, atol=1e-6)
     view = view_after(session, Act(), MoveGoal((0.5, 0.4, 1.3)), ticks=90)
-    assert view.figure is not None and not view.figure.waiting and view.figure.arm == "right"
+    assert view.figure is not None and not view.figure.waiting and view.figure.decision.arm == "right"
     assert "tab Figure" in view_after(session, SetFigure("off"), Act(), ticks=1).message
     assert "no figure" in view_after(session, SetRobot("puma560"), SetFigure("active"), ticks=1).message
 

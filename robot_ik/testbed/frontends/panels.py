@@ -382,14 +382,15 @@ class FigurePanel:
             return f"<small>{does}</small>"
         if acting.waiting:
             return "<b>waits</b><br><small>drag the ball, then press Act now</small>"
-        arm = f" with the {html.escape(acting.arm)} hand" if acting.arm else ""
-        then = f", then {html.escape(acting.then)}" if acting.then else ""
+        decision = acting.decision
+        arm = f" with the {decision.arm} hand" if decision.arm else ""
+        then = f", then {decision.then}" if decision.then else ""
         share = round(100.0 * acting.phase)
         colour = hexadecimal(INSTANCE_COLOURS[0])
         bar = f'<div class="bar"><b style="left:{share}%;background:{colour}"></b></div>'
         return (
-            f"<b>{html.escape(acting.decision)}</b>{arm}{then}<br>{html.escape(acting.reason)}<br>"
-            f"<small>now: {html.escape(acting.action)}</small>{bar}"
+            f"<b>{decision.action}</b>{arm}{then}<br>{html.escape(decision.reason)}<br>"
+            f"<small>now: {acting.action}</small>{bar}"
         )
 
 
