@@ -5,7 +5,6 @@ A source counts time from its first `poll`, so that it can be made long before t
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -49,22 +48,15 @@ class ManualSource:
     """
 
     def __init__(self, goal: Goals | None = None) -> None:
-        self._lock = threading.Lock()
         self._goal = goal
 
     def set(self, goal: Goals | None) -> None:
         """Takes a new goal; None means hold."""
-        with self._lock:
-            self._goal = goal
-
-    def clear(self) -> None:
-        """From now on: hold."""
-        self.set(None)
+        self._goal = goal
 
     def poll(self, now: float) -> Goals | None:
-        """The newest goal, None before the first and after `clear`."""
-        with self._lock:
-            return self._goal
+        """The newest goal, None before the first."""
+        return self._goal
 
 
 class ScriptSource:
@@ -90,11 +82,6 @@ class ScriptSource:
         if (np.diff(self._times) == 0.0).any():
             raise InvalidGoalError("a script has two goals for one time", hint="keep one of them")
         self._begin: float | None = None
-
-    @property
-    def duration(self) -> float:
-        """Time of the last step, seconds from the first poll."""
-        return float(self._times[-1])
 
     def poll(self, now: float) -> Goals | None:
         """The goal of the newest step at or before ``now``."""

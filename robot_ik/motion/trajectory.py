@@ -192,18 +192,6 @@ class Trajectory:
         return Trajectory(times, [self.at(self.times[0] + t) for t in times[:-1]] + [self.q[-1]], self.joints)
 
     @property
-    def velocity(self) -> Array:
-        """(n, nq) rad/s or m/s at the samples, by central differences; zeros for a single sample."""
-        if len(self) < 2:
-            return np.zeros_like(self.q)
-        return np.asarray(np.gradient(self.q, self.times, axis=0))
-
-    @property
-    def max_jump(self) -> float:
-        """Largest change of one joint from one sample to the next, rad or m."""
-        return float(np.abs(np.diff(self.q, axis=0)).max(initial=0.0))
-
-    @property
     def peak_velocity(self) -> Array:
         """(nq,) largest speed of each joint between two samples, rad/s or m/s."""
         return np.asarray(np.abs(self._slopes()).max(axis=0, initial=0.0))

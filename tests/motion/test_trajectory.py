@@ -116,8 +116,8 @@ def test_at_is_exact_at_samples_and_between_neighbours(number_robot, move, part)
 
 def test_a_move_to_where_one_is_has_no_length(number_robot):
     path = joint_move(number_robot([1.0, 1.0], [1.0, 1.0]), [0.3, -0.2], [0.3, -0.2])
-    assert len(path) == 1 and path.duration == 0.0 and path.max_jump == 0.0
-    assert not path.peak_velocity.any() and not path.peak_acceleration.any() and not path.velocity.any()
+    assert len(path) == 1 and path.duration == 0.0
+    assert not path.peak_velocity.any() and not path.peak_acceleration.any()
 
 
 @pytest.mark.parametrize("way", [5e-324, 1e-300, 1e-12])
@@ -229,9 +229,7 @@ def test_trajectory_is_checked_and_cannot_be_changed():
 def test_measures_of_a_known_path():
     times = np.linspace(0.0, 2.0, 201)
     path = Trajectory(times, np.column_stack([times**2, -times]), ["a", "b"])
-    np.testing.assert_allclose(path.velocity[1:-1, 0], 2.0 * times[1:-1], atol=1e-9)
     np.testing.assert_allclose(path.peak_velocity, [4.0, 1.0], rtol=0.01)
-    assert path.max_jump == pytest.approx(2.0**2 - 1.99**2)
     assert path.peak_acceleration[1] == pytest.approx(1.0 / 0.01)  # starts at full speed: one sample
 
 
