@@ -52,7 +52,7 @@ SLACK, SHARE = 0.04, 0.75
 # Poses from which a ball is tried, and from which a point of the map is.
 _STARTS, _FEW = 12, 3
 # … and a ball that is decided upon.
-_ASKED = 8
+ASKED = 8
 # Joints that hold the trunk upright.
 _UPRIGHT = ("*hip*", "*knee*", "*ankle*", "torso*", "pelvis*")
 # Points of the map are tried up to so far from those in reach; a ball that is farther than this from all of
@@ -127,7 +127,7 @@ class Abilities:
         x, y, _ = raised(self.figure, arm)[0]
         return np.array([x + forward_at_take_off(self.figure), y])
 
-    def can(self, kind: str, ball: Array, arm: str, starts: int = _ASKED) -> FigurePose | None:
+    def can(self, kind: str, ball: Array, arm: str, starts: int = ASKED) -> FigurePose | None:
         """An admissible pose, confirmed by a solve from so many poses; None where map or solve says no."""
         found = self.maps[kind, arm]
         if found.surely_out(ball):

@@ -12,20 +12,21 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.abilities import Abilities
+from robot_ik.figure.abilities import ASKED, Abilities
 from robot_ik.figure.figure import Figure, chain, in_stance_frame, once_each
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.geometry import axis_rotations
 from robot_ik.ports import Array
 
-ACTIONS = ("reach", "bend", "jump", "walk", "nothing")
+_ON_THE_SPOT = (REACH, BEND, "jump")
+ACTIONS = (*_ON_THE_SPOT, "walk", "nothing")
 
 HYSTERESIS = 0.03
 """A figure that reaches, bends or jumps goes on until the ball is so far outside what that can do, m."""
@@ -122,7 +123,7 @@ class Decider:
         local = in_stance_frame(stance, point)
         arms = self._arms(local, last)
         found = self._here(local, arms)
-        if last is not None and last.arm in arms and last.action in (REACH, BEND, "jump"):
+        if last is not None and last.arm in arms and last.action in _ON_THE_SPOT:
             lesser = found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)
             found = (self._still(local, last) if lesser else None) or found
         return found or self._walk(point, stance)
@@ -160,30 +161,30 @@ class Decider:
 
     def _here(self, local: Array, arms: Sequence[str]) -> Decision | None:
         """What can be done without a step."""
-        able = self.abilities
-        for kind in (REACH, BEND):
-            for arm in arms:
-                if able.can(kind, local, arm) is not None:
-                    how = "standing" if kind == REACH else "only bending down"
-                    return Decision(kind, arm, f"the {arm} hand reaches the ball {how}")
-        for arm in arms:
-            speed = able.take_off(local, arm)
-            if speed is not None:
-                needed = f"a jump of {speed:.1f} m/s or more brings the {arm} hand to it"
-                return Decision("jump", arm, f"the ball is overhead: {needed}", speed=speed)
-        return None
+        tried = (self._tried(kind, local, arm) for kind in _ON_THE_SPOT for arm in arms)
+        return next(filter(None, tried), None)
+
+    def _tried(self, kind: str, local: Array, arm: str, starts: int = ASKED) -> Decision | None:
+        """That with that arm, confirmed by solves from so many poses; None where it cannot be done."""
+        if kind == "jump":
+            speed = self.abilities.take_off(local, arm)
+            if speed is None:
+                return None
+            needed = f"a jump of {speed:.1f} m/s or more brings the {arm} hand to it"
+            return Decision(kind, arm, f"the ball is overhead: {needed}", speed=speed)
+        if self.abilities.can(kind, local, arm, starts) is None:
+            return None
+        how = "standing" if kind == REACH else "only bending down"
+        return Decision(kind, arm, f"the {arm} hand reaches the ball {how}")
 
     def _still(self, local: Array, last: Decision) -> Decision | None:
         """The last action again for a ball that is hardly outside what it can do."""
         assert last.arm is not None
         nearer = self.abilities.shoulders[last.arm] - local
         drawn = local + nearer * (HYSTERESIS / max(float(np.linalg.norm(nearer)), HYSTERESIS))
-        if last.action == "jump":
-            speed = self.abilities.take_off(drawn, last.arm)
-            return None if speed is None else Decision("jump", last.arm, last.reason, speed=speed)
-        if self.abilities.can(last.action, drawn, last.arm) is None:
-            return None
-        return Decision(last.action, last.arm, f"the ball is at the edge of what the {last.arm} hand reaches")
+        found = self._tried(last.action, drawn, last.arm)
+        edge = f"the ball is at the edge of what the {last.arm} hand reaches"
+        return found and replace(found, reason=last.reason if last.action == "jump" else edge)
 
     def _walk(self, ball: Array, stance: Array) -> Decision:
         """To the cheapest free stand point from which the ball can be had, on a free path."""
@@ -194,7 +195,7 @@ class Decider:
             for stand, arm, local in self._stands(kind, ball, stance, more)[: more * _TRIES]:
                 seen = arm, local.tobytes()
                 if seen not in able and len(able) < more * _SOLVES:
-                    able[seen] = self._able(kind, local, arm)
+                    able[seen] = self._tried(kind, local, arm, _FEW) is not None
                 if not able.get(seen):
                     continue
                 waypoints = self.path(stance, stand)
@@ -208,11 +209,6 @@ class Decider:
         if ball[2] > max(map(self.abilities.top, self.figure.hands)):
             reason = f"a ball at a height of {ball[2]:.2f} m is out of reach, jumping too"
         return Decision("nothing", None, reason)
-
-    def _able(self, kind: str, local: Array, arm: str) -> bool:
-        if kind == "jump":
-            return self.abilities.take_off(local, arm) is not None
-        return self.abilities.can(kind, local, arm, _FEW) is not None
 
     def _stands(self, kind: str, ball: Array, stance: Array, more: int = 1) -> list[tuple[Array, str, Array]]:
         """Free stand points, the cheapest first: (x, y, heading), arm, ball as seen from there."""
