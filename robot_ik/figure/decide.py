@@ -122,7 +122,8 @@ class Decider:
             return Decision("nothing", None, refusal)
         local = in_stance_frame(stance, point)
         arms = self._arms(local, last)
-        found = self._here(local, arms)
+        tried = (self._tried(kind, local, arm) for kind in _ON_THE_SPOT for arm in arms)
+        found = next(filter(None, tried), None)
         if last is not None and last.arm in arms and last.action in _ON_THE_SPOT:
             lesser = found is None or ACTIONS.index(found.action) > ACTIONS.index(last.action)
             found = (self._still(local, last) if lesser else None) or found
@@ -159,13 +160,8 @@ class Decider:
             arms.sort(key=lambda arm: arm != first)
         return arms
 
-    def _here(self, local: Array, arms: Sequence[str]) -> Decision | None:
-        """What can be done without a step."""
-        tried = (self._tried(kind, local, arm) for kind in _ON_THE_SPOT for arm in arms)
-        return next(filter(None, tried), None)
-
     def _tried(self, kind: str, local: Array, arm: str, starts: int = ASKED) -> Decision | None:
-        """That with that arm, confirmed by solves from so many poses; None where it cannot be done."""
+        """What needs no step, by that arm, confirmed by solves from so many poses; None: it cannot be."""
         if kind == "jump":
             speed = self.abilities.take_off(local, arm)
             if speed is None:

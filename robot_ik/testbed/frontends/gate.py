@@ -433,9 +433,7 @@ def _require_address(host: str, port: int) -> None:
             ) from error
 
 
-def open_server(
-    host: str = "127.0.0.1", port: int = 8080, *, token: bool = False, names: tuple[str, ...] = ()
-) -> tuple[viser.ViserServer, Gate]:
+def open_server(host: str, port: int, token: bool, names: tuple[str, ...]) -> tuple[viser.ViserServer, Gate]:
     """A viser server behind a gate; arguments and errors as those of ``PageServer``."""
     if not viser.__version__.startswith(_VISER):
         raise ViewerError(

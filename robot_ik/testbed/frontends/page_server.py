@@ -56,7 +56,7 @@ class PageServer(Closing):
         dark: bool = False,
         shadows: bool = True,
     ) -> None:
-        self.server, self.gate = open_server(host, port, token=token, names=names)
+        self.server, self.gate = open_server(host, port, token, names)
         query = f"?token={self.gate.token}" if self.gate.token else ""
         every = host in ("0.0.0.0", "::")
         outside, behind = own_address() if every else "", f":{self.server.get_port()}/{query}"

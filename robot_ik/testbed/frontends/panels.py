@@ -95,11 +95,6 @@ def label_of(labels: Mapping[str, Any], value: Any) -> str:
     return next(label for label, one in labels.items() if one == value)
 
 
-def is_usual(meta: Mapping[str, Any], value: Any) -> bool:
-    """Whether an option stands first: it has a usual range, choices, or is yes or no."""
-    return isinstance(value, bool) or bool(meta.get("choices")) or meta.get("usual") is not None
-
-
 def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: Any) -> Any:
     """From a field's type and ranges: a box, a menu, a slider over its usual range, or a number."""
     label, unit = name.replace("_", " "), f" ({meta['unit']})" if meta["unit"] else ""
@@ -255,7 +250,12 @@ class _MethodFolder:
             child.remove()
         self._widgets = {}
         fields, values = dataclasses.fields(SOLVERS[one.method]), dict(one.options)
-        usual = [field for field in fields if is_usual(field.metadata, values[field.name])]
+        # First what has a usual range or choices, or is yes or no.
+        usual = [
+            field for field in fields
+            if isinstance(values[field.name], bool) or field.metadata.get("choices")
+            or field.metadata.get("usual") is not None
+        ]  # fmt: skip
         rare = [field for field in fields if field not in usual]
         with self._options:
             for field in usual:
