@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,6 +27,7 @@ from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_
 from robot_ik.figure.frames import FrameRows, Frames
 from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
 from robot_ik.figure.jump import jump
+from robot_ik.figure.poses import touches_itself
 from robot_ik.figure.session import FigureSession
 from robot_ik.ports import Array
 
@@ -59,7 +59,7 @@ class MotionMeasure:
         outside_limits, too_fast: Frames with a joint beyond its limits, or beyond a speed limit.
         self_contact: Frames with a self-contact.
         jump: Largest change of a joint's speed from frame to frame.
-        speed: Fastest of some joints.
+        knee_speed: Largest of the knees.
     """
 
     frames: int
@@ -74,7 +74,7 @@ class MotionMeasure:
     too_fast: int
     self_contact: int
     jump: float
-    speed: Mapping[str, float]
+    knee_speed: float
 
 
 @dataclass(frozen=True)
@@ -134,14 +134,7 @@ def measure_motion(
     hinges = q[:, 7:]
     lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
     limit = figure.speeds[speeds]
-    shown = ("hip", "knee", "ankle", "shoulder", "elbow", "head")
-    peak = {
-        part: max(
-            float(np.abs(forward[:, figure.addresses(j)[1]]).max()) for j in figure.robot.joints if part in j
-        )
-        for part in shown
-        if any(part in j for j in figure.robot.joints)
-    }
+    knees = [figure.addresses(joint)[1] for joint in figure.robot.joints if "knee" in joint]
     change = np.abs(np.diff(forward[:-1, 6:], axis=0))
     m = np.array(margins) if margins else np.array([np.inf])
     return MotionMeasure(
@@ -150,7 +143,8 @@ def measure_motion(
         force=(float(weight[1:-1].min()), float(weight[1:-1].max())),
         outside_limits=int(((hinges < lower - 1e-6) | (hinges > upper + 1e-6)).any(axis=1).sum()),
         too_fast=int((np.abs(forward) > limit * (1 + 1e-6)).any(axis=1).sum()),
-        self_contact=_self_contacts(figure, q), jump=float(change.max()) if change.size else 0.0, speed=peak,
+        self_contact=sum(touches_itself(figure, row[None]) for row in q),
+        jump=float(change.max(initial=0.0)), knee_speed=float(np.abs(forward[:, knees]).max(initial=0.0)),
     )  # fmt: skip
 
 
@@ -178,16 +172,6 @@ def _slip_and_drift(
             else:
                 drift = max(drift, float(np.linalg.norm(position[i, foot, :2] - since)))
     return slip, drift
-
-
-def _self_contacts(figure: Figure, q: Array) -> int:
-    """In how many frames (n, nq) any two shapes of the model touch."""
-    model, data, frames = figure.model, mujoco.MjData(figure.model), 0
-    for row in q:
-        data.qpos[:] = row
-        mujoco.mj_forward(model, data)
-        frames += bool((np.asarray(data.contact.dist) < 0).any())
-    return frames
 
 
 @dataclass(frozen=True)
@@ -295,7 +279,7 @@ def measure_walks(figure: Figure) -> Iterator[MotionRow]:
     yield from _motion_rows("walk", m)
     yield "walk", Quantity("least vertical force", m.force[0], "body weights", least=0.7)
     yield "walk", Quantity("largest vertical force", m.force[1], "body weights", most=1.3)
-    yield "walk", Quantity("fastest knee", m.speed["knee"], "rad/s", most=7.0)
+    yield "walk", Quantity("fastest knee", m.knee_speed, "rad/s", most=7.0)
     g = measure_gait(figure, straight)
     for joint, least, most in (("hip", 0.97, 6.0), ("knee", 0.96, 8.0), ("ankle", 0.94, 7.0)):
         yield "walk", Quantity(f"{joint}: correlation with the norm", g.correlation[joint], least=least)
