@@ -517,7 +517,7 @@ class Cycle:
                     joint=servo.name,
                     last_good=age if math.isfinite(age) else None,
                     everyone=True,
-                    hint="check their power, the cable and the adapter; torque stays as it was",
+                    hint="check their power, the cable and the adapter; a servo that hears nothing keeps its torque",
                 )
             hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
             raise MotorFaultError(servo.name, (status,), hint=hint)

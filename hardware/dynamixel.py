@@ -225,7 +225,7 @@ class DynamixelBus:
                 DynamixelBus.close(self)  # the port alone: what else a bus has stays, it may come back
                 raise BusDisconnectedError(
                     f"the port {self.port} went away: {error}",
-                    hint="check cable and adapter, then connect again; torque stays as it was until then",
+                    hint="check cable and adapter, then connect again; a servo that hears nothing keeps its torque",
                 ) from error
             finally:
                 handler.is_using = False

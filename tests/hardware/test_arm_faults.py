@@ -81,6 +81,18 @@ def test_all_silent_is_said_as_such(arm, arm_config, stream, start):
     assert arm.clock.now() - begin == pytest.approx(1.0, abs=0.03) == arm.exit_report.seconds
 
 
+def test_a_fault_of_all_servos_does_not_contradict_how_the_arm_is_left(arm, stream, start):
+    arm.enable()
+    stream(arm, [start] * 3)
+    arm.virtual_bus.inject(Fault("silent"))
+    with pytest.raises(BusTimeoutError) as caught:
+        stream(arm, [start] * 100)
+    arm.virtual_bus.clear("silent")  # they hear again what leaving says
+    arm.close()
+    assert arm.exit_report.text == "torque is off"
+    assert "stays" not in str(caught.value) and "hears nothing keeps its torque" in caught.value.hint
+
+
 @pytest.mark.parametrize("error", ["overload", "overheating", "electrical_shock", "input_voltage"])
 def test_a_servo_that_shuts_down_is_seen_in_the_same_cycle_with_its_cause(any_arm, error, stream, start):
     any_arm.enable()
