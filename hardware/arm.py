@@ -1,6 +1,6 @@
 """An arm of servos: takes joint angles, gives joint angles, and is left in the way its owner chose.
 
-``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``PARKING`` on the way to a
+``DISCONNECTED`` → connect → ``CONNECTED`` → enable → ``ENABLED`` ↔ ``HOLD``; ``MOVING`` on the way to a
 pose; ``FAULT`` is latched until ``reset_fault``, ``reconnect`` or ``close``.  One thread drives an arm; the
 heartbeat is the only other one, and shares a lock with it.  What acts when no command comes: ``watchdogs``.
 """
@@ -59,22 +59,22 @@ class ArmState(enum.Enum):
     CONNECTED = "connected"
     ENABLED = "enabled"
     HOLD = "hold"
-    PARKING = "parking"
+    MOVING = "moving"
     FAULT = "fault"
 
 
 _S = ArmState
-# Whoever parks holds the lock: seen with the lock in hand, PARKING is a parking that an exception cut short.
-_MOVES: Mapping[ArmState, ArmState] = dict.fromkeys((_S.ENABLED, _S.HOLD, _S.PARKING), _S.ENABLED)
+# Whoever moves the arm to a pose holds the lock: seen with the lock in hand, MOVING is a move cut short.
+_IN_USE: Mapping[ArmState, ArmState] = dict.fromkeys((_S.ENABLED, _S.HOLD, _S.MOVING), _S.ENABLED)
 
 EVENTS: Mapping[str, Mapping[ArmState, ArmState]] = {
     "connect": {_S.DISCONNECTED: _S.CONNECTED},
     "enable": {_S.CONNECTED: _S.ENABLED},
-    "send": _MOVES,
-    "grip": _MOVES,
-    "hold": dict.fromkeys(_MOVES, _S.HOLD),
-    "park": dict.fromkeys(_MOVES, _S.PARKING),
-    "limit the current": {state: state for state in (_S.CONNECTED, *_MOVES)},
+    "send": _IN_USE,
+    "grip": _IN_USE,
+    "hold": dict.fromkeys(_IN_USE, _S.HOLD),
+    "move": dict.fromkeys(_IN_USE, _S.MOVING),
+    "limit the current": {state: state for state in (_S.CONNECTED, *_IN_USE)},
     "reset a fault": {_S.FAULT: _S.CONNECTED},
     "reconnect": {_S.FAULT: _S.CONNECTED, _S.CONNECTED: _S.CONNECTED},
 }
@@ -280,7 +280,7 @@ class Arm:
             self._latching(self._cycle.hold)
             self.state = after
 
-    def park(self, q: ArrayLike | Mapping[str, float], timeout: float | None = None) -> None:
+    def move_to(self, q: ArrayLike | Mapping[str, float], timeout: float | None = None) -> None:
         """Goes to ``q`` within the caps and holds there; returns when the shafts have arrived.
 
         Args:
@@ -344,13 +344,13 @@ class Arm:
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
     ) -> Array:
         """(joints of q and of the gripper,) rad still to go."""
-        self.state = self._after("park")
+        self.state = self._after("move")
         try:
             off = self._latching(lambda: self._cycle.go(q, timeout, lambda: stop() or self._stop_asked()))
             self._obey_stop()
             return off
         finally:
-            if self.state is ArmState.PARKING:
+            if self.state is ArmState.MOVING:
                 self.state = ArmState.HOLD
 
     def _after(self, event: str) -> ArmState:
@@ -444,7 +444,7 @@ class Arm:
             if self._heartbeat.stopping() or not self._energised:
                 return
             self._obey_stop()
-            if self.state in _MOVES and self.config.stale_ms:
+            if self.state in _IN_USE and self.config.stale_ms:
                 self._attend(self.clock.now() - self._commanded)
         except Exception as error:
             log.error("found while no command came: %s", error)  # the next command raises it
@@ -582,7 +582,7 @@ class Arm:
         """Whether the arm is where it is to be left; False where it cannot go there."""
         there = self._rest if self._park_at is None else self._park_at
         try:
-            return self.state in _MOVES and not self._go(there, None, stop).any()
+            return self.state in _IN_USE and not self._go(there, None, stop).any()
         except Exception as error:
             log.error("not parked: %s", error)
             return False

@@ -69,7 +69,7 @@ def run_move(options: ServoMoveOptions) -> int:
         travel = {name: abs(q - here[name]) for name, q in goal.items()}
         takes = max((far / config.joint(name).velocity for name, far in travel.items()), default=0.0)
         with console.busy("moving", takes):
-            arm.park(goal)
+            arm.move_to(goal)
         _show(arm, here, goal)
     return console.DONE
 

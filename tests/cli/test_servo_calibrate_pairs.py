@@ -105,7 +105,7 @@ def test_both_servos_of_a_joint_and_a_slide_are_found(twin: Twin, tmp_path: Path
     again = ArmConfig.load(tmp_path / "pairs.toml")
     with open_arm(again, "sim", virtual_bus=bus) as arm:  # both agree, or it would refuse
         arm.enable()
-        arm.park({"lift": -0.5, "rack": 0.01})
+        arm.move_to({"lift": -0.5, "rack": 0.01})
     assert bus.true_angles(true) == pytest.approx([-0.5, 0.01], abs=0.005)
 
 

@@ -14,7 +14,7 @@ from robot_ik.ports import VirtualClock
 
 def test_each_step_needs_the_one_before(arm_config, start):
     arm = open_arm(arm_config, "sim")
-    for action in (arm.enable, arm.read, arm.hold, lambda: arm.send(start, 0.0), lambda: arm.park(start)):
+    for action in (arm.enable, arm.read, arm.hold, lambda: arm.send(start, 0.0), lambda: arm.move_to(start)):
         with pytest.raises(ArmStateError):
             action()
     arm.close()
@@ -40,14 +40,14 @@ def test_hold_stays_and_send_goes_on(arm, stream, smooth, start):
     assert arm.state is ArmState.ENABLED
 
 
-def test_park_arrives_and_says_when_it_cannot(arm):
+def test_move_to_arrives_and_says_when_it_cannot(arm):
     arm.enable()
-    arm.park([0.0] * 6)
+    arm.move_to([0.0] * 6)
     assert arm.state is ArmState.HOLD
     assert np.abs(arm.read().q).max() < 0.01
     arm.virtual_bus.servo(2).stuck = True
     with pytest.raises(HardwareError, match="'joint2' is still"):
-        arm.park([0.3] * 6)
+        arm.move_to([0.3] * 6)
 
 
 def test_leaving_switches_torque_off_and_verifies_it(any_arm, stream, registers, start):

@@ -372,7 +372,7 @@ def test_a_calibration_by_hand_finds_the_zeros_of_the_arm(name: str, tmp_path: P
     wire = SimBus(servos)
     with Arm(again, wire) as arm:
         arm.enable()
-        arm.park(dict.fromkeys(arm.joints[:1], 0.3))
+        arm.move_to(dict.fromkeys(arm.joints[:1], 0.3))
     assert arm.exit_report is not None and arm.exit_report.ok
 
 

@@ -40,7 +40,7 @@ def life(home):
     arm.enable()
     for k in range(5):
         arm.send(home + 0.001 * k, 0.01 * k)
-    arm.park(home + 0.03)
+    arm.move_to(home + 0.03)
 
 for line in sys.stdin:
     begin, ended = time.monotonic(), "normally"

@@ -100,7 +100,7 @@ def test_moves_of_the_arm_leave_the_gripper_where_it_is(desk_arm: Arm, robot: ri
 
 
 def test_by_name_it_moves_within_its_limits_and_caps(desk_arm: Arm) -> None:
-    desk_arm.park({"finger_left": 0.018, "joint6": 0.2})
+    desk_arm.move_to({"finger_left": 0.018, "joint6": 0.2})
     assert desk_arm.positions()["finger_left"] == pytest.approx(0.018, abs=3e-5)
     begin, goals = desk_arm.clock.now(), []
     for k in range(1, 61):
@@ -153,7 +153,7 @@ def test_all_joints_in_q_where_that_is_wanted(desk: ArmConfig) -> None:
     with open_arm(desk.whole, "sim", start=[0.0] * 6 + [0.004]) as arm:
         arm.enable()
         assert arm.read().q[6] == pytest.approx(0.004, abs=1e-5)
-        arm.park([*arm.read().q[:6], 0.012])
+        arm.move_to([*arm.read().q[:6], 0.012])
         assert arm.read().q[6] == pytest.approx(0.012, abs=3e-5)
         assert arm.virtual_bus.true_angles(desk.whole)[6] == pytest.approx(0.012, abs=3e-5)
     with open_arm(dataclasses.replace(desk, auxiliary=()), "sim") as arm:
@@ -261,7 +261,7 @@ def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction
         for goal in (0.0365, 0.0155, 0.026):
             begin = arm.clock.now()
             far = abs(goal - arm.read().q[0])
-            arm.park([goal])
+            arm.move_to([goal])
             bus.advance()
             assert world.data.qpos[0] == pytest.approx(goal, abs=1e-4)
             assert arm.read().q[0] == pytest.approx(goal, abs=1e-4)

@@ -78,7 +78,7 @@ class Run:
             for k in range(3):
                 self.arm.clock.sleep_until(begin + 0.01 * (k + 1))
                 step("send", lambda k=k: self.arm.send(self.start + 0.001 * k, begin + 0.01 * (k + 1)))
-            step("park", lambda: self.arm.park(self.start + 0.01))
+            step("move", lambda: self.arm.move_to(self.start + 0.01))
 
         if self.styled == "with":
             self.arm.connect()
@@ -201,8 +201,8 @@ def test_a_signal_at_any_line_leaves_the_arm_as_promised(one_joint, start, polic
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase, LIFE_CYCLE) > 20
 
 
-@parametrized("park")
-def test_a_signal_at_any_line_of_the_arm_while_it_parks_leaves_it_as_promised(
+@parametrized("move")
+def test_a_signal_at_any_line_of_the_arm_while_it_moves_leaves_it_as_promised(
     one_joint, start, policy, styled, phase
 ):
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase, {"arm.py"}) > 10
@@ -210,7 +210,7 @@ def test_a_signal_at_any_line_of_the_arm_while_it_parks_leaves_it_as_promised(
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-@parametrized("enable", "close", "send", "park")
+@parametrized("enable", "close", "send", "move")
 def test_a_signal_at_any_line_of_all_that_runs(one_joint, start, policy, styled, phase):
     assert signal_at_every_line(one_joint, start[:1], policy, styled, phase) > 100
 

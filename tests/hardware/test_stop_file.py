@@ -174,7 +174,7 @@ def test_another_thread_can_ask_and_a_reset_goes_on(arm, stream, smooth, start):
         stream(arm, [start] * 3)
     assert arm.state is ArmState.FAULT and [s.torque for s in arm.virtual_bus.servos] == [True] * 6
     with pytest.raises(StopRequestedError):
-        arm.park(start)
+        arm.move_to(start)
     arm.reset_fault()
     arm.enable()
     stream(arm, [start] * 3)
@@ -189,7 +189,7 @@ def test_a_stop_during_a_parking_ends_it_and_the_arm_holds(arm_config, start, st
         exchange = arm.bus.exchange
 
         def asked(writes, reads, within=None):
-            if arm.state is ArmState.PARKING:
+            if arm.state is ArmState.MOVING:
                 arm.request_stop()
             return exchange(writes, reads, within)
 

@@ -100,7 +100,7 @@ def test_an_arm_of_some_joints_never_writes_to_the_others(arm_config, servos, st
         servos.servo(id).memory.set("torque_enable", 0)
     with Arm(part, bus, virtual_bus=servos, on_exit=policy) as arm:
         arm.enable()
-        arm.park(start[4:] + 0.05)
+        arm.move_to(start[4:] + 0.05)
     assert arm.exit_report.ok
     assert bus.written == {5, 6}
     assert [servo.torque for servo in servos.servos] == [True] * 4 + [policy == "hold"] * 2
@@ -167,7 +167,7 @@ def parked_with_signals(arm_config, start, stream, smooth, signals: int) -> Arm:
         exchange, left = arm.bus.exchange, [signals]
 
         def interrupted(writes, reads, within=None):
-            if arm.state is ArmState.PARKING and left[0]:
+            if arm.state is ArmState.MOVING and left[0]:
                 left[0] -= 1
                 signal.raise_signal(signal.SIGINT)
             return exchange(writes, reads, within)
