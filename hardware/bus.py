@@ -46,6 +46,10 @@ ERROR_REASONS: dict[int, str] = {
 """ERR byte, bits 0-6: a number, not a mask (Protocol 2.0 manual, "Status packet")."""
 
 
+KEEPS_TORQUE = "a servo that hears nothing keeps its torque"
+"""For errors of a line: true before the arm is left and after."""
+
+
 class BusStatus(NamedTuple):
     """What one servo answered to one request.
 

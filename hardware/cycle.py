@@ -17,7 +17,7 @@ from robot_ik.errors import (
     MotorFaultError,
     UnsafeCommandError,
 )
-from robot_ik.hardware.bus import ServoBus, read_all, shared_register
+from robot_ik.hardware.bus import KEEPS_TORQUE, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     TICKS_PER_REVOLUTION,
@@ -517,7 +517,7 @@ class Cycle:
                     joint=servo.name,
                     last_good=age if math.isfinite(age) else None,
                     everyone=True,
-                    hint="check their power, the cable and the adapter; a servo that hears nothing keeps its torque",
+                    hint=f"check their power, the cable and the adapter; {KEEPS_TORQUE}",
                 )
             hint = f"no good reply of servo id {servo.id} for {age:.2f} s: check {cause}; the others hold"
             raise MotorFaultError(servo.name, (status,), hint=hint)

@@ -26,7 +26,15 @@ from robot_ik.errors import (
     BusTimeoutError,
     ServoRefusedError,
 )
-from robot_ik.hardware.bus import ALERT_BIT, BROADCAST_ID, ERROR_REASONS, GARBLED, BusStatus, Counters
+from robot_ik.hardware.bus import (
+    ALERT_BIT,
+    BROADCAST_ID,
+    ERROR_REASONS,
+    GARBLED,
+    KEEPS_TORQUE,
+    BusStatus,
+    Counters,
+)
 from robot_ik.hardware.control_table import BAUD_RATES, Register
 from robot_ik.hardware.packets import (
     FAST_FRAME,
@@ -225,7 +233,7 @@ class DynamixelBus:
                 DynamixelBus.close(self)  # the port alone: what else a bus has stays, it may come back
                 raise BusDisconnectedError(
                     f"the port {self.port} went away: {error}",
-                    hint="check cable and adapter, then connect again; a servo that hears nothing keeps its torque",
+                    hint=f"check cable and adapter, then connect again; {KEEPS_TORQUE}",
                 ) from error
             finally:
                 handler.is_using = False

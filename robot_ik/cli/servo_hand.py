@@ -10,6 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -184,14 +185,15 @@ def _calibrate(
     from robot_ik.jobs.hand_calibration import calibrate_by_hand, calibration_from_lerobot, require_limp
 
     limits = model_limits(config)
-    with arm_on(options, config) as arm:
+    arm = arm_on(options, config)
+    if options.from_lerobot is not None:
+        measure = partial(calibration_from_lerobot, arm, options.from_lerobot, limits)
+    else:  # the prompts may refuse: before the arm is connected
+        measure = partial(calibrate_by_hand, arm, Prompts(arm.clock, options.seconds), pose, limits)
+    with arm:
         require_limp(arm)
         with attempt():
-            if options.from_lerobot is not None:
-                found = calibration_from_lerobot(arm, options.from_lerobot, limits)
-            else:
-                found = calibrate_by_hand(arm, Prompts(arm.clock, options.seconds), pose, limits)
-            _write(options, arm, replace(found, file=beside), limits)
+            _write(options, arm, replace(measure(), file=beside), limits)
     return console.DONE
 
 
@@ -267,8 +269,10 @@ def run_teach(options: ServoTeachOptions) -> int:
     require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
     require_model(config)
-    with claimed(options.file, overwrite=options.overwrite), arm_on(options, config) as arm:
-        taught, prompts = TaughtMotion(arm), Prompts(arm.clock, options.seconds, 1.0 / options.rate)
+    arm = arm_on(options, config)
+    prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)  # may refuse: before it is connected
+    with claimed(options.file, overwrite=options.overwrite), arm:
+        taught = TaughtMotion(arm)
         with attempt():
             try:
                 prompts.step("recording: guide the arm by hand", taught.sample)

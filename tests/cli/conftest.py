@@ -196,7 +196,7 @@ def calibrate(
 
     def run(hand: Hand, *options: object) -> Run:
         class Scripted:
-            def __init__(self, clock: object, seconds: object) -> None:
+            def __init__(self, *options: object) -> None:
                 pass
 
             def step(self, text: str, sample: Callable[[], object]) -> None:

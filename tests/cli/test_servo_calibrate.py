@@ -205,6 +205,19 @@ def test_an_input_that_ends_too_early(monkeypatch: pytest.MonkeyPatch) -> None:
             Prompts(RealClock())
 
 
+@pytest.mark.parametrize("command", [("calibrate", "mine.toml"), ("teach", "wave.csv")], ids=lambda c: c[0])
+def test_without_anybody_to_press_enter_no_servo_is_asked(
+    robot_ik: Any, desk: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, str]
+) -> None:
+    name, out = command
+    with open(os.devnull) as nobody:
+        monkeypatch.setattr(sys, "__stdin__", nobody)
+        run = robot_ik("servo", name, tmp_path / out, *desk.at)
+    run.assert_one_screen_error()
+    assert "nobody can press Enter" in run.err and "--seconds S" in run.err
+    assert desk.bus.schedule.packets == 0 and not (tmp_path / out).exists()
+
+
 def test_steps_that_take_a_time() -> None:
     from robot_ik.cli.servo_hand import Prompts
     from robot_ik.ports import VirtualClock
