@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -19,8 +19,9 @@ from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.bus import ServoBus, joint_named, require_models
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
+from robot_ik.hardware.joint_map import ServoId
 from robot_ik.reading import WrongKey, read_json
-from robot_ik.tables import Several, Table, check_table, keys_of
+from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of
 
 SCHEMA = 1
 """Of the JSON file; raised when a field changes its meaning."""
@@ -42,7 +43,7 @@ class SavedServo:
     """
 
     joint: str
-    id: Annotated[int, Field(ge=0, le=252)]
+    id: ServoId
     model: str
     model_number: int
     firmware: Annotated[int, Field(ge=1, le=255)]
@@ -102,7 +103,7 @@ _Saved = Annotated[SavedServo, keys_of(SavedServo)]
 
 
 class _BackupFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     arm: str = ""
     created: str = ""
     servos: Annotated[Several[_Saved], Field(min_length=1, description="a list of servos")]

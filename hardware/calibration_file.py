@@ -7,18 +7,18 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
 from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, Sign
+from robot_ik.hardware.control_table import IDS, MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
+from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.reading import WrongKey, read_json, shown
-from robot_ik.tables import Several, Table, keys_of, read_table
+from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
 
 SCHEMA = 1  # raised when a key changes its meaning
 
@@ -43,7 +43,7 @@ class JointCalibration:
     """
 
     name: str
-    id: Annotated[int, Field(ge=0, le=252)]
+    id: ServoId
     model: str
     firmware: _Byte
     drive_mode: _Byte
@@ -119,7 +119,7 @@ class _BusTable(Table):
 
 
 class _CalibrationFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     arm: str
     robot: str
     created: str
@@ -256,7 +256,7 @@ def _rows(path: Path) -> dict[str, dict[str, int]]:
 
 
 def _row(name: str, row: Any, path: Path) -> dict[str, int]:
-    limits = {"id": (0, 252), "drive_mode": (0, 255)}
+    limits = {"id": (IDS[0], IDS[-1]), "drive_mode": (0, 255)}
     found = {}
     for key in KEYS:
         value = row.get(key) if isinstance(row, dict) else None

@@ -18,20 +18,21 @@ from robot_ik.errors import ConfigError, UnknownJointError, UnknownRobotError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
+    IDS,
     MULTI_TURN_TICKS,
     TICKS_PER_REVOLUTION,
     ControlTable,
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, Sign, StopAt, SwingArm, Twin
+from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, SwingArm, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey, parse_toml, read_text
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import Table, check_table, chosen, keys_of
+from robot_ik.tables import Positive, SchemaVersion, Table, Word, check_table, chosen, keys_of
 
-MAX_SERVOS = 252
+MAX_SERVOS = IDS[-1]
 
 # ------------------------------------------------------------------------------------------
 # The keys of the file.
@@ -40,9 +41,6 @@ MAX_SERVOS = 252
 WATCHDOG_MS, STALE_MS = 400, 200
 """Where the arm file does not say."""
 WATCHDOG_MAX_MS = 127 * WATCHDOG_UNIT_MS
-
-_Positive = Annotated[float, Field(gt=0.0)]
-_Word = Annotated[str, Field(min_length=1)]
 
 
 def _known_rate(baud: int) -> int:
@@ -65,17 +63,17 @@ class BusFile(Table):
 class JointFile(Table):
     """What both kinds of table of ``[[joints]]`` have."""
 
-    name: _Word
-    id: Annotated[int, Field(ge=0, le=252)]
-    model: _Word
+    name: Word
+    id: ServoId
+    model: Word
     mode: Literal["position", "extended_position", "current_based_position"] = "extended_position"
     direction: Sign = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = 2048
-    ratio: _Positive = 1.0
+    ratio: Positive = 1.0
     reverse: bool = False
-    current_ma: _Positive | None = None
-    current_limit_ma: _Positive | None = None
-    group: _Word = ARM
+    current_ma: Positive | None = None
+    current_limit_ma: Positive | None = None
+    group: Word = ARM
     twin: Annotated[Twin | None, keys_of(Twin)] = None
     gains: Annotated[Gains, keys_of(Gains)] = Gains()
     stop_at: Annotated[StopAt, keys_of(StopAt)] = StopAt()
@@ -86,24 +84,24 @@ class HingeFile(JointFile):
 
     lower_deg: float
     upper_deg: float
-    velocity_deg: _Positive
-    acceleration_deg: _Positive
-    profile_velocity_deg: _Positive | None = None
-    profile_acceleration_deg: _Positive | None = None
+    velocity_deg: Positive
+    acceleration_deg: Positive
+    profile_velocity_deg: Positive | None = None
+    profile_acceleration_deg: Positive | None = None
 
 
 class SlideFile(JointFile):
     """A joint that slides: a pinion of this radius moves it on a rack, or a horn and a rod do."""
 
-    pinion_mm: _Positive | None = None
-    horn_mm: _Positive | None = None
-    rod_mm: _Positive | None = None
+    pinion_mm: Positive | None = None
+    horn_mm: Positive | None = None
+    rod_mm: Positive | None = None
     lower_mm: float
     upper_mm: float
-    velocity_mm: _Positive
-    acceleration_mm: _Positive
-    profile_velocity_mm: _Positive | None = None
-    profile_acceleration_mm: _Positive | None = None
+    velocity_mm: Positive
+    acceleration_mm: Positive
+    profile_velocity_mm: Positive | None = None
+    profile_acceleration_mm: Positive | None = None
 
     @model_validator(mode="after")
     def _one_gear(self) -> SlideFile:
@@ -129,15 +127,14 @@ def _kind(table: Mapping[str, Any]) -> type[JointFile]:
 class ArmFile(Table):
     """A whole arm file."""
 
-    # The schema number is named here because ``schema`` is taken in pydantic's base class.
-    version: Annotated[Literal[1], Field(alias="schema", description="1")]
-    name: _Word
-    robot: _Word
+    version: SchemaVersion
+    name: Word
+    robot: Word
     uncalibrated: bool = False
     bus: BusFile = BusFile()
     joints: Annotated[
         list[Annotated[JointFile, chosen(_kind)]],
-        Field(min_length=1, max_length=252, description="at least one [[joints]] table"),
+        Field(min_length=1, max_length=MAX_SERVOS, description="at least one [[joints]] table"),
     ]
 
 
@@ -218,7 +215,9 @@ class ArmConfig:
         """
         n = len(joints)
         if not 1 <= n <= MAX_SERVOS:
-            raise ConfigError(f"{n} joints on one bus", file=robot_name, key="joints", allowed="1..252")
+            raise ConfigError(
+                f"{n} joints on one bus", file=robot_name, key="joints", allowed=f"1..{MAX_SERVOS}"
+            )
         given = (lower, upper, velocity, acceleration)
         columns = [np.broadcast_to(np.asarray(c, dtype=float), n) for c in given]
         maps = []

@@ -37,6 +37,9 @@ ACCELERATION_UNIT = 214.577 * 2.0 * math.pi / 3600.0
 MULTI_TURN_TICKS = 1_048_575
 """Largest goal in the extended modes: 256 revolutions either way."""
 
+IDS = range(253)
+"""Ids that a servo can have."""
+
 BAUD_RATES: Mapping[int, int] = MappingProxyType(
     {0: 9_600, 1: 57_600, 2: 115_200, 3: 1_000_000, 4: 2_000_000, 5: 3_000_000, 6: 4_000_000, 7: 4_500_000}
 )
@@ -240,6 +243,12 @@ X_SERIES = CONTROL_TABLES["XM430-W350"]
 """For what lies at the same address in all of them: torque, errors, what is measured."""
 
 _BY_NUMBER = {table.number: table for table in CONTROL_TABLES.values()}
+
+
+def require_id(id: int, key: str) -> None:
+    """Raises ``ConfigError`` for an id that no servo can have; ``key``: the option that names it."""
+    if id not in IDS:
+        raise ConfigError(f"{id} is no servo id", file="command line", key=key, allowed=f"0..{IDS[-1]}")
 
 
 def model_by_number(number: int) -> ControlTable | None:

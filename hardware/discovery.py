@@ -16,20 +16,20 @@ from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
+    IDS,
     X_SERIES,
     ControlTable,
     control_table,
     hardware_error_names,
     model_by_number,
     model_name,
+    require_id,
 )
 from robot_ik.hardware.dynamixel import DynamixelBus, listening_time
 from robot_ik.hardware.serial_port import RESPONSE_TIME
 
 LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
 """Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
-
-IDS = range(253)
 
 _READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
@@ -219,8 +219,7 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
     """
     table = servo.table
     assert table is not None  # the_only_one has checked
-    if not 0 <= id <= 252:
-        raise ConfigError(f"{id} is no servo id", file="command line", key="--id", allowed="0..252")
+    require_id(id, "--id")
     if baud not in table.baud_rates:
         allowed = ", ".join(map(str, table.baud_rates))
         raise ConfigError(

@@ -35,7 +35,7 @@ from robot_ik.hardware.bus import (
     BusStatus,
     Counters,
 )
-from robot_ik.hardware.control_table import BAUD_RATES, Register
+from robot_ik.hardware.control_table import BAUD_RATES, IDS, Register
 from robot_ik.hardware.packets import (
     FAST_FRAME,
     FAST_HEAD,
@@ -112,14 +112,13 @@ PING_DATA = 3
 PING_BYTES = SHORTEST_STATUS + PING_DATA
 """Of the reply to a ping."""
 
-_IDS = 253
 _SLOT = 0.003  # s that each id may take to answer a ping to all (as the Dynamixel SDK waits)
 _LATENESS = 0.016  # s, a USB adapter as it comes
 
 
 def listening_time(baud: int) -> float:
     """s in which all 253 ids could have answered a ping at this rate."""
-    return _IDS * (_SLOT + 10.0 * PING_BYTES / baud) + _LATENESS
+    return len(IDS) * (_SLOT + 10.0 * PING_BYTES / baud) + _LATENESS
 
 
 class DynamixelBus:

@@ -15,6 +15,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robot_ik.hardware.control_table import (
+    IDS,
     MULTI_TURN_TICKS,
     RADIANS_PER_TICK,
     TICKS_PER_REVOLUTION,
@@ -22,6 +23,7 @@ from robot_ik.hardware.control_table import (
     OperatingMode,
     control_table,
 )
+from robot_ik.tables import Positive
 
 _POSITION_MODES = ("POSITION", "EXTENDED_POSITION", "CURRENT_BASED_POSITION")
 MODES = {name.lower(): OperatingMode[name] for name in _POSITION_MODES}
@@ -44,9 +46,9 @@ ARM, GRIPPER = "arm", "gripper"
 """Groups: of the joints that make up q, and of those that grip."""
 
 
+ServoId = Annotated[int, Field(ge=IDS[0], le=IDS[-1])]
 Sign = Literal[1, -1]
 """Which way a servo counts."""
-_Positive = Annotated[float, Field(gt=0.0)]
 _Gain = Annotated[int, Field(ge=0, le=16383)]
 
 LEAST_LEAD = 0.1
@@ -150,8 +152,8 @@ class StopAt:
     """
 
     load_percent: Annotated[float, Field(gt=0.0, le=100.0)] | None = None
-    current_ma: _Positive | None = None
-    temperature_c: _Positive | None = None
+    current_ma: Positive | None = None
+    temperature_c: Positive | None = None
 
 
 @dataclass(frozen=True)
@@ -166,7 +168,7 @@ class Twin:
         reverse: As of the first one; None: not, and of a shadow as it is found.
     """
 
-    id: Annotated[int, Field(ge=0, le=252)]
+    id: ServoId
     direction: Sign = 1
     zero_ticks: Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)] = TICKS_PER_REVOLUTION // 2
     shadow: bool = False

@@ -6,12 +6,12 @@ import importlib.util
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
 from robot_ik.errors import ConfigError, InvalidModelError, ModelError, UnknownRobotError, close_matches
-from robot_ik.tables import Pair, Position, Several, Table, read_table
+from robot_ik.tables import Pair, Position, Positive, SchemaVersion, Several, Table, read_table
 
 SHOWN_ROBOT = "puma560"
 """What the demonstrations move."""
@@ -23,7 +23,6 @@ _MODELS = {".xml", ".mjcf", ".urdf", "robot.toml"}
 _WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
 
 
-_Positive = Annotated[float, Field(gt=0.0)]
 _PosQuat = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
 
 
@@ -134,7 +133,7 @@ class _Keys(Table):
     home: str | Several[float] | None = None
     tools: dict[str, Tool] = Field(default={})
     groups: dict[str, Several[str]] = Field(default={})
-    stiffness: dict[str, _Positive] = Field(default={})
+    stiffness: dict[str, Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
     figure: FigureParts | None = None
     reach: ReachScene | None = None
@@ -142,11 +141,11 @@ class _Keys(Table):
 
 
 class _RobotTable(_Keys):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     title: str
     model: str
     motion: _MotionTable = _MotionTable()
-    speed_deg: dict[str, dict[str, _Positive]] = Field(default={})
+    speed_deg: dict[str, dict[str, Positive]] = Field(default={})
     provenance: _Provenance = _Provenance()
 
 

@@ -76,6 +76,10 @@ def chosen(choose: Callable[[dict[str, Any]], type[Table]]) -> PlainValidator:
 
 Item = TypeVar("Item")
 # Tables are frozen, so lists are kept as tuples; what is in them is as strict as everything else.
+SchemaVersion = Annotated[Literal[1], Field(alias="schema", description="1")]
+"""Key ``schema`` of every file; the field is called otherwise because pydantic's base class has that name."""
+Positive = Annotated[float, Field(gt=0.0)]
+Word = Annotated[str, Field(min_length=1)]
 Several = Annotated[tuple[Item, ...], Field(strict=False)]
 Pair = Annotated[tuple[float, float], Field(strict=False, description="2 numbers")]
 Position = Annotated[tuple[float, float, float], Field(strict=False, description="3 numbers")]

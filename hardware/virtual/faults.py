@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 from weakref import WeakKeyDictionary
 
 from pydantic import Field
@@ -21,14 +21,15 @@ from robot_ik.hardware.control_table import (
     BAUD_RATES,
     CONTROL_TABLES,
     HARDWARE_ERRORS,
+    IDS,
     TICKS_PER_REVOLUTION,
 )
-from robot_ik.hardware.joint_map import JointMap
+from robot_ik.hardware.joint_map import JointMap, ServoId
 from robot_ik.hardware.virtual.memory import TRIPPED
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.hardware.virtual.wire import SPOILS
 from robot_ik.reading import WrongKey, parse_toml, read_text
-from robot_ik.tables import Table, check_table, keys_of
+from robot_ik.tables import SchemaVersion, Table, check_table, keys_of
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -103,7 +104,7 @@ class Fault:
     """
 
     kind: str
-    id: Annotated[int | None, Field(ge=0, le=252)] = None
+    id: ServoId | None = None
     value: float | None = None
     joint: str | None = dataclasses.field(default=None, kw_only=True)
     at_s: _Seconds = dataclasses.field(default=None, kw_only=True)
@@ -274,6 +275,7 @@ def _add_servo(bus: VirtualBus, value: float) -> Undo:
     return lambda: bus.remove(more)
 
 
+_ID_RANGE = IDS[0], IDS[-1]
 _OFF = _Override(lambda servo: servo.off, lambda servo, off: servo.switch(not off), lambda _: True)
 _PUSH = _Override(lambda servo: servo.shaft.load.push, _set_push)
 _SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.set_supply)
@@ -306,11 +308,11 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "status_level": Kind("Status Return Level", _register("status_return_level"), 0, 2, whole=True),
         "baud": Kind("its baud rate, bits/s", _BAUD, 9600, 4_500_000, whole=True),
         "id": Kind(
-            "its id; one that is taken makes status packets collide", _register("id"), 0, 252, whole=True
+            "its id; one that is taken makes status packets collide", _register("id"), *_ID_RANGE, whole=True
         ),
         "model": Kind("says it is this model number", _register("model_number"), among=_MODELS),
         "supply": Kind("volts it gets; far too low: it restarts", _SUPPLY, 0, 30),
-        "extra": Kind("one servo more, with this id", _add_servo, 0, 252, whole=True, servo=False),
+        "extra": Kind("one servo more, with this id", _add_servo, *_ID_RANGE, whole=True, servo=False),
         **{name: Kind(row.help, _chance(name), 0, 1, servo=False) for name, row in SPOILS.items()},
         "echo": Kind("the adapter returns what was sent", _attribute("echo"), servo=False),
         "latency": Kind("status packets come so much later, ms", _LATENCY, 0, 1000, servo=False),
@@ -327,7 +329,7 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
 class FaultFile(Table):
     """A file of faults; ``seed``: of the wire's random ones."""
 
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     seed: int = 0
     faults: Annotated[tuple[Annotated[Fault, keys_of(Fault)], ...], Field(strict=False)] = ()
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
+from robot_ik.hardware.control_table import IDS
 from robot_ik.hardware.virtual.protocol import BROADCAST, Parser, build_status
 from robot_ik.ports import Clock
 
@@ -116,7 +117,7 @@ class VirtualWire:
     """
 
     def __init__(self, taken: Iterable[int], seed: int) -> None:
-        self.foreign = sorted(set(range(253)).difference(taken)) or [BROADCAST]
+        self.foreign = sorted(set(IDS).difference(taken)) or [BROADCAST]
         self.reseed(seed)
         self._chances = dict.fromkeys(SPOILS, 0.0)
         self._clean = True

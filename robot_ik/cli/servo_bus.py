@@ -156,6 +156,7 @@ class ServoSetupOptions(BusOptions):
 
 def run_setup(options: ServoSetupOptions) -> int:
     """Finds the servo, writes, reads back."""
+    from robot_ik.hardware.control_table import require_id
     from robot_ik.hardware.discovery import LIKELY, no_reply_hint, set_up, the_only_one
 
     one = (options.id is None) != (not options.joint)
@@ -164,7 +165,7 @@ def run_setup(options: ServoSetupOptions) -> int:
     joint = config.joint(options.joint) if options.joint else None
     id = joint.id if joint else options.id
     assert id is not None
-    require(0 <= id <= 252, "--id", f"{id} is no servo id", "0..252")
+    require_id(id, "--id")
     baud = config.baud if options.baud is None else options.baud
     bauds = checked_rates(options.from_baud) or LIKELY
     checked_rates([baud])

@@ -167,12 +167,13 @@ def run_torque(options: ServoTorqueOptions) -> int:
         with driving(arm), attempt():
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
+    from robot_ik.hardware.control_table import require_id
     from robot_ik.hardware.torque import force_torque_off
 
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
         for id in options.ids:
-            require(0 <= id <= 252, "--ids", f"{id} is no servo id", "0..252")
+            require_id(id, "--ids")
         servos = {id: f"servo {id}" for id in options.ids}
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])

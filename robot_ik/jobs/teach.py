@@ -8,10 +8,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
 from robot_ik.execution import execute
@@ -25,7 +23,7 @@ from robot_ik.jobs.hand_calibration import require_limp
 from robot_ik.motion.trajectory import Trajectory, approach, playable
 from robot_ik.ports import JointSink
 from robot_ik.reading import read_json
-from robot_ik.tables import Several, Table, check_table
+from robot_ik.tables import SchemaVersion, Several, Table, check_table
 
 SUFFIXES = (".csv", ".json")
 
@@ -82,7 +80,7 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
 
 
 class _MotionFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")] = 1
+    version: SchemaVersion = 1
     joints: Several[str]
     time_s: Several[float]
     q_rad: Several[Several[float]]

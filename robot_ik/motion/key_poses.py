@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +24,7 @@ from robot_ik.ports import Array
 from robot_ik.reading import shown
 from robot_ik.robot import Robot
 from robot_ik.robot_file import catalogue
-from robot_ik.tables import Several, Table, keys_of, read_table
+from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def robot_named_in(path: Path | str) -> str:
 
 
 class _KeyPosesFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     robot: str = ""
     poses: dict[str, dict[str, float | Several[float]]] = Field(default={})
     motions: dict[str, Annotated[KeySequence, keys_of(KeySequence)]] = Field(default={})

@@ -12,12 +12,12 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import field_validator
 
 from robot_ik.errors import ConfigError, ModelError, TrajectoryError
 from robot_ik.geometry import Pose
@@ -31,7 +31,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Budget
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import Several, Table, read_table
+from robot_ik.tables import SchemaVersion, Several, Table, read_table
 
 SIDES = ("left", "right")
 ROLES = (
@@ -58,7 +58,7 @@ class _Role(Table):
 
 
 class _MapFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     roles: dict[Literal[ROLES], _Role]  # type: ignore[valid-type]
 
     @field_validator("roles")

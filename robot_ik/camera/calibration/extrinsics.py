@@ -11,7 +11,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -30,7 +30,7 @@ from robot_ik.errors import CalibrationError, CameraError, ConfigError
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
-from robot_ik.tables import Position, Table, Wxyz, read_table
+from robot_ik.tables import Position, SchemaVersion, Table, Wxyz, read_table
 
 _CAMERA = np.arange(6)
 # The stated standard deviation of a pixel weighs as much as so many measured ones.
@@ -275,7 +275,7 @@ _Six = Annotated[tuple[float, float, float, float, float, float], Field(strict=F
 
 
 class _ExtrinsicsFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")] = 1
+    version: SchemaVersion = 1
     parent: str
     position: Position
     wxyz: Wxyz

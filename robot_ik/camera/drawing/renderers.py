@@ -26,7 +26,7 @@ from robot_ik.errors import ConfigError, ModelError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.model import read_model
 from robot_ik.ports import Array
-from robot_ik.tables import Position, Several, Table, read_table
+from robot_ik.tables import Position, Positive, Several, Table, read_table
 
 Mask = NDArray[np.bool_]
 
@@ -265,15 +265,12 @@ ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": Ray
 #     yaw_deg = 20.0                  # about the vertical, 0 when not given
 
 
-_Edge = Annotated[float, Field(gt=0.0)]
-
-
 class BoxTable(Table):
     """A box: its middle and its edges in metres, turned about the vertical."""
 
     position: Position
     size: Annotated[
-        tuple[_Edge, _Edge, _Edge], Field(strict=False, description="three edges above 0, metres")
+        tuple[Positive, Positive, Positive], Field(strict=False, description="three edges above 0, metres")
     ]
     yaw_deg: float = 0.0
 

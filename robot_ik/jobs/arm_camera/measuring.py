@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
@@ -25,7 +25,7 @@ from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
 from robot_ik.table_errors import config_error
-from robot_ik.tables import Pair, Position, Several, Table, Wxyz
+from robot_ik.tables import Pair, Position, SchemaVersion, Several, Table, Wxyz
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class _Sample(Table):
 
 
 class _SampleFile(Table):
-    version: Annotated[Literal[1], Field(alias="schema")]
+    version: SchemaVersion
     job: str
     robot: str
     joints: Several[str]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -13,20 +13,17 @@ from robot_ik.jobs.script.state import Script
 from robot_ik.jobs.script.steps import ScriptStep, step_class
 from robot_ik.jobs.script.steps.expect import ExpectStep
 from robot_ik.reading import WrongKey, parse_toml, read_text, shown
-from robot_ik.tables import Position, Several, Table, check_table, chosen
-
-_Word = Annotated[str, Field(min_length=1)]
-_Positive = Annotated[float, Field(gt=0.0)]
+from robot_ik.tables import Position, Positive, SchemaVersion, Several, Table, Word, check_table, chosen
 
 
 class ObjectTable(Table):
     """A box that lies about and can be gripped, in a world with ``physics``; ``position``: its centre."""
 
-    name: _Word
+    name: Word
     position: Position
     yaw_deg: float = 0.0
-    size_mm: Annotated[tuple[_Positive, _Positive, _Positive], Field(strict=False)]
-    mass_g: _Positive = 50.0
+    size_mm: Annotated[tuple[Positive, Positive, Positive], Field(strict=False)]
+    mass_g: Positive = 50.0
 
 
 class ScriptFile(Table):
@@ -41,10 +38,10 @@ class ScriptFile(Table):
         physics: The robot's MuJoCo model moves the simulated shafts; ``objects`` lie on its plane z = 0.
     """
 
-    version: Annotated[Literal[1], Field(alias="schema")]
-    name: _Word
+    version: SchemaVersion
+    name: Word
     about: str = ""
-    robot: _Word = "tabletop_puma"
+    robot: Word = "tabletop_puma"
     arm: str | None = None
     seed: Annotated[int, Field(ge=0)] = 0
     speed: Annotated[float, Field(gt=0.0, le=1.0)] = 0.5

@@ -21,7 +21,7 @@ from robot_ik.motion.key_poses import KeyPoses, named_poses
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.tables import Pair, Table
+from robot_ik.tables import Pair, Positive, Table, Word
 
 
 def require_known(what: str, name: str | None, known: Iterable[str], key: str = "") -> None:
@@ -42,12 +42,10 @@ def _rising(span: tuple[float, float]) -> tuple[float, float]:
 
 
 LONGEST = 86_400.0  # s: a day
-Positive = Annotated[float, Field(gt=0.0)]
 NotNegative = Annotated[float, Field(ge=0.0)]
 Seconds = Annotated[float, Field(gt=0.0, le=LONGEST)]
 Span = Annotated[Pair, AfterValidator(_rising)]
 Share = Annotated[float, Field(gt=0.0, le=1.0)]
-Word = Annotated[str, Field(min_length=1)]
 ErrorClass = Annotated[Word, AfterValidator(_error_class)]
 
 

@@ -7,10 +7,12 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from robot_ik.hardware.arm import ArmState
+from robot_ik.hardware.joint_map import ServoId
 from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.jobs.script.report import StepResult
 from robot_ik.jobs.script.state import RunState, StepFailed
-from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep, Word
+from robot_ik.jobs.script.steps.base import LONGEST, Action, NotNegative, ScriptStep
+from robot_ik.tables import Word
 
 PATIENCE = 2.0
 """s to wait for a port that has gone."""
@@ -55,7 +57,7 @@ class InjectStep(ScriptStep):
     do: Literal["inject"]
     kind: Word
     joint: str | None = None
-    id: Annotated[int | None, Field(ge=0, le=252)] = None
+    id: ServoId | None = None
     value: float | None = None
     in_s: NotNegative = 0.0
     for_s: NotNegative | None = None

@@ -19,7 +19,6 @@ from robot_ik.jobs.script.steps.base import (
     JointValues,
     Span,
     Tolerant,
-    Word,
     keyframes,
     near,
     report_findings,
@@ -30,7 +29,7 @@ from robot_ik.ports import Array
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
-from robot_ik.tables import Position, Wxyz
+from robot_ik.tables import Position, Word, Wxyz
 
 ROUNDING = 1e-9
 """s; sums of periods are not exact."""

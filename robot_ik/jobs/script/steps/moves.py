@@ -24,11 +24,9 @@ from robot_ik.jobs.script.steps.base import (
     GripperWidth,
     JointValues,
     NotNegative,
-    Positive,
     Seconds,
     Share,
     Tolerant,
-    Word,
     current_for,
     fingers_on,
     gripper_joints,
@@ -46,7 +44,7 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.reading import WrongKey
 from robot_ik.solvers import make_solver
-from robot_ik.tables import Position, Wxyz
+from robot_ik.tables import Position, Positive, Word, Wxyz
 
 Judge = Callable[[], list[Finding]]
 """How far off it is: once all of that is right it has arrived."""
