@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.hardware.virtual.pty import PtyPort
-    from robot_ik.ports import Clock
 
 __all__ = ["BUSES", "Bus", "bus_row", "open_arm", "open_bus", "pty_port"]
 
@@ -41,14 +40,14 @@ class Bus:
         title: One line for help texts.
         virtual: Its servos are simulated.
         make: (name given, config, servos or None) -> bus, not open yet.
-        clock: Makes the clock of servos that are simulated on it.
+        virtual_time: Its simulated servos run on a clock of their own.
     """
 
     name: str
     title: str
     virtual: bool
     make: Callable[[str, ArmConfig, VirtualBus | None], ServoBus]
-    clock: Callable[[], Clock]
+    virtual_time: bool = False
 
 
 def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
@@ -82,25 +81,13 @@ def _port(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
     return DynamixelBus(name, config.baud)
 
 
-def _real_clock() -> Clock:  # not at the top: it brings numpy, and commands ask for the names only
-    from robot_ik.ports import RealClock
-
-    return RealClock()
-
-
-def _virtual_clock() -> Clock:
-    from robot_ik.ports import VirtualClock
-
-    return VirtualClock()
-
-
 BUSES: Mapping[str, Bus] = MappingProxyType(
     {
         bus.name: bus
         for bus in (
-            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, _virtual_clock),
-            Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty, _real_clock),
-            Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port, _real_clock),
+            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, True),
+            Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty),
+            Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port),
         )
     }
 )
@@ -184,5 +171,6 @@ def _servos(
     if servos is not None:
         return servos
     from robot_ik.hardware.virtual.bus import VirtualBus
+    from robot_ik.ports import RealClock, VirtualClock  # they bring numpy: commands ask for names only
 
-    return VirtualBus.from_config(config, row.clock(), start)
+    return VirtualBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)

@@ -497,11 +497,6 @@ def _check_watchdogs(config: ArmConfig) -> None:
         )
 
 
-def current_unit(table: ControlTable) -> float:
-    """mA of one count of the current registers; 0 where there are none."""
-    return float(table["goal_current"].unit.split()[0]) if "goal_current" in table else 0.0
-
-
 def _known_table(joint: JointMap) -> ControlTable:
     try:
         return control_table(joint.model)
@@ -510,7 +505,7 @@ def _known_table(joint: JointMap) -> ControlTable:
 
 
 def _check_currents(joint: JointMap, table: ControlTable) -> None:
-    unit = current_unit(table)
+    unit = table.current_unit
     limits = {"current_limit_ma": joint.current_limit, "stop_at.current_ma": joint.stop_at.current_ma}
     named = [key for key, value in limits.items() if value is not None]
     if not unit and named:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from types import MappingProxyType
 
 from robot_ik.errors import ConfigError, close_matches
@@ -175,6 +175,11 @@ class ControlTable:
     def baud_rates(self) -> tuple[int, ...]:
         """Bits per second the model can be set to."""
         return tuple(rate for code, rate in BAUD_RATES.items() if code <= self["baud_rate"].maximum)
+
+    @cached_property
+    def current_unit(self) -> float:
+        """mA of one count of the current registers; 0 where there are none."""
+        return float(self["goal_current"].unit.split()[0]) if "goal_current" in self else 0.0
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BusStatus, ServoBus
-from robot_ik.hardware.config import ArmConfig, current_unit
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table
 from robot_ik.hardware.joint_map import JointMap, StopAt
 
@@ -154,7 +154,7 @@ class Thresholds:
     """Watches one servo against ``[joints.stop_at]``: the arm stops before the servo shuts itself down."""
 
     def __init__(self, servo: JointMap) -> None:
-        stop, unit = servo.stop_at, current_unit(servo.table)
+        stop, unit = servo.stop_at, servo.table.current_unit
         rows = (
             ("load_limit", "present_load", 0.1, stop.load_percent, "%"),
             ("current_limit", "present_current", unit, stop.current_ma, "mA"),

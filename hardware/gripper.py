@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from robot_ik.errors import HardwareError, UnsafeCommandError, apart
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, current_unit
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.cycle import Cycle
 from robot_ik.hardware.joint_map import GRIPPER, JointMap
 
@@ -101,4 +101,4 @@ def _current(bus: ServoBus, joint: JointMap) -> float | None:
         counts = bus.read(joint.id, joint.table["present_current"]).data
     except HardwareError:
         return None  # the next cycle says what is wrong
-    return None if counts is None else abs(counts) * current_unit(joint.table)
+    return None if counts is None else abs(counts) * joint.table.current_unit

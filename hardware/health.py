@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from robot_ik.environment import NOTE, OK, PROBLEM, CheckRow
 from robot_ik.errors import BusCorruptError, BusTimeoutError, HardwareError, ServoRefusedError
 from robot_ik.hardware.bus import ServoBus
-from robot_ik.hardware.config import ArmConfig, current_unit
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     VELOCITY_UNIT,
     X_SERIES,
@@ -94,7 +94,7 @@ def _state(servo: JointMap, motion: int | None, health: int | None) -> ServoStat
         servo.name,
         servo.id,
         ticks=values.get("present_position"),
-        current_ma=scaled("present_current", current_unit(table)),
+        current_ma=scaled("present_current", table.current_unit),
         load_percent=scaled("present_load", 0.1),
         voltage=scaled("present_input_voltage", 0.1),
         temperature=values.get("present_temperature"),

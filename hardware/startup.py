@@ -27,7 +27,7 @@ from robot_ik.errors import (
 )
 from robot_ik.hardware.bus import ServoBus, joint_named, read_all, require_models, shared_register
 from robot_ik.hardware.calibration import check_beside
-from robot_ik.hardware.config import ArmConfig, current_unit
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     TICKS_PER_REVOLUTION,
@@ -150,7 +150,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
     _check_servo_limits(bus, config)
     if named := [joint.name for joint in config.whole.joints if joint.current_limit is not None]:
         limited = config.only(named)
-        units = {s.id: current_unit(s.table) for s in limited.servos}
+        units = {s.id: s.table.current_unit for s in limited.servos}
         counts = {s.id: int((s.current_limit or 0.0) / units[s.id]) for s in limited.servos}
         _set_eeprom(bus, limited, "current_limit", counts, torque)
     set_currents(bus, config, {})
@@ -327,16 +327,16 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
             raise UnsafeCommandError(
                 f"a current for {name!r} in mode {joint.mode.name.lower()}", "current_based_position"
             )
-        if not (math.isfinite(current) and current >= current_unit(joint.table)):
+        if not (math.isfinite(current) and current >= joint.table.current_unit):
             raise UnsafeCommandError(
-                f"{current} mA for {name!r}", f"{current_unit(joint.table):g} mA and more"
+                f"{current} mA for {name!r}", f"{joint.table.current_unit:g} mA and more"
             )
     for servo in config.servos:
         if servo.mode != OperatingMode.CURRENT_BASED_POSITION or (wanted and servo.name not in wanted):
             continue
         limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
         given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
-        counts = min([limit, *(int(mA / current_unit(servo.table)) for mA in given)])
+        counts = min([limit, *(int(mA / servo.table.current_unit) for mA in given)])
         _write_register(bus, config, servo, "goal_current", counts)
 
 

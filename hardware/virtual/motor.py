@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
-from robot_ik.hardware.config import current_unit
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
     RADIANS_PER_TICK,
@@ -223,6 +222,11 @@ TORQUE_MODES = (OperatingMode.CURRENT, OperatingMode.PWM)
 _COASTING = 0.05 * PHYSICAL_ACCELERATION
 
 
+def unloaded_speed(motor: Motor, volts: float) -> float:
+    """Ticks/s of a motor without a load at a supply."""
+    return motor.no_load_rpm / 60.0 * TICKS_PER_REVOLUTION * volts / motor.volts
+
+
 def torque_limit(memory: Memory, volts: float) -> float:
     """Largest torque that mode, limits and supply allow, N m."""
     motor = memory.table.motor
@@ -232,7 +236,7 @@ def torque_limit(memory: Memory, volts: float) -> float:
         pwm = min(pwm, abs(memory.values["goal_pwm"]))
     limit = motor.stall_at(volts) * pwm / PWM_FULL
     if mode == OperatingMode.CURRENT_BASED_POSITION:
-        amperes = abs(memory.values["goal_current"]) * current_unit(memory.table) / 1000.0
+        amperes = abs(memory.values["goal_current"]) * memory.table.current_unit / 1000.0
         limit = min(limit, amperes * motor.torque_per_ampere)
     return limit
 
@@ -241,7 +245,7 @@ def effort(memory: Memory, volts: float) -> float:
     """Torque that the goal of a torque mode asks for from a standing shaft, N m, signed as its register."""
     motor = memory.table.motor
     if memory.values["operating_mode"] == OperatingMode.CURRENT:
-        return memory.values["goal_current"] * current_unit(memory.table) / 1000.0 * motor.torque_per_ampere
+        return memory.values["goal_current"] * memory.table.current_unit / 1000.0 * motor.torque_per_ampere
     return memory.values["goal_pwm"] / PWM_FULL * motor.stall_at(volts)
 
 
@@ -280,7 +284,7 @@ def torque_control(
         acceleration = abs(net) / motor.stall_torque * PHYSICAL_ACCELERATION
     else:
         acceleration = PHYSICAL_ACCELERATION
-    top = motor.no_load_rpm / 60.0 * 4096.0 * volts / motor.volts
+    top = unloaded_speed(motor, volts)
     return constant_velocity(now, position, velocity, share * top, acceleration)
 
 

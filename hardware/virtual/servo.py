@@ -12,7 +12,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
-from robot_ik.hardware.config import current_unit
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
@@ -98,7 +97,7 @@ class VirtualServo:
         self.electrics = Electrics(self.table.motor, clock.now())
         self._clock = clock
         self._values = self.memory.values
-        self._current_unit = current_unit(self.table)
+        self._current_unit = self.table.current_unit
         self._registered: tuple[int, bytes] | None = None
         self._backup: dict[str, int] = {}
         self.memory.set("id", id)

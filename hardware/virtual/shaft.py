@@ -20,7 +20,7 @@ from robot_ik.hardware.virtual.motor import (
     brake,
     rest,
 )
-from robot_ik.hardware.x_series import REVERSE, SLAVE
+from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
 
 _IN_POSITION_TICKS = 2.0
@@ -57,7 +57,6 @@ class Shaft:
         stuck_at: Encoder ticks where a broken gear lets it rest without load, or ``None``.
         stops: Encoder ticks between which it can turn; it presses against them.
         body: Moves it instead of the profile; ``None``: the profile does.
-        master: Of a dual joint: (its shaft, +1 or -1 by the sync cable, own ticks where its are 0).
         powered: Torque is on.
     """
 
@@ -66,7 +65,6 @@ class Shaft:
         self.stuck_at: float | None = None
         self.stops = (-math.inf, math.inf)
         self.body: Body | None = None
-        self.master: tuple[Shaft, int, float] | None = None
         self.load = load
         self.powered = False
         self._memory = memory
@@ -126,8 +124,7 @@ class Shaft:
     @property
     def top(self) -> float:
         """Ticks/s in position modes: what the motor does at its supply, and no more than Velocity Limit."""
-        motor = self._memory.table.motor
-        unloaded = motor.no_load_rpm / 60.0 * TICKS_PER_REVOLUTION * self.volts / motor.volts
+        unloaded = drive.unloaded_speed(self._memory.table.motor, self.volts)
         return min(unloaded, self._values["velocity_limit"] * VELOCITY_TICKS)
 
     def registers(self) -> dict[str, Callable[[], int]]:
@@ -254,10 +251,6 @@ class Shaft:
             return self.stuck_at, 0.0
         if self.body is not None:
             return self.body.position, self.body.velocity
-        if self.master is not None and self._memory.values["drive_mode"] & SLAVE:
-            master, way, zero = self.master
-            position, velocity = master._actual()
-            return zero + way * position, way * velocity
         position, velocity = self._planned()
         low, high = self.stops
         return (position, velocity) if low <= position <= high else (min(max(position, low), high), 0.0)
