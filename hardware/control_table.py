@@ -78,7 +78,7 @@ class Register:
         name: The manual's name in snake_case.
         address: Of its first byte.
         size: In bytes: 1, 2 or 4, little-endian.
-        access: ``"r"`` or ``"rw"``.
+        writable: It can be written, too.
         signed: Two's complement.
         unit: What one count means, as text.
         eeprom: Kept without power, and locked while torque is on.
@@ -90,17 +90,13 @@ class Register:
     name: str
     address: int
     size: int
-    access: str = "r"
+    writable: bool = False
     signed: bool = False
     unit: str = ""
     eeprom: bool = False
     initial: int | None = None
     minimum: int = 0
     maximum: int = 0
-
-    @property
-    def writable(self) -> bool:
-        return self.access == "rw"
 
     @property
     def end(self) -> int:
@@ -193,8 +189,8 @@ class ControlTable:
 
 def _register(row: Row) -> Register:
     name, address, size, flags, unit, initial, minimum, maximum = row
-    access = "r" if "r" in flags else "rw"
-    return Register(name, address, size, access, "s" in flags, unit, address < 64, initial, minimum, maximum)
+    writable, signed, eeprom = "r" not in flags, "s" in flags, address < 64
+    return Register(name, address, size, writable, signed, unit, eeprom, initial, minimum, maximum)
 
 
 def _indirect(blocks: list[Indirect]) -> Iterator[Register]:

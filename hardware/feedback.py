@@ -207,7 +207,7 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
     addresses = [a for name in parts for a in range(table[name].address, table[name].end)]
     first, data = table["indirect_address_1"], table["indirect_data_1"]
     size = 2 * len(addresses)
-    pointers = Register("indirect addresses", first.address, size, "rw")
+    pointers = Register("indirect addresses", first.address, size, writable=True)
     wanted = int.from_bytes(b"".join(a.to_bytes(2, "little") for a in addresses), "little")
     if bus.read(id, pointers).data != wanted:
         bus.write(id, pointers, wanted)

@@ -38,7 +38,7 @@ PAGE = Path(__file__).resolve().parents[1] / "reference" / "hardware.md"
 IDS = tuple(range(1, 7))
 TABLE = CONTROL_TABLES["XM430-W350"]
 GOAL, PRESENT = TABLE["goal_position"], TABLE["present_position"]
-BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, "r", True, "", False, None, 0, 0)
+BLOCK = Register("torque and position", TABLE["indirect_data_1"].address, 5, signed=True)
 RATES = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
 BITS_PER_BYTE = 10
 CORES = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else []

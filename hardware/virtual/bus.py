@@ -160,12 +160,6 @@ class VirtualBus:
         with self.lock:
             self.servos = tuple(s for s in self.servos if s is not servo)
 
-    def set_supply(self, volts: float) -> None:
-        """The supply of all servos; so low that a servo cannot run, it starts anew once power is back."""
-        with self.lock:
-            for servo in self.servos:
-                servo.set_supply(volts)
-
     def true_angles(self, config: ArmConfig) -> NDArray[np.float64]:
         """(n,) rad where the shafts really are, hidden offsets included: what a camera would see."""
         with self.lock:

@@ -63,26 +63,25 @@ MODELS = {
 }
 
 
-def _manual() -> list[tuple[str, int, int, str, bool, int | None]]:
+def _manual() -> list[tuple[str, int, int, bool, bool, int | None]]:
     rows = []
     for cell in MANUAL.replace("\n", "|").split("|"):
         if cell.strip():
             address, kind, name, initial = cell.split()[:4]
-            access = "r" if "r" in kind else "rw"
             value = None if initial == "-" else int(initial)
-            rows.append((name, int(address), int(kind[0]), access, "s" in kind, value))
+            rows.append((name, int(address), int(kind[0]), "r" not in kind, "s" in kind, value))
     return rows
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_shared_registers_are_the_manual_s(model: str) -> None:
     table = CONTROL_TABLES[model]
-    for name, address, size, access, signed, initial in _manual():
+    for name, address, size, writable, signed, initial in _manual():
         register = table[name]
-        assert (register.address, register.size, register.access, register.signed) == (
+        assert (register.address, register.size, register.writable, register.signed) == (
             address,
             size,
-            access,
+            writable,
             signed,
         ), name
         assert register.eeprom == (address < 64)
@@ -204,7 +203,7 @@ def test_units_of_the_manual() -> None:
 
 
 def _register(size: int, signed: bool) -> Register:
-    return Register("x", 0, size, "rw", signed, "", False, 0, 0, 0)
+    return Register("x", 0, size, True, signed, "", False, 0, 0, 0)
 
 
 @given(st.sampled_from([1, 2, 4]), st.booleans(), st.data())

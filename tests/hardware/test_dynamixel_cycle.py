@@ -179,7 +179,7 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
     sim.use_fast_reads(IDS if fast else [])
     sim.virtual_bus.reseed(4)
     sim.virtual_bus.inject(Fault("late", value=0.1))
-    long = Register("current to temperature", 126, 21, "r", True, "", False, None, 0, 0)
+    long = Register("current to temperature", 126, 21, False, True, "", False, None, 0, 0)
     taken = 0
     for k in range(300):
         for servo in sim.virtual_bus.servos:

@@ -98,9 +98,9 @@ def test_return_delay_is_spent(pty: PtyPort, arm_bus: VirtualBus) -> None:
 def test_power_loss_and_its_return(pty: PtyPort, arm_bus: VirtualBus) -> None:
     with opened(pty.path) as port:
         assert SDK.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
-        arm_bus.set_supply(0.0)
+        arm_bus.inject(Fault("supply", value=0.0))
         assert SDK.ping(port, 1)[1] == COMM_RX_TIMEOUT
-        arm_bus.set_supply(12.0)
+        arm_bus.inject(Fault("supply", value=12.0))
         assert SDK.read1ByteTxRx(port, 1, 64) == (0, COMM_SUCCESS, 0)
-        arm_bus.set_supply(9.0)  # too low for them, and enough to say so
+        arm_bus.inject(Fault("supply", value=9.0))  # too low for them, and enough to say so
         assert SDK.read1ByteTxRx(port, 1, 70) == (1, COMM_SUCCESS, 0x80)
