@@ -122,7 +122,8 @@ def test_the_bus_of_the_recipe_logs_every_goal_that_is_sent(caplog: pytest.LogCa
     (row,) = re.findall(r'```text\n(Bus\("logged".*?),\n```', page)
     made = {"_logged": lambda name, config, servos: module.LoggedBus(servos)}
     logged_bus = eval(row, vars(hardware) | made)
-    servos = Wire.from_config(CONFIG, logged_bus.clock(), ROBOT.home)
+    assert logged_bus.virtual_time
+    servos = Wire.from_config(CONFIG, VirtualClock(), ROBOT.home)
     bus = logged_bus.make("logged", CONFIG, servos)
     with (
         caplog.at_level(logging.INFO, logger=module.__name__),
