@@ -13,6 +13,7 @@ from robot_ik.camera.bodies import grid_body, load_bodies
 from robot_ik.camera.image import quiet
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
+from robot_ik.camera.photometric_fit import LEAST_SIGMA
 from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.errors import CameraError
@@ -29,6 +30,8 @@ class BoardView:
         pixels: (n, 2) where they were seen, distorted pixels.
         pose_camera_board: A first estimate of the pose.
         sigma: Standard deviation of the pixels, px.
+        bias: Of the corners of markers, four after four: standard deviation of how far outwards all of them
+            lie in every picture alike, px; 0 for other points.
 
     Raises:
         CameraError: The arrays do not belong together, a number is not finite, or points are fewer than 4.
@@ -38,6 +41,7 @@ class BoardView:
     pixels: Array
     pose_camera_board: Pose
     sigma: float = 0.1
+    bias: float = 0.0
 
     def __post_init__(self) -> None:
         p, x = np.array(self.points, dtype=float), np.array(self.pixels, dtype=float)
@@ -47,6 +51,8 @@ class BoardView:
             raise CameraError(f"{len(p)} points do not fix a pose", hint="at least 4 are needed")
         if not (np.isfinite(p).all() and np.isfinite(x).all() and 0.0 < self.sigma < np.inf):
             raise CameraError("a point, a pixel or the standard deviation of the pixels is not finite")
+        if not 0.0 <= self.bias < np.inf or (self.bias > 0.0 and len(p) % 4):
+            raise CameraError(f"a bias of {self.bias} px of {len(p)} points: markers have 4 corners each")
         object.__setattr__(self, "points", p)
         object.__setattr__(self, "pixels", x)
 
@@ -100,7 +106,9 @@ class MarkerBoard:
         points = [self.layout[i][1].apply(marker_points(self.layout[i][0])) for i in body.ids]
         pixels = [seen[i].corners for i in body.ids]
         sigma = float(np.sqrt(np.mean([seen[i].sigma ** 2 for i in body.ids])))
-        return BoardView(np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma)
+        return BoardView(
+            np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma, bias=LEAST_SIGMA
+        )
 
 
 @dataclass(frozen=True, eq=False)

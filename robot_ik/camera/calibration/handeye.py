@@ -410,7 +410,7 @@ def solve_handeye(
 
     All corners are fitted together over both poses.  The arm's own error, which moves all corners of one
     picture alike, is told from that of the pixels and estimated from the views, so that the stated
-    uncertainty is consistent with the errors.
+    uncertainty is consistent with the errors.  The bias that all views share (``BoardView.bias``) is in it.
 
     Args:
         samples: At least 4, turned about two axes and more; 15 are good.
@@ -432,11 +432,26 @@ def solve_handeye(
         return replace(views, pixels=scale**2 * views.pixels, sources=hand), corner_misses(left, scale)
 
     mount, normal = fit_views(linear, start_handeye(samples, mounting), _ALL)
-    found = _result(mount, samples, intrinsics, normal, spread)
+    # What all views have alike does not show in their scatter, nor does it become less with their number.
+    off = normal.moved_by(np.array([_by_bias(mount, sample, intrinsics) for sample in samples]))
+    covariance = normal.covariance + np.outer(off, off)
+    found = _result(mount, samples, intrinsics, normal, covariance, spread)
     require_explained(
         [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
     )
     return found
+
+
+def _by_bias(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
+    """(6,) twist of the hand that a view asks for where its corners lie outwards by its ``bias``."""
+    view = sample.view
+    if view.bias == 0.0:
+        return np.zeros(6)
+    corners = view.pixels.reshape(-1, 4, 2)
+    outwards = corners - corners.mean(axis=1, keepdims=True)
+    outwards /= np.linalg.norm(outwards, axis=2, keepdims=True)
+    _, _, hand = view_derivatives(mount, sample, intrinsics)
+    return np.asarray(np.linalg.lstsq(hand, view.bias * outwards.ravel())[0])
 
 
 def require_explained(
@@ -484,6 +499,7 @@ def _result(
     samples: Sequence[HandEyeSample],
     intrinsics: CameraIntrinsics,
     normal: NormalEquations,
+    covariance: Array,
     spread: Array,
 ) -> HandEye:
     residuals = [_residual(mount, sample, intrinsics, normal.left_out(k)) for k, sample in enumerate(samples)]
@@ -493,7 +509,7 @@ def _result(
         mounting=mount.mounting,
         pose_parent_camera=mount.pose_parent_camera,
         pose_other_board=mount.pose_other_board,
-        covariance=normal.covariance,
+        covariance=covariance,
         residuals=tuple(residuals),
         residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),
         residual_mm=float(1e3 * np.sqrt(np.mean([one.left_out_position**2 for one in good]))),

@@ -132,6 +132,12 @@ class NormalEquations:
         """(m, m) of all unknowns; zeros for those that are not free."""
         return self._spread_out(inverse(self.matrix))
 
+    def moved_by(self, errors: Array) -> Array:
+        """(m,) how far the unknowns are off where the pseudo-measurements are off by ``errors`` (n, 6)."""
+        weighted = np.linalg.solve(self.noise.covariances, errors[..., None])[..., 0]
+        by_view = np.einsum("nik,ni->nk", self.views.rows, weighted)
+        return np.asarray(self.covariance @ (self.noise.weights @ by_view))
+
     def left_out(self, view: int) -> LeftOut:
         """How one view fits what all others say."""
         _, scale = _balanced(self.matrix)

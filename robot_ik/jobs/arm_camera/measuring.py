@@ -110,6 +110,7 @@ class SampleSet:
                 "points": view.points,
                 "pixels": view.pixels,
                 "sigma": view.sigma,
+                "bias": view.bias,
                 "position": view.pose_camera_board.position,
                 "wxyz": view.pose_camera_board.wxyz,
             }
@@ -134,7 +135,7 @@ class SampleSet:
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
             points, pixels = np.array(one.points), np.array(one.pixels)
-            view = BoardView(points, pixels, Pose(one.position, one.wxyz), one.sigma)
+            view = BoardView(points, pixels, Pose(one.position, one.wxyz), one.sigma, one.bias)
             found.add(np.array(one.q), view)
         return found
 
@@ -164,6 +165,7 @@ class _Sample(Table):
     points: Several[Position]
     pixels: Several[Pair]
     sigma: float
+    bias: float = 0.0
     position: Position
     wxyz: Wxyz
 

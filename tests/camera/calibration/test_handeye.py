@@ -101,6 +101,30 @@ def test_fifteen_views_are_good_for_the_target_and_the_uncertainty_is_honest(mou
     assert 1e-4 < np.median(arm, axis=0)[0] < 9e-4
 
 
+def test_a_bias_that_all_views_share_is_in_the_uncertainty() -> None:
+    truth, samples = handeye_set(seed=4, pixel=0.003, arm=(1e-7, 1e-7))
+
+    def found(bias: float, outwards: float) -> tuple[float, float]:
+        shifted = []
+        for sample in samples:
+            view = sample.view
+            away = view.pixels - view.pixels.mean(axis=0)
+            pixels = view.pixels + outwards * away / np.linalg.norm(away, axis=1, keepdims=True)
+            one = BoardView(view.points, pixels, view.pose_camera_board, view.sigma, bias)
+            shifted.append(HandEyeSample(sample.pose_world_hand, one))
+        result = solve_handeye(shifted, STANDARD_CAMERA, mounting="eye_in_hand")
+        return (
+            result.pose_parent_camera.distance(truth.pose_parent_camera)[0],
+            result.sigma_position,
+        )
+
+    off, alone = found(0.0, 0.05)
+    assert off > 3 * alone  # the views agree with each other, and say nothing of it
+    again, stated = found(0.05, 0.05)
+    assert again == off < 2 * stated and stated < 2 * off
+    assert found(0.01, 0.0)[1] < 0.5 * stated
+
+
 def test_views_turned_by_little_are_said_to_be_worse() -> None:
     said = []
     for spread in (8.0, 25.0):
@@ -173,6 +197,8 @@ def test_a_view_that_makes_no_sense_is_refused() -> None:
     ):
         with pytest.raises(CameraError):
             BoardView(points, pixels, Pose())
+    with pytest.raises(CameraError, match="4 corners"):
+        BoardView(np.eye(5, 3), np.zeros((5, 2)), Pose(), bias=0.01)
     with pytest.raises(CalibrationError, match="eye_in_hand, eye_to_hand"):
         solve_handeye(handeye_set()[1], STANDARD_CAMERA, mounting="beside")  # type: ignore[arg-type]
 

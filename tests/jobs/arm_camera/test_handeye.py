@@ -111,6 +111,7 @@ def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
     again = handeye_from_samples(SampleSet.load(path))
     assert again.result is not None and again.truth is None
     assert max(again.result.pose_parent_camera.distance(place.pose_parent_camera)) < 1e-9
+    np.testing.assert_allclose(again.result.covariance, result.covariance, rtol=1e-6)
     other = replace(report.samples.intrinsics, width=320, height=240)
     with pytest.raises(CalibrationError, match="320x240"):
         handeye_from_samples(SampleSet.load(path), other)
