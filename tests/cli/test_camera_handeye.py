@@ -68,7 +68,9 @@ def test_samples_are_solved_again_without_moving(robot_ik: Any, samples: SampleS
     np.testing.assert_array_equal(said["camera"]["position"], place.pose_parent_camera.position)
 
 
-def test_an_arm_whose_zero_is_off_is_reported(robot_ik: Any, samples: SampleSet) -> None:
+def test_an_arm_whose_zero_is_off_is_reported(
+    robot_ik: Any, samples: SampleSet, caplog: pytest.LogCaptureFixture
+) -> None:
     rng, tick = np.random.default_rng(0), 2.0 * np.pi / 4096
     for q in samples.q:
         q += rng.uniform(-0.5, 0.5, 6) * tick
@@ -78,7 +80,12 @@ def test_an_arm_whose_zero_is_off_is_reported(robot_ik: Any, samples: SampleSet)
     samples.save(Path("off.json"))
     run = robot_ik("camera", "handeye", "--samples", "off.json", "--json")
     assert run.code == 0 and "the arm contradicts itself" in run.err, run
-    assert "robot-ik camera verify --fit" in json.loads(run.out)["doubt"]
+    doubt = json.loads(run.out)["doubt"]
+    assert "robot-ik camera verify --fit" in doubt
+    # Whoever uses the file later is told, too.
+    with caplog.at_level("WARNING", "robot_ik.camera"):
+        assert CameraExtrinsics.load("place.toml").doubt == doubt
+    assert f"place.toml: {doubt}" in caplog.text
 
 
 def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:

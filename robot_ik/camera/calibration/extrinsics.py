@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,8 @@ from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.tables import Position, SchemaVersion, Table, Wxyz, read_table
 
+logger = logging.getLogger("robot_ik.camera")
+
 _CAMERA = np.arange(6)
 # The stated standard deviation of a pixel weighs as much as so many measured ones.
 _PRIOR = 6.0
@@ -55,6 +58,7 @@ class CameraExtrinsics:
         intrinsics_hash: ``CameraIntrinsics.digest`` of the calibration it was found with.
         method: How it was found.
         views: Pictures used.
+        doubt: Why the pose may be wrong by more than is stated; empty: nothing speaks against it.
     """
 
     pose_parent_camera: Pose
@@ -66,6 +70,7 @@ class CameraExtrinsics:
     intrinsics_hash: str
     method: str = "board"
     views: int = 1
+    doubt: str = ""
 
     def __post_init__(self) -> None:
         covariance = np.array(self.covariance, dtype=float)
@@ -118,7 +123,7 @@ class CameraExtrinsics:
 
     @classmethod
     def load(cls, path: Path | str, intrinsics: CameraIntrinsics | None = None) -> CameraExtrinsics:
-        """Reads the file; with ``intrinsics``, only if it was found with them.
+        """Reads the file; with ``intrinsics``, only if it was found with them.  Its doubt is logged.
 
         Raises:
             CalibrationError: Missing, no such file, a key is missing or wrong, or other intrinsics.
@@ -131,7 +136,10 @@ class CameraExtrinsics:
         extrinsics = CameraExtrinsics(
             Pose(file.position, file.wxyz), file.parent, np.array(file.covariance), file.residual_px,
             file.residual_mm, file.date, file.intrinsics, method=file.method, views=file.views,
+            doubt=file.doubt,
         )  # fmt: skip
+        if extrinsics.doubt:
+            logger.warning("%s: %s", path, extrinsics.doubt)
         if intrinsics is not None:
             extrinsics.require_intrinsics(intrinsics)
         return extrinsics
@@ -268,6 +276,7 @@ def _text(extrinsics: CameraExtrinsics) -> str:
         f"views = {int(extrinsics.views)}\n"
         f"date = {_quoted(extrinsics.date)}\n"
         f"intrinsics = {_quoted(extrinsics.intrinsics_hash)}\n"
+        + (f"doubt = {_quoted(extrinsics.doubt)}\n" if extrinsics.doubt else "")
     )
 
 
@@ -288,3 +297,4 @@ class _ExtrinsicsFile(Table):
     intrinsics: str
     method: str = ""
     views: int = 1
+    doubt: str = ""

@@ -250,6 +250,7 @@ class HandEyeReport:
             result.pose_parent_camera, self.parent, result.covariance[:6, :6],
             result.residual_px, result.residual_mm, today(), self.samples.intrinsics.digest,
             method=f"handeye, {result.mounting.replace('_', ' ')}", views=len(self.samples),
+            doubt=self.doubt,
         )  # fmt: skip
 
 
