@@ -84,11 +84,12 @@ _WORTHLESS = 1.03
 
 @dataclass(frozen=True, eq=False)
 class CalibrationView:
-    """One picture's corners, what the picture is called, and how its edges look."""
+    """One picture's corners, what it is called, how its edges look, and whether its pattern has markers."""
 
     name: str
     found: FoundPattern
     tone: Tone | None = None
+    markers: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,8 +121,7 @@ class CalibrationResult:
         coverage: Where in the picture corners were, and how the board was tilted.
         verdict: As text.
         doubts: What the verdict complains about; empty for a good calibration.
-        notes: What the camera does to its pictures, and what to change at it.  Corners of chessboards do not
-            mind; markers know their depth less well.
+        notes: What the camera does to its pictures, and what to change at it.
     """
 
     intrinsics: CameraIntrinsics
@@ -179,6 +179,7 @@ def calibrate(
     std = tuple(float(v) for v in np.maximum(jackknife, fit.std))
     fx, fy, cx, cy = map(float, fit.numbers[:4])
     tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
+    markers = any(named[k].markers for k in used)
     shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
         *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
@@ -191,7 +192,7 @@ def calibrate(
         doubts.append("8 coefficients fit no better than 5: take 5, which behave at the rim")
     return CalibrationResult(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), hold_out, coverage,
-        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones),
+        _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
     )  # fmt: skip
 
 
@@ -203,16 +204,16 @@ def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
     return float(np.median(values)), float(np.std(values, ddof=1))
 
 
-def _tone_notes(tones: Mapping[str, Tone]) -> tuple[str, ...]:
-    """How far edges seem to be off, and which views are overexposed, sharpened, compressed."""
-    if not tones:
-        return ()
-    pixels = float(np.median([tone.pixels for tone in tones.values()]))
-    looks = "smaller" if pixels > 0 else "larger"
-    notes = [
-        f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
-        "that of markers is estimated together with their corners"
-    ]
+def _tone_notes(tones: Mapping[str, Tone], markers: bool) -> tuple[str, ...]:
+    """How far the edges of markers seem to be off, and which views are overexposed, sharpened, compressed."""
+    notes = []
+    if tones and markers:
+        pixels = float(np.median([tone.pixels for tone in tones.values()]))
+        looks = "smaller" if pixels > 0 else "larger"
+        notes.append(
+            f"edge bias {pixels:+.2f} px (dark squares look {looks}): corners of a pattern are not affected; "
+            "that of markers is estimated together with their corners"
+        )
     views: dict[str, list[str]] = {}
     for name, tone in tones.items():
         for trouble in tone.troubles:

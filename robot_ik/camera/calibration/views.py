@@ -108,7 +108,7 @@ class ViewGatherer:
         tone = measure_tone(
             to_gray(frame.image), found.pixels, found.ids, self.pattern.corners[0], self.pattern.plain
         )
-        self.views.append(CalibrationView(name, found, tone))
+        self.views.append(CalibrationView(name, found, tone, isinstance(self.pattern, CharucoPattern)))
         if len(self._first) < _IDENTIFIED:
             self._first.append(frame.image)
         return True
