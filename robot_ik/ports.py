@@ -19,6 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+#: A picture (height, width) or (height, width, 3), BGR; and which of its pixels.
+Image = NDArray[np.uint8]
+Mask = NDArray[np.bool_]
 Goal_co = TypeVar("Goal_co", covariant=True)
 
 

@@ -49,11 +49,11 @@ from robot_ik.camera.edge_fit import (
     fit_edge,
     take_pixels,
 )
-from robot_ik.camera.image import Image, from_reduced, reduced, to_gray, to_reduced
+from robot_ik.camera.image import from_reduced, reduced, to_gray, to_reduced
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, FX, FY, from_pixel, lens_vector
 from robot_ik.kernels.jit import announce, kernel, outlined
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
 # ------------------------------------------------------------------------------------------
 # The whole refinement of marker corners as one compiled entry point.

@@ -15,9 +15,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.image import (
+    Box,
     dictionary_names,
     dictionary_size,
     from_reduced,
@@ -27,10 +27,7 @@ from robot_ik.camera.image import (
     to_gray,
 )
 from robot_ik.errors import CameraError
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
-Box = tuple[int, int, int, int]
+from robot_ik.ports import Array, Image
 
 # Cells narrower than this (px) cannot be read, only guessed: noise now and then looks like a code.
 _LEAST_CELL = 1.2

@@ -15,9 +15,10 @@ from typing import Any
 
 import cv2
 
-from robot_ik.camera.image import Image, quiet
+from robot_ik.camera.image import quiet
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.ports import Image
 
 #: Whether this system lets its cameras be listed, without opening any.  macOS and Windows tell them only to
 #: programs that use their own video interfaces, which OpenCV's Python wheel does not expose.

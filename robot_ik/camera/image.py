@@ -22,9 +22,11 @@ from numpy.typing import NDArray
 
 from robot_ik.errors import CameraError, CameraNotFoundError, OutputError, unknown_name_text
 from robot_ik.files import write_atomically
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
-Image = NDArray[np.uint8]
+Float32 = NDArray[np.float32]
+#: Pixels (x0, y0, x1, y1), half open.
+Box = tuple[int, int, int, int]
 
 # FFMPEG inside OpenCV has a log level of its own, read once, before the first film is opened; -8 is silence.
 # Whoever has set it keeps what he set.

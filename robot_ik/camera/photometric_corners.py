@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.corner_refinement import RefinedCorners
 from robot_ik.camera.detection import correctable
-from robot_ik.camera.image import Image, marker_bits, to_gray
+from robot_ik.camera.image import marker_bits, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import CX, CY, lens_vector
 from robot_ik.camera.photometric_equations import (
@@ -54,7 +54,7 @@ from robot_ik.camera.photometric_fit import (
     fit_photometric,
 )
 from robot_ik.kernels.jit import announce
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
 # White round the black square that is looked at, in cells.
 _MARGIN = 0.45

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from robot_ik.camera.boards.board import MarkerBoard, PatternBoard
 from robot_ik.camera.drawing.renderers import Artist, Drawing, DrawnRobot
@@ -20,9 +20,7 @@ from robot_ik.camera.observations import MarkerObservation, marker_points
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 #: Corners of a board by name.
 Points = Mapping[tuple[int, int], Array]

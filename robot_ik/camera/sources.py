@@ -24,7 +24,6 @@ import numpy as np
 from robot_ik.camera.image import (
     IMAGE_SUFFIXES,
     VIDEO_SUFFIXES,
-    Image,
     first_size,
     natural_sort,
     neighbours,
@@ -32,6 +31,7 @@ from robot_ik.camera.image import (
     read_image,
 )
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.ports import Image
 
 #: Sources that other modules know how to open: the module, and its function or class.
 _OPENERS = {

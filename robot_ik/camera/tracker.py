@@ -18,7 +18,7 @@ import numpy as np
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
 from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
-from robot_ik.camera.image import Image, dictionary_size, to_gray
+from robot_ik.camera.image import dictionary_size, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import (
     BodyObservation,
@@ -33,7 +33,7 @@ from robot_ik.camera.pose_fit import BranchChoice, Branches
 from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
 #: Marker id -> (side in metres, its pose seen from the body or board).
 Layout = Mapping[int, tuple[float, Pose]]

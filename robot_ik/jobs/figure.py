@@ -15,7 +15,6 @@ import numpy as np
 from robot_ik import __version__
 from robot_ik.camera.drawing.overlay import draw_robot, put_label, text_size
 from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
@@ -32,7 +31,7 @@ from robot_ik.jobs.ar.motion import DrawnMotion, marker_from_base
 from robot_ik.jobs.films import open_sink
 from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 from robot_ik.reading import read_csv, shown
 from robot_ik.robot import Robot
 

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.overlay import DARK, ORANGE, WHITE, text_size, write
 from robot_ik.camera.drawing.painter import surface_points
 from robot_ik.camera.drawing.raycast import RayField, ray_field
-from robot_ik.camera.image import Image, write_image
+from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.photograph import Photographer, Quality
@@ -25,7 +25,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
 from robot_ik.robot_file import GalleryScene
 from robot_ik.solution import Solution

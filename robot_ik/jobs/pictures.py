@@ -14,13 +14,14 @@ from robot_ik.camera import sources
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.image import Image, write_image
+from robot_ik.camera.image import write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
 from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
 from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, FrameTimeoutError
 from robot_ik.files import make_folder
 from robot_ik.geometry import Pose
+from robot_ik.ports import Image
 
 #: More views than these make a calibration no better.
 MOST_VIEWS = 40

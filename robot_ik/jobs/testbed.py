@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 
 from robot_ik.camera.drawing.gl import GlArtist, make_artist
-from robot_ik.camera.image import Image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
@@ -25,7 +24,7 @@ from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_file import catalogue
 from robot_ik.testbed.arm import ArmLink

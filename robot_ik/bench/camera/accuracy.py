@@ -39,9 +39,7 @@ from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import Progress
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 DICTIONARY = "DICT_4X4_50"
 MARKER = 7

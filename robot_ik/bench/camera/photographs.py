@@ -26,8 +26,7 @@ from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image, to_g
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
 from robot_ik.errors import CalibrationError
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Image
 
 #: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,
 #: and that of ``robot-ik camera sheet``.

@@ -14,12 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
+from robot_ik.ports import Array, Image, Mask
 
 # Smallest patch that still holds nine unknowns, and the largest that is worth its time, px.
 _RADII = (2.5, 9.0)

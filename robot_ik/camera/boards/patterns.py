@@ -31,9 +31,7 @@ from robot_ik.camera.image import (
     to_reduced,
 )
 from robot_ik.errors import CalibrationError
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 # Fewer corners of a ChArUco board than these do not hold a view against a wrong one among them.
 FEWEST_CORNERS = 6

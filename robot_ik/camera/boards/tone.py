@@ -15,9 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 # Part of an edge that is looked at, so many lines across it, and steps of a line, px.
 _ALONG, _LINES, _STEP = (0.3, 0.7), 9, 0.25

@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import FoundPattern
 from robot_ik.camera.drawing.overlay import write
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 #: Names of the nine parts of a picture, by row and column.
 PARTS = (

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.patterns import (
     CharucoPattern,
@@ -25,9 +24,7 @@ from robot_ik.camera.detection import guess_dictionary
 from robot_ik.camera.image import to_gray
 from robot_ik.camera.sources import Frame
 from robot_ik.errors import CalibrationError, FrameSizeError
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 # Corners of a board held still move less from picture to picture: 1 px where the picture has 640.
 _STILL = 1.0 / 640.0

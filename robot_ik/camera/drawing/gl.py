@@ -31,10 +31,8 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 from robot_ik.reading import read_json
-
-Image = NDArray[np.uint8]
 
 #: Back ends in the order in which they are tried; what the user has chosen comes first.
 TRIED = ("egl", "osmesa")

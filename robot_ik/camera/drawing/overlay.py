@@ -27,9 +27,8 @@ from robot_ik.camera.drawing.painter import (
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
-Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
 
 # ------------------------------------------------------------------------------------------

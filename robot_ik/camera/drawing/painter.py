@@ -19,16 +19,13 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing import rasteriser
 from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, scratch_data, segments_for
 from robot_ik.camera.drawing.rasteriser import clip, view_planes
+from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import lens_vector
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image, Mask
 
-Image = NDArray[np.uint8]
-Box = tuple[int, int, int, int]
-Float32 = NDArray[np.float32]
 Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 EMPTY: Box = (0, 0, 0, 0)
 

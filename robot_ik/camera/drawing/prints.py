@@ -17,13 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.raycast import RayField
-from robot_ik.camera.image import marker_boxes
+from robot_ik.camera.image import Box, marker_boxes
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
-Mask = NDArray[np.bool_]
-Box = tuple[int, int, int, int]
+from robot_ik.ports import Array, Image, Mask
 
 #: A marker's axes (x right, y up, z out of the paper) seen from its print's (x right, y down, z into it).
 PRINT_MARKER = Pose.from_rotation(np.diag([1.0, -1.0, -1.0]))

@@ -9,14 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.prints import Print
 from robot_ik.errors import OutputError
 from robot_ik.files import write_atomically
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 MM_PER_INCH = 25.4
 _POINTS_PER_MM = 72.0 / MM_PER_INCH

@@ -16,7 +16,6 @@ from urllib.parse import parse_qsl
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.boards.patterns import Pattern, PatternRequest
@@ -29,9 +28,7 @@ from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.sensor import LINEAR, SensorModel
 from robot_ik.errors import CameraNotFoundError, FrameTimeoutError, unknown_name_text
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 STANDARD_CAMERA = CameraIntrinsics(
     640, 480, 800.0, 800.0, 322.3, 236.8, (-0.18, 0.05, 0.0005, -0.0003, 0.0), name="standard set"

@@ -17,19 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.painter import bounding_box, faces_in_picture, paint_mask
 from robot_ik.camera.drawing.prints import Print, SeenPrint, see_print
 from robot_ik.camera.drawing.raycast import Caster, ray_field, world_directions
+from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.scene import (
-    Box,
-    Lights,
-    StillPicture,
-    enlarged,
-    lattice,
-)
+from robot_ik.camera.synthetic.scene import Lights, StillPicture, enlarged, lattice
 from robot_ik.geometry import Pose
-from robot_ik.ports import Array
-
-Float32 = NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from robot_ik.ports import Array, Mask
 
 # Neighbouring points ask different points of a light, in a repeating tile of this side; a blur over the
 # tile then gives soft shadows from few rays (interleaved sampling, Keller and Heidrich 2001).

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.camera.drawing.raycast import Caster, RayField, ray_field, world_directions
+from robot_ik.camera.image import Box, Float32
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 
-Float32 = NDArray[np.float32]
 Point = tuple[float, float, float]
-Box = tuple[int, int, int, int]
 
 
 def _point(values: Array) -> Point:

@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import CameraError, unknown_name_text
-from robot_ik.ports import Array
-
-Image = NDArray[np.uint8]
+from robot_ik.ports import Array, Image
 
 # Sigma of the glow round bright objects, and of the blur that sharpening subtracts, px.
 _BLOOM, _SHARP = 3.0, 1.0

@@ -18,11 +18,10 @@ from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.motion.trajectory import Trajectory
-from robot_ik.ports import Closing
+from robot_ik.ports import Closing, Image
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
 from robot_ik.testbed.frontends.page_server import PageServer, open_icons
@@ -41,7 +40,6 @@ from robot_ik.testbed.frontends.panels import (
 from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.session import Session, View
 
-Image = NDArray[np.uint8]
 LOG = logging.getLogger(__name__)
 
 _LEFT, _RIGHT = 300, 350  # px

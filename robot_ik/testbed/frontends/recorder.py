@@ -12,7 +12,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from robot_ik.camera.drawing.overlay import write as put_text
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot
@@ -21,7 +20,7 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.files import write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.motion.trajectory import csv_table
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
     BALL_RADIUS,
@@ -35,8 +34,6 @@ from robot_ik.testbed.arrangement import (
     fitted_camera,
 )
 from robot_ik.testbed.session import Session, View
-
-Image = NDArray[np.uint8]
 
 _GROUND, _CELL = (249, 247, 246), (226, 219, 214)
 _INK = (60, 50, 45)
