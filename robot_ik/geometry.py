@@ -205,6 +205,16 @@ class Pose:
         rotation = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
         return float(np.linalg.norm(other.position - self.position)), float(np.linalg.norm(rotation))
 
+    def moved(self, change: Array) -> Pose:
+        """Shifted and rotated by ``change`` (6,): along and about the outer axes, about its own origin."""
+        return Pose(self.position + change[:3], quat_multiply(rotation_exp(change[3:]), self.wxyz))
+
+    def change_from(self, other: Pose) -> Array:
+        """(6,) the change that ``moved`` brings ``other`` here with: shift, and rotation vector."""
+        inverse = other.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
+        rotation_vector = rotation_log(quat_multiply(self.wxyz, inverse))
+        return np.concatenate([self.position - other.position, rotation_vector])
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Pose):
             return NotImplemented

@@ -56,6 +56,16 @@ def test_rotations_are_scipys(a, b):
     )
 
 
+@given(POSE, POSE)
+def test_a_change_is_that_from_one_pose_to_the_other(a, b):
+    change = a.change_from(b)
+    np.testing.assert_allclose(b.moved(change).matrix, a.matrix, atol=1e-9)
+    rotation = scipy_rotation(a.wxyz) * scipy_rotation(b.wxyz).inv()
+    np.testing.assert_allclose(
+        scipy_rotation(rotation_exp(change[3:])).as_matrix(), rotation.as_matrix(), atol=1e-9
+    )
+
+
 @given(QUATERNION)
 def test_a_matrix_gives_its_quaternion_back(wxyz):
     unit = Pose((0, 0, 0), wxyz).wxyz

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import CameraError
-from robot_ik.geometry import Pose, quat_multiply, quat_to_matrix, rotation_exp, rotation_log
+from robot_ik.geometry import Pose, quat_to_matrix, rotation_exp
 from robot_ik.ports import Array
 
 _POSE, _RATE = slice(0, 6), slice(6, 12)
@@ -146,7 +146,7 @@ class MotionFilter:
         if time - self.time > self.options.restart_after:
             return self._begin(time, pose, noise, Update.RESTARTED)
         predicted, step, spread = self._advanced(time - self.time)
-        innovation = difference(pose, predicted)
+        innovation = pose.change_from(predicted)
         gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
         distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
         if not distance <= self.options.gate:
@@ -158,12 +158,12 @@ class MotionFilter:
         keep = np.eye(12)
         keep[:, _POSE] -= gain
         # How the observation was met by prediction and by holding.
-        missed = np.stack([innovation, difference(pose, self._pose)]).reshape(2, 2, 3)
+        missed = np.stack([innovation, pose.change_from(self._pose)]).reshape(2, 2, 3)
         self._misses += _NEW_SHARE * (np.sum(missed**2, axis=2) - self._misses)
         fresh, passed = gain @ noise @ gain.T, keep @ step
         self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
-        self._pose, self._rate = moved(predicted, change[_POSE]), self._rate + change[_RATE]
+        self._pose, self._rate = predicted.moved(change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
         return Update.TAKEN
 
@@ -183,7 +183,7 @@ class MotionFilter:
         span = min(max(time - self.time, 0.0), self.options.longest_prediction)
         shares = self.moving()
         horizon = span * np.repeat(shares, 3)
-        pose = moved(self._pose, horizon * self._rate)
+        pose = self._pose.moved(horizon * self._rate)
         p = self._covariance
         cross = p[_POSE, _RATE] * horizon
         spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
@@ -242,19 +242,7 @@ class MotionFilter:
         spread[_POSE, _RATE] += density * span**2 / 2.0
         spread[_RATE, _POSE] += density * span**2 / 2.0
         spread[_RATE, _RATE] += density * span
-        return moved(self._pose, span * self._rate), step, _symmetric(spread)
-
-
-def difference(pose: Pose, other: Pose) -> Array:
-    """(6,) from ``other`` to ``pose``: shift, and rotation vector in the outer axes."""
-    inverse = other.wxyz * np.array([1.0, -1.0, -1.0, -1.0])
-    rotation_vector = rotation_log(quat_multiply(pose.wxyz, inverse))
-    return np.concatenate([pose.position - other.position, rotation_vector])
-
-
-def moved(pose: Pose, change: Array) -> Pose:
-    """``pose`` with the shift and rotation of ``change`` (6,) applied in the outer axes."""
-    return Pose(pose.position + change[:3], quat_multiply(rotation_exp(change[3:]), pose.wxyz))
+        return self._pose.moved(span * self._rate), step, _symmetric(spread)
 
 
 def _symmetric(matrix: Array) -> Array:
@@ -298,13 +286,13 @@ class OneEuro:
         span = time - self._time
         if not span > 0.0:
             return self._shown
-        self._rate += _share(_RATE_CUTOFF, span) * (difference(pose, self._raw) / span - self._rate)
+        self._rate += _share(_RATE_CUTOFF, span) * (pose.change_from(self._raw) / span - self._rate)
         speeds = np.linalg.norm(self._rate.reshape(2, 3), axis=1)
         shares = [
             _share(self._cutoff + k * float(speed), span)
             for k, speed in zip(_MORE_CUTOFF, speeds, strict=True)
         ]
-        self._shown = moved(self._shown, np.repeat(shares, 3) * difference(pose, self._shown))
+        self._shown = self._shown.moved(np.repeat(shares, 3) * pose.change_from(self._shown))
         self._time, self._raw = time, pose
         return self._shown
 

@@ -14,7 +14,6 @@ from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, STANDARD_SIZE, MarkerView, standard_set
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.geometry import quat_multiply, rotation_log
 
 Array = NDArray[np.float64]
 
@@ -51,8 +50,7 @@ class Measured:
     @property
     def pose_error(self) -> Array:
         """(6,) truth minus seen, along the camera's axes."""
-        turn = quat_multiply(self.view.pose.wxyz, self.seen.pose.inverse().wxyz)
-        return np.concatenate([self.view.pose.position - self.seen.pose.position, rotation_log(turn)])
+        return self.view.pose.change_from(self.seen.pose)
 
 
 def measure(distance: float, count: int, dictionary: str = "DICT_4X4_50", seed: int = 1) -> list[Measured]:

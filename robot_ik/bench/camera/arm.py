@@ -20,12 +20,12 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
-from robot_ik.camera.motion_filter import MotionFilter, OneEuro, moved
+from robot_ik.camera.motion_filter import MotionFilter, OneEuro
 from robot_ik.camera.observations import estimate_body, marker_points
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
-from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
 from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import scene_for
@@ -126,7 +126,7 @@ def _trial(robot: Robot, eye: Pose, case: _Case, rng: np.random.Generator) -> tu
 
 def _mounted(drawn: Pose, made: tuple[float, float], rng: np.random.Generator) -> Pose:
     """Where a board really sits: off its drawing by what its mount is ``made`` to."""
-    return moved(drawn, rng.normal(0.0, 1.0, 6) * np.repeat(made, 3))
+    return drawn.moved(rng.normal(0.0, 1.0, 6) * np.repeat(made, 3))
 
 
 def _located(eye: Pose, rng: np.random.Generator, observe: _Observer) -> KnownPose:
@@ -214,8 +214,7 @@ def _chain(robot: Robot, eye: Pose, rng: np.random.Generator) -> tuple[tuple[flo
 
 def _nees(found: Pose, truth: Pose, covariance: Array) -> float:
     """Squared error of a pose over the stated one: 1 on average for a consistent one."""
-    rotation = rotation_log(quat_multiply(found.wxyz, truth.inverse().wxyz))
-    off = np.concatenate([found.position - truth.position, rotation])
+    off = found.change_from(truth)
     return float(off @ np.linalg.solve(covariance, off)) / 6.0
 
 

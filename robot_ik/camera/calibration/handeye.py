@@ -27,7 +27,6 @@ from robot_ik.camera.calibration.least_squares import (
     fit_views,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.motion_filter import moved
 from robot_ik.errors import CalibrationError
 from robot_ik.geometry import Pose, quat_multiply, rotation_log
 from robot_ik.ports import Array
@@ -75,7 +74,7 @@ class Mount:
     def moved(self, step: Array) -> Mount:
         """Both poses moved by twists (12,): the camera's, then the board's."""
         return Mount(
-            moved(self.pose_parent_camera, step[:6]), moved(self.pose_other_board, step[6:]), self.mounting
+            self.pose_parent_camera.moved(step[:6]), self.pose_other_board.moved(step[6:]), self.mounting
         )
 
     def pose_camera_board(self, sample: HandEyeSample) -> Pose:

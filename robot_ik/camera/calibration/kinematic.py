@@ -37,7 +37,6 @@ from robot_ik.camera.calibration.least_squares import (
     joint_information,
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.motion_filter import difference
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
@@ -146,8 +145,8 @@ class ArmModel:
         prior, off = np.zeros((n + POSES, n + POSES)), np.zeros(n + POSES)
         prior[n : n + 6, n : n + 6] = np.linalg.inv(self.camera.covariance)
         prior[n + 6 :, n + 6 :] = np.linalg.inv(self.board.covariance)
-        off[n : n + 6] = difference(state.mount.pose_parent_camera, self.camera.pose)
-        off[n + 6 :] = difference(state.mount.pose_other_board, self.board.pose)
+        off[n : n + 6] = state.mount.pose_parent_camera.change_from(self.camera.pose)
+        off[n + 6 :] = state.mount.pose_other_board.change_from(self.board.pose)
         rows = np.concatenate([-by_joint, views.rows], axis=2)
         joints, scale = by_joint @ by_joint.transpose(0, 2, 1), pixel_scale(left)
         views = LinearViews(views.pseudo_measurement, scale**2 * views.pixels, rows, joints[None], prior, off)

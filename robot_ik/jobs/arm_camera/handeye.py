@@ -15,7 +15,6 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
@@ -172,8 +171,8 @@ def _beside_the_tool(robot: Robot, frame: str) -> Pose:
 
 
 def _roughly(request: HandEyeRequest, truth: Mount) -> Mount:
-    camera = request.pose_parent_camera or moved(truth.pose_parent_camera, _WRONG)
-    board = request.pose_other_board or moved(truth.pose_other_board, 0.5 * _WRONG)
+    camera = request.pose_parent_camera or truth.pose_parent_camera.moved(_WRONG)
+    board = request.pose_other_board or truth.pose_other_board.moved(0.5 * _WRONG)
     return Mount(camera, board, truth.mounting)
 
 

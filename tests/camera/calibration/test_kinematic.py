@@ -17,7 +17,6 @@ from robot_ik.camera.calibration.kinematic import (
     fit_zero_offsets,
     measure_errors,
 )
-from robot_ik.camera.motion_filter import moved
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
@@ -95,7 +94,7 @@ def test_stated_uncertainty_is_that_of_the_errors(robot: Robot) -> None:
         offsets = np.deg2rad(rng.uniform(-3, 3, 6))
         views = views_of(robot, offsets, 12, seed, pixel=0.2, joint=5e-4)
         said = [
-            KnownPose(moved(one.pose, rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
+            KnownPose(one.pose.moved(rng.normal(0, np.sqrt(np.diag(one.covariance)))), one.covariance)
             for one in (camera, board)
         ]
         found = fit(views, robot, camera=said[0], board=said[1])
