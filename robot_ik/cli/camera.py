@@ -212,9 +212,8 @@ def _searched_pictures(
 ) -> Iterator[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
-    from robot_ik.camera.tracker import MarkerFinder
     from robot_ik.errors import CameraError
-    from robot_ik.jobs.pictures import find_markers
+    from robot_ik.jobs.pictures import MarkerFinder, find_markers
 
     if not options.images:
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")

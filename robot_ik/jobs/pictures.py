@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,15 +13,21 @@ import numpy as np
 from robot_ik.camera import sources
 from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
+from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.image import write_image
+from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.detection import MarkerDetector
+from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
+from robot_ik.camera.image import dictionary_size, to_gray, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource
-from robot_ik.camera.tracker import MarkerFinder, as_values, drawn
+from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.photometric_corners import is_print, refine_prints
+from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, FrameTimeoutError
 from robot_ik.files import make_folder
 from robot_ik.geometry import Pose
-from robot_ik.ports import Image
+from robot_ik.ports import Array, Image
 
 #: More views than these make a calibration no better.
 MOST_VIEWS = 40
@@ -40,6 +46,168 @@ def frames_of(source: FrameSource) -> Iterator[Frame | CameraNotFoundError]:
 
 
 # ------------------------------------------------------------------------------------------ markers
+
+
+# Length of drawn axes in marker sizes.
+_AXES = 0.6
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """A marker without a pose, for there are no intrinsics; attributes as in ``MarkerObservation``."""
+
+    id: int
+    corners: Array
+    sigma: float
+    refined: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """What one picture shows.
+
+    Attributes:
+        markers: Sorted by id; with poses when the camera's intrinsics are known.
+        bodies: Name -> what was seen of it; only bodies that were seen.
+    """
+
+    markers: Sequence[MarkerObservation | Corners]
+    bodies: Mapping[str, BodyObservation]
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """Ids of the markers."""
+        return tuple(m.id for m in self.markers)
+
+
+class MarkerFinder:
+    """Looks for markers and bodies in pictures.
+
+    Args:
+        dictionary: Of the markers, and of bodies that do not name theirs.
+        intrinsics: Of the pictures; None: corners only, of pictures of any size.
+        size: Side of the black squares in metres; those of bodies are known already.
+        ids: Only these; none: all, or when only bodies are asked for those on them.
+        bodies: What to look for.
+        film: The pictures show one scene in their order, so the last ones help with the next.
+
+    Raises:
+        CameraError: Unknown dictionary, an id beyond it, a size that cannot be or is missing, bodies without
+            intrinsics or of another dictionary.
+    """
+
+    def __init__(
+        self,
+        dictionary: str,
+        intrinsics: CameraIntrinsics | None = None,
+        size: float | None = None,
+        ids: Sequence[int] = (),
+        bodies: Sequence[MarkerBody] = (),
+        *,
+        film: bool = False,
+    ) -> None:
+        self.intrinsics, self.bodies = intrinsics, tuple(bodies)
+        for body in self.bodies:
+            body.require_dictionary(dictionary)
+        known = {i: side for body in self.bodies for i, side in body.sizes.items()}
+        wanted = sorted(ids) or (sorted(known) if known and size is None else None)
+        self._detector = MarkerDetector(dictionary, wanted)
+        self._tracker: MarkerTracker | None = None
+        if intrinsics is None:
+            if self.bodies:
+                raise CameraError(
+                    "the pose of a body needs the camera's intrinsics",
+                    hint="make them with: camera calibrate",
+                )
+            return
+        if size is None and not known:
+            raise CameraError(
+                "a pose needs the size of the marker", hint="give the side of its black square in metres"
+            )
+        sizes: float | dict[int, float] = size if size is not None else 0.0
+        if known:
+            every = wanted if wanted is not None else range(dictionary_size(dictionary))
+            sizes = {i: known.get(i, size) for i in every if known.get(i, size) is not None}  # type: ignore[misc]
+        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, wanted, window=film)
+
+    def observe(self, frame: Frame) -> Sighting:
+        """Everything in one picture.
+
+        Raises:
+            CalibrationError: The picture has not the size of the calibration.
+        """
+        if self._tracker is None:
+            return Sighting(self._corners(frame), {})
+        markers = self._tracker.observe(frame)
+        found = {body.name: self._tracker.observe_body(frame, body) for body in self.bodies}
+        return Sighting(markers, {name: seen for name, seen in found.items() if seen is not None})
+
+    def _corners(self, frame: Frame) -> list[Corners]:
+        require_frame(frame)
+        width, height = frame.size
+        # The lens is unknown: edges are taken to be straight in the picture.
+        straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
+        gray = to_gray(frame.image)
+        found = self._detector.detect(gray)
+        sides = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
+        ids = [d.id for d in found]
+        refined = refine_prints(gray, sides, ids, self._detector.dictionary, straight)
+        return [
+            Corners(i, one.corners, one.sigma, one.refined)
+            for i, one in zip(ids, refined, strict=True)
+            if is_print(one)
+        ]
+
+
+def _values(sighting: Sighting) -> dict[str, Any]:
+    """A sighting for JSON: corners in pixels (integer pixel centres), poses in metres and wxyz."""
+    return {
+        "markers": [_marker_values(m) for m in sighting.markers],
+        "bodies": [
+            {"name": name, "ids": list(seen.ids), "rejected": list(seen.rejected)}
+            | _fit_values(seen, seen.pose_camera_body)
+            for name, seen in sighting.bodies.items()
+        ],
+    }
+
+
+def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
+    values = {
+        "id": marker.id,
+        "corners": marker.corners.tolist(),
+        "corner_sigma": marker.sigma,
+        "refined": marker.refined,
+    }
+    return values if isinstance(marker, Corners) else values | _fit_values(marker, marker.pose)
+
+
+def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
+    return {
+        "pose": _pose_values(pose),
+        "alternative": _pose_values(seen.alternative),
+        "reprojection_error": seen.reprojection_error,
+        "ambiguity": seen.ambiguity,
+        "covariance": seen.covariance.tolist(),
+    }
+
+
+def _pose_values(pose: Pose | None) -> dict[str, list[float]] | None:
+    return None if pose is None else {"position": pose.position.tolist(), "wxyz": pose.wxyz.tolist()}
+
+
+def draw_markers(
+    image: Image, markers: Sequence[MarkerObservation | Corners], intrinsics: CameraIntrinsics | None
+) -> Image:
+    """The picture with outlines (the first corner marked), ids, and axes where poses are known."""
+    drawn = np.repeat(image[:, :, None], 3, axis=2) if image.ndim == 2 else image.copy()
+    for marker in markers:
+        corners = marker.corners
+        drawn = draw_marker_outline(drawn, corners, label=str(marker.id))
+        if isinstance(marker, MarkerObservation) and intrinsics is not None:
+            side = float(np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean())
+            length = _AXES * side * marker.pose.position[2] / intrinsics.fx
+            drawn = draw_axes(drawn, marker.pose, length, intrinsics, width=2)
+    return drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,15 +270,16 @@ def find_markers(
             yield PictureMarkers(file, number, None, nothing, error=frame)
             continue
         try:
-            observation = finder.observe(frame)
+            sighting = finder.observe(frame)
         except CalibrationError as error:  # of another size
             yield PictureMarkers(file, number, frame.size, nothing, error=error)
             if in_film:
                 return
             continue
-        yield PictureMarkers(file, number, frame.size, as_values(observation), frame.image, in_film=in_film)
+        yield PictureMarkers(file, number, frame.size, _values(sighting), frame.image, in_film=in_film)
         if drawings is not None:
-            drawings.save(file, number if in_film else None, drawn(observation, finder.intrinsics))
+            drawing = draw_markers(frame.image, sighting.markers, finder.intrinsics)
+            drawings.save(file, number if in_film else None, drawing)
 
 
 def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]:

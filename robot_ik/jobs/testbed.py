@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,13 +15,14 @@ from robot_ik.camera.drawing.gl import GlArtist, make_artist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
-from robot_ik.camera.tracker import MarkerTracker, Sighting, drawn
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, ConfigError, ModelError
 from robot_ik.geometry import Pose
 from robot_ik.hardware import bus_row, open_arm
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
+from robot_ik.jobs.pictures import draw_markers
 from robot_ik.jobs.recording import Moment, Recording, open_recording
 from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
@@ -77,13 +79,13 @@ class CameraTab:
             return None
         frame = self._source.read()
         begin = time.monotonic()
-        sighting = Sighting(frame, self._tracker.observe(frame), {})
+        markers = self._tracker.observe(frame)
         search_time = time.monotonic() - begin
         lens, scene = self._source.scene.intrinsics, self._source.scene
-        image = drawn(sighting, lens)
+        image = draw_markers(frame.image, markers, lens)
         _draw_ball(image, scene.pose_world_camera, lens, np.array(self._session.ball.position))
         small = np.ascontiguousarray(image[::2, ::2, ::-1])
-        return small, _line_about(sighting, search_time, time.monotonic() - frame.time)
+        return small, _line_about(markers, search_time, time.monotonic() - frame.time)
 
     def _open(self, robot: Robot) -> None:
         self._source = self._tracker = None
@@ -104,13 +106,12 @@ def _draw_ball(image: Image, camera: Pose, lens: CameraIntrinsics, position: Arr
             cv2.circle(image, (x, y), 16 * 18, GOAL_COLOUR[::-1], 3, cv2.LINE_AA, 4)
 
 
-def _line_about(sighting: Sighting, search_time: float, age: float) -> str:
+def _line_about(markers: Sequence[MarkerObservation], search_time: float, age: float) -> str:
     """Markers with distance and the noise of their corners; how old the picture is."""
     rows = "".join(
         f"<tr><td>{marker.id}</td><td>{np.linalg.norm(marker.pose.position):.3f}</td>"
         f"<td>{marker.reprojection_error:.2f}</td></tr>"
-        for marker in sighting.markers
-        if isinstance(marker, MarkerObservation)
+        for marker in markers
     )
     head = "<tr><th>marker seen</th><th>away, m</th><th>off, px</th></tr>"
     return (

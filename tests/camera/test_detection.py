@@ -11,9 +11,9 @@ from robot_ik.camera.image import dictionary_names, dictionary_size, marker_bits
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_marker
-from robot_ik.camera.tracker import MarkerFinder
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
+from robot_ik.jobs.pictures import MarkerFinder
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])  # marker z towards the camera, marker x along camera x
 

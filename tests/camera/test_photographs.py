@@ -25,7 +25,8 @@ from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import read_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
+from robot_ik.camera.tracker import MarkerTracker
+from robot_ik.jobs.pictures import MarkerFinder
 
 FOLDER = Path(__file__).parent.parent / "data" / "opencv"
 

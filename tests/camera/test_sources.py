@@ -25,8 +25,9 @@ from robot_ik.camera.sources import (
     open_source,
 )
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
-from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.jobs.pictures import MarkerFinder
 from robot_ik.jobs.vision import WithoutTruth
 
 

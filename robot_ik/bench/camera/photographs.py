@@ -24,8 +24,9 @@ from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.detection import largest_dictionaries
 from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.tracker import MarkerFinder, MarkerTracker
+from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError
+from robot_ik.jobs.pictures import MarkerFinder
 from robot_ik.ports import Image
 
 #: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,
