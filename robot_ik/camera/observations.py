@@ -1,6 +1,6 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
-``estimate_marker`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``, in
+``marker_branches`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``, in
 undistorted normalised coordinates with residuals in standard deviations of the corners; the fit of the whole
 print to the pixels is in ``photometric_corners``.
 """
@@ -113,34 +113,6 @@ def marker_observation(
     )
 
 
-def estimate_marker(
-    corners: ArrayLike | RefinedCorners,
-    size: float,
-    intrinsics: CameraIntrinsics,
-    *,
-    id: int = -1,
-    time: float = float("nan"),
-) -> MarkerObservation | None:
-    """Pose of a single square marker.
-
-    Args:
-        corners: Refined corners, or (4, 2) distorted pixels as a detector gives them.
-        size: Side of the black square, metres.
-        intrinsics: Of this picture's size.
-        id: Copied into the result.
-        time: Copied into the result.
-
-    Returns:
-        Both branches of the pose, or None when the four corners are no picture of a square.
-
-    Raises:
-        CameraError: The size cannot be right.
-    """
-    seen = corners if isinstance(corners, RefinedCorners) else unrefined(corners, intrinsics)
-    branches = marker_branches(seen, size, intrinsics)
-    return None if branches is None else marker_observation(id, seen, branches, branches.alone, time)
-
-
 # A marker of a body is left out when its corners miss by more than this many standard deviations (RMS) and
 # by more than this many pixels: half hidden, or not where the layout says.
 _OUTLIER_SIGMAS, _OUTLIER_PIXELS = 4.0, 0.3
@@ -212,7 +184,8 @@ def estimate_body(
     contradict the rest (half hidden, moved, misread) and trusts those less that hardly agree.
 
     Args:
-        observed: Marker id -> corners as in ``estimate_marker``; ids outside ``layout`` are ignored.
+        observed: Marker id -> refined corners, or (4, 2) distorted pixels as a detector gives them; ids
+            outside ``layout`` are ignored.
         layout: Marker id -> (side in metres, ``pose_body_marker``).
         intrinsics: Of this picture's size.
 

@@ -10,7 +10,7 @@ import pytest
 
 from robot_ik.camera.corner_refinement import unrefined
 from robot_ik.camera.marker_goals import AMBIGUITY_LIMIT, MarkerGoalSource
-from robot_ik.camera.observations import estimate_marker, marker_points
+from robot_ik.camera.observations import marker_branches, marker_observation, marker_points
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import render_marker
@@ -260,8 +260,10 @@ def ambiguous_source(pose_marker_tool: Pose, **options: object) -> tuple[MarkerG
     truth = marker_at(0.0, 0.0, 4.0, rotation_exp([np.deg2rad(25), 0, 0]))
     rng = np.random.default_rng(1)
     corners = CAMERA.project(truth.apply(marker_points(0.05))) + rng.normal(0, 0.1, (4, 2))
-    seen = estimate_marker(unrefined(corners, CAMERA, 0.1), 0.05, CAMERA, id=7)
-    assert seen is not None
+    refined = unrefined(corners, CAMERA, 0.1)
+    branches = marker_branches(refined, 0.05, CAMERA)
+    assert branches is not None
+    seen = marker_observation(7, refined, branches, branches.alone, float("nan"))
     assert seen.ambiguity > AMBIGUITY_LIMIT
     blank = ListSource([frame({})])
     world_camera = Pose((0, 0, 4.0), FACING)

@@ -11,13 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from robot_ik.camera.corner_refinement import unrefined
-from robot_ik.camera.observations import estimate_body, estimate_marker, marker_points
+from robot_ik.camera.corner_refinement import RefinedCorners, unrefined
+from robot_ik.camera.observations import (
+    MarkerObservation,
+    estimate_body,
+    marker_branches,
+    marker_observation,
+    marker_points,
+)
 from robot_ik.camera.pose_fit import CornerData, fit_pose
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
 from robot_ik.camera.synthetic.datasets import random_pose
 from robot_ik.errors import CameraError
-from robot_ik.geometry import Pose, quat_multiply, rotation_exp, rotation_log
+from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
 FACING = np.array([0.0, 1.0, 0.0, 0.0])  # marker z towards the camera, marker x along camera x
 
@@ -36,11 +42,17 @@ def seen_by_opencv(pose: Pose, points: np.ndarray) -> np.ndarray:
     return pixels.reshape(-1, 2)
 
 
+def observed(corners: RefinedCorners, size: float) -> MarkerObservation | None:
+    """A single marker, as a tracker without a memory sees it."""
+    branches = marker_branches(corners, size, CAMERA)
+    return None if branches is None else marker_observation(3, corners, branches, branches.alone, 1.5)
+
+
 @given(st.integers(0, 10_000), st.floats(0.2, 1.2), st.floats(0.02, 0.15))
 def test_exact_corners_give_the_exact_pose(seed: int, distance: float, size: float) -> None:
     rng = np.random.default_rng(seed)
     pose = random_pose(CAMERA, rng, max(distance, 4 * size), size=size)
-    seen = estimate_marker(seen_by_opencv(pose, marker_points(size)), size, CAMERA, id=3, time=1.5)
+    seen = observed(unrefined(seen_by_opencv(pose, marker_points(size)), CAMERA), size)
     assert seen is not None
     assert (seen.id, seen.time, seen.refined) == (3, 1.5, False)
     # The two branches of an exact picture differ only where perspective shows; both are offered.
@@ -62,7 +74,7 @@ def test_both_branches_are_given_and_the_ambiguity_tells_them_apart() -> None:
     for pose in (near, far):
         rng = np.random.default_rng(0)
         corners = seen_by_opencv(pose, marker_points(0.05)) + rng.normal(0, 0.05, (4, 2))
-        seen = estimate_marker(unrefined(corners, CAMERA, 0.05), 0.05, CAMERA)
+        seen = observed(unrefined(corners, CAMERA, 0.05), 0.05)
         assert seen is not None
         assert seen.alternative is not None
         assert seen.alternative.distance(seen.pose)[1] > np.deg2rad(20)
@@ -125,10 +137,9 @@ def test_covariance_is_the_scatter_of_repeated_trials(tilt_deg: float, distance:
     exact = seen_by_opencv(pose, marker_points(0.05))
     errors, stated = [], []
     for _ in range(150):
-        seen = estimate_marker(unrefined(exact + rng.normal(0, sigma, (4, 2)), CAMERA, sigma), 0.05, CAMERA)
+        seen = observed(unrefined(exact + rng.normal(0, sigma, (4, 2)), CAMERA, sigma), 0.05)
         assert seen is not None
-        turn = rotation_log(quat_multiply(pose.wxyz, seen.pose.inverse().wxyz))
-        errors.append(np.concatenate([pose.position - seen.pose.position, turn]))
+        errors.append(pose.change_from(seen.pose))
         stated.append(np.diag(seen.covariance))
     ratio = np.std(errors, axis=0) / np.sqrt(np.mean(stated, axis=0))
     assert ratio == pytest.approx(np.ones(6), abs=0.5), ratio
@@ -186,7 +197,7 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
 @pytest.mark.parametrize("size", [0.0, -0.05, 50.0, float("nan")])
 def test_a_size_that_cannot_be_is_refused(size: float) -> None:
     with pytest.raises(CameraError, match="marker size"):
-        estimate_marker(np.zeros((4, 2)), size, CAMERA)
+        marker_points(size)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +206,7 @@ def test_a_size_that_cannot_be_is_refused(size: float) -> None:
     ids=["point", "line", "nan"],
 )
 def test_no_square_no_pose(corners: list[list[float]]) -> None:
-    seen = estimate_marker(np.array(corners, dtype=float), 0.05, CAMERA)
+    seen = observed(unrefined(corners, CAMERA), 0.05)
     # A degenerate quadrilateral may still fit something: then it must not look good.
     assert seen is None or seen.reprojection_error > 1.0 or not np.isfinite(seen.covariance).all()
 
@@ -249,8 +260,7 @@ def test_a_board_is_better_than_one_marker_and_knows_how_good() -> None:
         body = estimate_body(seen, BOARD, CAMERA)
         assert body is not None
         assert len(body.ids) == 4
-        turn = rotation_log(quat_multiply(pose.wxyz, body.pose_camera_body.inverse().wxyz))
-        error = np.concatenate([pose.position - body.pose_camera_body.position, turn])
+        error = pose.change_from(body.pose_camera_body)
         chi.append(error @ np.linalg.solve(body.covariance, error) / 6)
         board.append(body.pose_camera_body.distance(pose)[0])
         alone = estimate_body({0: seen[0]}, BOARD, CAMERA)
