@@ -39,7 +39,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
-from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.jobs.teach import load_motion, save_motion
@@ -276,7 +276,7 @@ ALLOWED = {
     ("robot_ik/bench/peers/tasks.py", "from_xml_string"): "a model that it writes itself",
     ("robot_ik/cli/console.py", "open"): "/dev/null",
     ("robot_ik/cli/listing.py", "ElementTree.parse"): "models that ship",
-    ("robot_ik/jobs/arm_camera/measuring.py", "json.loads"): "what it has just written",
+    ("robot_ik/jobs/arm_camera/samples.py", "json.loads"): "what it has just written",
     ("hardware/calibration_file.py", "read_bytes"): "an arm file that ArmConfig.load has just read",
 }
 """(file, call) that reads without ``robot_ik.reading``, and why it may."""

@@ -33,7 +33,7 @@ from robot_ik.files import claimed
 
 if TYPE_CHECKING:
     from robot_ik.jobs.arm_camera.handeye import HandEyeReport, HandEyeRequest
-    from robot_ik.jobs.arm_camera.measuring import SampleSet
+    from robot_ik.jobs.arm_camera.samples import SampleSet
     from robot_ik.ports import Array
 
 
@@ -161,7 +161,7 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
     import_mujoco()
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.arm_camera import handeye
-    from robot_ik.jobs.arm_camera.measuring import SampleSet
+    from robot_ik.jobs.arm_camera.samples import SampleSet
 
     kept = handeye.samples_path(options.out)
     request = None if options.samples else make_request(options)

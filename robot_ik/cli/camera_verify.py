@@ -87,7 +87,7 @@ def run(options: CameraVerifyOptions) -> int:
 
 
 def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> int:
-    from robot_ik.jobs.arm_camera.measuring import VerifySamples
+    from robot_ik.jobs.arm_camera.samples import VerifySamples
     from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:

@@ -19,7 +19,7 @@ from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs.arm_camera import handeye
-from robot_ik.jobs.arm_camera.measuring import SampleSet
+from robot_ik.jobs.arm_camera.samples import SampleSet
 from robot_ik.robot import load_robot
 
 CAMERA = Pose((0.05, 0.01, -0.08), rotation_exp([0.0, -0.1, 0.4]))

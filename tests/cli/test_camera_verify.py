@@ -20,7 +20,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.arm_camera import verify
-from robot_ik.jobs.arm_camera.measuring import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
 from robot_ik.robot import load_robot
 

@@ -23,9 +23,9 @@ from robot_ik.errors import CameraError, ConfigError
 from robot_ik.execution import execute
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.jobs import Progress
-from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet
+from robot_ik.jobs.arm_camera.samples import SampleSet
 from robot_ik.jobs.arm_camera.view_planning import Clearance, ViewTask, plan_views
-from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
+from robot_ik.jobs.robot_setup import ArmRequest, RobotSetup, prepare_robot
 from robot_ik.jobs.scene import Scene, scene_for
 from robot_ik.jobs.vision import open_calibrated
 from robot_ik.motion.trajectory import joint_move
@@ -54,6 +54,23 @@ _STALE_FRAMES = 3
 # up to 0.0004 of the reach and 0.09 deg (8 views and more), twice the ticks 0.0007 and 0.13 deg, a second
 # joint that is off by 1.5 deg 0.0015 and 0.23 deg.  One view or a tenth may be spoilt by the picture.
 _SOUND_POSITION, _SOUND_ANGLE, _SOUND_REJECTED = 8e-4, float(np.deg2rad(0.15)), 0.1
+
+
+@dataclass(frozen=True)
+class ArmCameraRequest(ArmRequest):
+    """An arm, a camera, a board, and how many pictures to take of it.
+
+    Attributes:
+        camera: ``synthetic``, or what ``open_source`` opens.
+        intrinsics: Calibration file; needed for a real camera.
+        board: None: the simulated one.
+        views: How many pictures.
+    """
+
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    board: Board | None = None
+    views: int = 15
 
 
 @dataclass(frozen=True)
@@ -239,8 +256,9 @@ class HandEyeReport:
         Raises:
             CalibrationError: The views cannot tell where the camera is.
         """
-        self.result = solve(self.samples, robot)
-        self.doubt = self_contradiction(self.result, robot.reach(self.samples.frame))
+        samples = self.samples
+        self.result = solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
+        self.doubt = self_contradiction(self.result, robot.reach(samples.frame))
 
     def extrinsics(self) -> CameraExtrinsics:
         result = self.result
@@ -328,15 +346,6 @@ def self_contradiction(found: HandEye, ball: tuple[Array, float] | None) -> str:
 def samples_path(out: Path) -> Path:
     """Where the samples of a result go: beside it."""
     return out.with_name(f"{out.stem}.samples.json")
-
-
-def solve(samples: SampleSet, robot: Robot) -> HandEye:
-    """Where the camera is, from samples of ``robot``; nothing moves.
-
-    Raises:
-        CalibrationError: The views cannot tell where the camera is.
-    """
-    return solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
 
 
 def plan(

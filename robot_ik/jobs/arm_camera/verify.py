@@ -31,8 +31,8 @@ from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera import handeye
-from robot_ik.jobs.arm_camera.handeye import HandEyeRequest, HandEyeScene, open_scene
-from robot_ik.jobs.arm_camera.measuring import ArmCameraRequest, SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.handeye import ArmCameraRequest, HandEyeRequest, HandEyeScene, open_scene
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for

@@ -1,4 +1,4 @@
-"""What every job says that moves an arm before a camera."""
+"""What was measured of an arm before a camera, in files: it can be solved and judged again without moving."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
-from robot_ik.camera.boards.board import Board, BoardView
+from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.extrinsics import today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
@@ -20,36 +20,11 @@ from robot_ik.errors import CameraError, ConfigError, MarkerNotFoundError, Robot
 from robot_ik.files import plain, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.jobs.robot_setup import ArmRequest
 from robot_ik.ports import Array
 from robot_ik.reading import parse_json, read_text, shown
 from robot_ik.robot import Robot, load_robot
 from robot_ik.table_errors import config_error
 from robot_ik.tables import Pair, Position, SchemaVersion, Several, Table, Wxyz
-
-
-@dataclass(frozen=True)
-class ArmCameraRequest(ArmRequest):
-    """An arm, a camera, a board, and how many pictures to take of it.
-
-    Attributes:
-        camera: ``synthetic``, or what ``open_source`` opens.
-        intrinsics: Calibration file; needed for a real camera.
-        board: None: the simulated one.
-        views: How many pictures.
-    """
-
-    camera: str = "synthetic"
-    intrinsics: Path | None = None
-    board: Board | None = None
-    views: int = 15
-
-
-# ------------------------------------------------------------------------------------------
-# What was measured for a hand-eye calibration, in a file: it can be solved again without moving the arm.
-
-
-_SCHEMA = 1
 
 
 @dataclass(eq=False)
@@ -118,13 +93,7 @@ class SampleSet:
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
         facts = {key: getattr(self, key) for key in shared}
-        return {"schema": _SCHEMA, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
-
-    @classmethod
-    def of_values(cls, data: Any) -> SampleSet:
-        """What ``as_values`` gave, through JSON; ValueError or RobotIkError: something else."""
-        of_verify = isinstance(data, dict) and data.get("job") == "verify"
-        return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+        return {"schema": 1, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
 
     @classmethod
     def of_file(cls, file: _SampleFile) -> SampleSet:
@@ -145,8 +114,13 @@ class SampleSet:
 
     @classmethod
     def load(cls, path: Path) -> SampleSet:
-        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
-        return read_samples(path, cls.of_values, "a hand-eye calibration", "handeye")
+        """Reads what ``save`` wrote, here or of ``VerifySamples``; CameraError: missing, or no such file."""
+
+        def made(data: Any) -> SampleSet:
+            of_verify = isinstance(data, dict) and data.get("job") == "verify"
+            return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+
+        return _read(path, made, "a hand-eye calibration", "handeye")
 
 
 class _Lens(Table):
@@ -185,7 +159,7 @@ class _SampleFile(Table):
 Made = TypeVar("Made")
 
 
-def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
+def _read(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
     """What ``made`` makes of a JSON file; CameraError: it is missing, or ``made`` can make nothing of it."""
     hint = f"give the file that robot-ik camera {command} leaves beside its result"
     try:
@@ -198,10 +172,6 @@ def read_samples(path: Path, made: Callable[[Any], Made], of: str, command: str)
         found = config_error(error, path) if isinstance(error, ValidationError) else error
         reason = str(found.args[0]).removeprefix(f"{path}: ")
         raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error
-
-
-# ------------------------------------------------------------------------------------------
-# What was measured of an arm before a camera, in a file: it can be judged again without moving.
 
 
 @dataclass(frozen=True, eq=False)
@@ -241,7 +211,7 @@ class VerifySamples:
     @classmethod
     def load(cls, path: Path) -> VerifySamples:
         """Reads what ``save`` wrote; CameraError: missing, or no such file."""
-        return read_samples(path, cls._of_values, "an arm before a standing camera", "verify")
+        return _read(path, cls._of_values, "an arm before a standing camera", "verify")
 
     @classmethod
     def _of_values(cls, data: Any) -> VerifySamples:
