@@ -186,7 +186,7 @@ class Registrar:
     Args:
         watcher: Finds the board; None for a camera whose place is known.
         artist: Draws.
-        figure: What is drawn.
+        drawn: The robot.
         intrinsics: Of the pictures.
         latency_options: What is done about delay.
         pose_board_camera: Where the camera is when there is no ``watcher``.
@@ -197,14 +197,14 @@ class Registrar:
         self,
         watcher: BoardWatcher | None,
         artist: Artist,
-        figure: DrawnRobot,
+        drawn: DrawnRobot,
         intrinsics: CameraIntrinsics,
         latency_options: LatencyOptions | None = None,
         *,
         pose_board_camera: Pose | None = None,
         alpha: float = 1.0,
     ) -> None:
-        self.figure, self.artist, self.latency_options = figure, artist, latency_options or LatencyOptions()
+        self.drawn, self.artist, self.latency_options = drawn, artist, latency_options or LatencyOptions()
         self._watcher, self._intrinsics, self._alpha = watcher, intrinsics, alpha
         self._fixed = None if pose_board_camera is None else pose_board_camera.inverse()
         self._filter = MotionFilter() if self.latency_options.predict else None
@@ -228,7 +228,7 @@ class Registrar:
         pose, motion = self.place(seen, shown)
         if pose is None:
             return Shown(shown.image, None, None, seen)
-        drawing = self.artist.draw(self.figure, qpos, self._intrinsics, pose.inverse())
+        drawing = self.artist.draw(self.drawn, qpos, self._intrinsics, pose.inverse())
         if motion is not None:
             drawing = drawing.shifted(motion, *self._intrinsics.size)
         image = shown.image.copy()

@@ -48,8 +48,8 @@ def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
     box = BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12), yaw_deg=15.0)
     masks = {}
     for occluders in (None, occluder_boxes([box])):
-        figure, qpos = standing(occluders=occluders)
-        drawings = [artist.draw(figure, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
+        drawn, qpos = standing(occluders=occluders)
+        drawings = [artist.draw(drawn, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
         painted, cast = (d.robot.mask(640, 480) for d in drawings)
         assert overlap(painted > 127, cast > 127) > 0.985
         both = [np.zeros((480, 640, 3), np.uint8) for _ in drawings]
@@ -72,8 +72,8 @@ def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
 
 
 def test_a_robot_of_another_size_is_the_same_picture_from_elsewhere() -> None:
-    figure, qpos = standing(0.25, shadow=False)
-    small = PainterArtist().draw(figure, qpos, BENT, EYE).robot
+    drawn, qpos = standing(0.25, shadow=False)
+    small = PainterArtist().draw(drawn, qpos, BENT, EYE).robot
     large = PainterArtist().draw(standing(1.0, shadow=False)[0], qpos, BENT, Pose(EYE.position * 4, EYE.wxyz))
     assert small.box == large.robot.box
     assert np.abs(small.coverage.astype(int) - large.robot.coverage).max() <= 1
@@ -90,9 +90,9 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
 
     monkeypatch.setattr(cv2, "GaussianBlur", blur)
     # as high as the lens: points of it are millions of pixels away
-    figure, qpos = standing(1.0)
+    drawn, qpos = standing(1.0)
     for height in (0.3, 0.6, 0.9):
-        PainterArtist().draw(figure, qpos, BENT, look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
+        PainterArtist().draw(drawn, qpos, BENT, look_at((0.05, -0.45, height), (0.0, 0.0, 0.1)))
     assert len(softness) == 3
     assert max(softness) <= 3.0
 
@@ -162,8 +162,8 @@ def test_a_board_that_is_lost_is_drawn_upon_a_quarter_second_longer(
     markers = {id: (side, pose.compose(place)) for id, (side, place) in BOARD.layout.items()}
     image = render_markers(STANDARD_CAMERA, markers, np.random.default_rng(0), margin=0.12)
     colour = np.repeat(image[:, :, None], 3, axis=2)
-    figure = DrawnRobot(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
-    registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), PainterArtist(), figure, STANDARD_CAMERA)
+    drawn = DrawnRobot(model_of("<geom type='box' size='.02 .02 .02' pos='0 0 .02'/>"))
+    registrar = Registrar(BoardWatcher(BOARD, STANDARD_CAMERA), PainterArtist(), drawn, STANDARD_CAMERA)
     empty = np.zeros_like(colour)
     drawn = {}
     for time, picture in ((0.0, colour), (0.1, empty), (0.2, empty), (0.4, empty)):

@@ -103,9 +103,9 @@ class MeasuredRows:
             figures = self.figures.setdefault(row.name, [])
             began = time.monotonic()
             try:
-                for figure in row.measure(effort):
-                    figures.append(figure)
-                    progress(f"{row.about}: {figure.quantity}", k / len(rows))
+                for one in row.measure(effort):
+                    figures.append(one)
+                    progress(f"{row.about}: {one.quantity}", k / len(rows))
                 if not figures:
                     self.unmeasured[row.name] = "it gave no figure"
             except RobotIkError as error:

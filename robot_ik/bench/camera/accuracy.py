@@ -288,8 +288,8 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
                 type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[radius, 0, 0], pos=centre.tolist()
             )
             spheres.append((pixel[0], centre, radius))
-    figure = DrawnRobot(spec.compile(), shadow=False)
-    drawn = artist.draw(figure, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
+    robot = DrawnRobot(spec.compile(), shadow=False)
+    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
     half = _SPACING_PX // 2
     offsets = []
     for pixel, centre, radius in spheres:

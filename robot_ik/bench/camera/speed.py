@@ -135,10 +135,10 @@ def drawing(effort: Effort) -> Iterator[Quantity]:
         pose = _view_of(robot)
         spots = [robot.qpos(robot.clip(robot.home + rng.uniform(-0.2, 0.2, robot.nq))) for _ in range(20)]
         for shadow in (False, True):
-            figure = DrawnRobot(robot.model, shadow=shadow)
+            drawn = DrawnRobot(robot.model, shadow=shadow)
 
-            def draw(qpos: Any, figure: DrawnRobot = figure, pose: Pose = pose) -> None:
-                artist.draw(figure, qpos, camera, pose).over(picture)
+            def draw(qpos: Any, drawn: DrawnRobot = drawn, pose: Pose = pose) -> None:
+                artist.draw(drawn, qpos, camera, pose).over(picture)
 
             what = f"painter, {name}, 1280×720" + (", with its shadow" if shadow else "")
             yield from milliseconds(draw, spots).figures(what, None if shadow else wanted)
@@ -171,7 +171,7 @@ def _goals(source: FrameSource, camera: CameraIntrinsics, robot: Robot, **option
 def loop(effort: Effort) -> Iterator[Quantity]:
     """A picture in; marker, filter, goal, joint angles, and the robot drawn over the picture."""
     robot, solver, artist = load_robot(_ARM), make_solver("lm"), PainterArtist()
-    view, figure = _view_of(robot), DrawnRobot(robot.model)
+    view, drawn = _view_of(robot), DrawnRobot(robot.model)
     problem = Problem(robot, PoseGoal.at(robot.tool, robot.forward(robot.home)))
     for camera in CAMERAS:
         frames = moving_frames(camera, effort.count(60), effort.seed)
@@ -185,7 +185,7 @@ def loop(effort: Effort) -> Iterator[Quantity]:
             assert goal is not None, "a marker of the bench was not found"
             problem.retarget(goal.target)
             q[:] = solver.solve(problem, q).q
-            artist.draw(figure, robot.qpos(q), camera, view).over(frame.image.copy())
+            artist.draw(drawn, robot.qpos(q), camera, view).over(frame.image.copy())
 
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"

@@ -176,15 +176,15 @@ class GlArtist(Artist):
 
     def _render(self, view: RobotView, pinhole: CameraIntrinsics) -> tuple[Image, Image]:
         """Colour (h, w, 3) BGR and mask (h, w) of the robot through a pinhole, occluders taken away."""
-        figure, camera = view.figure, view.figure.camera(view.pose_board_camera)
-        colour, geom, depth = self._pictures(figure.model, view.qpos, pinhole, camera)
+        drawn, camera = view.drawn, view.drawn.camera(view.pose_board_camera)
+        colour, geom, depth = self._pictures(drawn.model, view.qpos, pinhole, camera)
         hidden = geom < 0
-        if figure.occluder_geoms is not None:
-            hidden |= (geom >= 0) & figure.occluder_geoms[geom]
-        if figure.occluders is not None:
-            occluders = figure.occluders
+        if drawn.occluder_geoms is not None:
+            hidden |= (geom >= 0) & drawn.occluder_geoms[geom]
+        if drawn.occluders is not None:
+            occluders = drawn.occluders
             _, other, before = self._pictures(occluders, occluders.qpos0, pinhole, view.pose_board_camera)
-            hidden |= (other >= 0) & (before < depth * figure.scale)
+            hidden |= (other >= 0) & (before < depth * drawn.scale)
         return colour, np.where(hidden, 0, 255).astype(np.uint8)
 
     def _pictures(

@@ -46,7 +46,6 @@ class DrawnRobot:
         scale: Drawn size over true size.
         occluders: Real objects, their world is the board's frame; drawn to depth only.
         occluder_geoms: (ngeom,) geoms of the robot's own model that are such objects.
-        tint: One colour for all of it, BGR 0..255.
         shadow: Whether it throws a shadow on the board's plane.
     """
 
@@ -55,7 +54,6 @@ class DrawnRobot:
     scale: float = 1.0
     occluders: mujoco.MjModel | None = None
     occluder_geoms: Mask | None = None
-    tint: tuple[float, float, float] | None = None
     shadow: bool = True
 
     def camera(self, pose_board_camera: Pose) -> Pose:
@@ -91,13 +89,13 @@ class RobotView:
     """A robot where a camera sees it.
 
     Attributes:
-        figure, intrinsics, pose_board_camera: What is drawn, and by which camera.
+        drawn, intrinsics, pose_board_camera: The robot, and the camera.
         qpos: (model.nq,) its configuration.
         faces, occluders: Its faces and those of real objects, with depths of one scale.
         box: The pixels that it touches.
     """
 
-    figure: DrawnRobot
+    drawn: DrawnRobot
     qpos: ArrayLike
     intrinsics: CameraIntrinsics
     pose_board_camera: Pose
@@ -112,20 +110,20 @@ class Artist(ABC):
     name: str
 
     def draw(
-        self, figure: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
+        self, drawn: DrawnRobot, qpos: ArrayLike, intrinsics: CameraIntrinsics, pose_board_camera: Pose
     ) -> Drawing:
         """The sheets of one picture: the robot over its shadow; ``qpos`` is (model.nq,)."""
-        faces = painter.faces_in_picture(figure.model, qpos, intrinsics, figure.camera(pose_board_camera))
-        faces = replace(faces, inverse=faces.inverse / figure.scale, points=faces.points * figure.scale)
+        faces = painter.faces_in_picture(drawn.model, qpos, intrinsics, drawn.camera(pose_board_camera))
+        faces = replace(faces, inverse=faces.inverse / drawn.scale, points=faces.points * drawn.scale)
         box = painter.bounding_box(faces, *intrinsics.size)
         if box == EMPTY:
             return Drawing()
         occluders = None
-        if (real := figure.occluders) is not None:
+        if (real := drawn.occluders) is not None:
             occluders = painter.faces_in_picture(real, real.qpos0, intrinsics, pose_board_camera, planes=True)
-        view = RobotView(figure, qpos, intrinsics, pose_board_camera, faces, occluders, box)
+        view = RobotView(drawn, qpos, intrinsics, pose_board_camera, faces, occluders, box)
         robot = (self._robot(view), 1.0)
-        return Drawing((_shadow(view), robot) if figure.shadow else (robot,))
+        return Drawing((_shadow(view), robot) if drawn.shadow else (robot,))
 
     @abstractmethod
     def _robot(self, view: RobotView) -> Layer:
@@ -195,11 +193,11 @@ class PainterArtist(Artist):
         self._samples = samples
 
     def _robot(self, view: RobotView) -> Layer:
-        figure, samples = view.figure, painter.SurfaceSamples(view.box, self._samples)
+        drawn, samples = view.drawn, painter.SurfaceSamples(view.box, self._samples)
         if view.occluders is not None:
             samples.fill(view.occluders, occluders=True)
-        samples.fill(view.faces, occluders=False if figure.occluder_geoms is None else figure.occluder_geoms)
-        return samples.layer(painter.base_colours(figure.model, figure.tint))
+        samples.fill(view.faces, occluders=False if drawn.occluder_geoms is None else drawn.occluder_geoms)
+        return samples.layer(painter.base_colours(drawn.model))
 
 
 @lru_cache(maxsize=4)
@@ -216,7 +214,7 @@ class RayArtist(Artist):
         box = view.box
         size = (box[3] - box[1], box[2] - box[0])
         near = cv2.dilate(painter.paint_mask(size, view.faces, box[:2]), np.ones((5, 5), np.uint8)) > 0
-        base = painter.base_colours(view.figure.model, view.figure.tint)
+        base = painter.base_colours(view.drawn.model)
         rows, columns = np.nonzero(near)
         total = np.zeros((len(rows), 4))
         for offset in painter.SAMPLES[4]:
@@ -231,21 +229,21 @@ class RayArtist(Artist):
 
     def _cast(self, view: RobotView, pixels: Array) -> tuple[NDArray[np.int32], Array]:
         """Geoms (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
-        figure, pose = view.figure, view.pose_board_camera
+        drawn, pose = view.drawn, view.pose_board_camera
         normalized = ray_field(view.intrinsics).points(pixels)
         rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
-        caster = _caster(figure.model)
+        caster = _caster(drawn.model)
         caster.place(view.qpos)
-        camera = figure.camera(pose)
+        camera = drawn.camera(pose)
         hits = caster.cast(camera.position, rays @ camera.rotation.T)
         geom = hits.geom.copy()
-        if figure.occluder_geoms is not None:
-            geom[(geom >= 0) & figure.occluder_geoms[geom]] = -1
-        if figure.occluders is not None:
-            real = _caster(figure.occluders)
-            real.place(figure.occluders.qpos0)
+        if drawn.occluder_geoms is not None:
+            geom[(geom >= 0) & drawn.occluder_geoms[geom]] = -1
+        if drawn.occluders is not None:
+            real = _caster(drawn.occluders)
+            real.place(drawn.occluders.qpos0)
             before = real.cast(pose.position, rays @ pose.rotation.T, normals=False).depth
-            geom[before < hits.depth * figure.scale] = -1
+            geom[before < hits.depth * drawn.scale] = -1
         return geom, hits.normal @ camera.rotation
 
 

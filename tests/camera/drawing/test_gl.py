@@ -82,11 +82,9 @@ def test_opengl_draws_where_opencv_projects_and_the_painter_paints(require: Requ
         robot = load_robot("puma560")
         things = occluder_boxes([BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12))])
         eye = look_at((0.10, -0.80, 0.62), (0.0, 0.06, 0.15))
-        figure = DrawnRobot(robot.model, Pose(), 0.3, things, shadow=False)
+        drawn = DrawnRobot(robot.model, Pose(), 0.3, things, shadow=False)
         qpos = robot.qpos(robot.home)
-        masks = [
-            a.draw(figure, qpos, BENT, eye).robot.mask(640, 480) > 127 for a in (artist, PainterArtist())
-        ]
+        masks = [a.draw(drawn, qpos, BENT, eye).robot.mask(640, 480) > 127 for a in (artist, PainterArtist())]
         assert (masks[0] & masks[1]).sum() / (masks[0] | masks[1]).sum() > 0.985
     finally:
         artist.close()
