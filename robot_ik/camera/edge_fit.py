@@ -18,9 +18,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import types
 
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point
 from robot_ik.kernels.jit import outlined
+from robot_ik.kernels.linalg import eliminate
 
 # What is known of an edge.  Fitted: offset at both ends, ln blur, middle at both ends, contrast at both ends;
 # then the variances of the two offsets and their covariance (px^2), and the noise (grey levels).
@@ -156,23 +158,8 @@ def normal_equations(pixels, columns, used, x, noise, work):
 
 @outlined
 def solve(work):
-    """Solves SYSTEM x = RIGHT in place by L D Lᵀ; False when it is not positive definite."""
-    x = work[RIGHT]
-    for k in range(PARAMETERS):
-        if not work[k, k] > 0.0:
-            return False
-        inverse = 1.0 / work[k, k]
-        for i in range(k + 1, PARAMETERS):
-            share = work[i, k] * inverse
-            for j in range(k + 1, i + 1):
-                work[i, j] -= share * work[j, k]
-            x[i] -= share * x[k]
-        work[k, k] = inverse
-    for k in range(PARAMETERS - 1, -1, -1):
-        for i in range(k + 1, PARAMETERS):
-            x[k] -= work[i, k] * x[i]
-        x[k] *= work[k, k]
-    return True
+    """Solves SYSTEM x = RIGHT in place; False when it is not positive definite."""
+    return eliminate(work, work[RIGHT], types.int64(PARAMETERS))
 
 
 @outlined

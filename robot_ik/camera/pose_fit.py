@@ -20,6 +20,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import FX, FY, distort_point, lens_vector
 from robot_ik.geometry import Pose
 from robot_ik.kernels.jit import announce, kernel, outlined
+from robot_ik.kernels.linalg import eliminate
 from robot_ik.ports import Array
 
 # ------------------------------------------------------------------------------------------
@@ -177,26 +178,14 @@ def normal_equations(residual, jacobian, normal):
 
 @outlined
 def lm_step(normal, damping, damped, step):
-    """The damped step, by L D Lᵀ; False when the system is singular."""
+    """The damped step; False when the system is singular."""
     n = len(step)
     for i in range(n):
         for j in range(i + 1):
             damped[i, j] = normal[i, j]
         damped[i, i] += damping * (normal[i, i] + 1e-12)
         step[i] = -normal[n, i]
-    for k in range(n):
-        if not damped[k, k] > 0.0:
-            return False
-        for i in range(k + 1, n):
-            share = damped[i, k] / damped[k, k]
-            for j in range(k + 1, i + 1):
-                damped[i, j] -= share * damped[j, k]
-            step[i] -= share * step[k]
-    for k in range(n - 1, -1, -1):
-        step[k] /= damped[k, k]
-        for i in range(k):
-            step[i] -= damped[k, i] * step[k]
-    return True
+    return eliminate(damped, step, n)
 
 
 @outlined
