@@ -10,7 +10,7 @@ import dataclasses
 import hashlib
 import logging
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -381,20 +381,12 @@ def _first(content: Mapping[str, Any], names: tuple[str, ...]) -> Any:
 def _numbers(value: Any, what: str) -> Array:
     data = value.get("data", []) if isinstance(value, dict) else value
     try:
-        flat = [float(v) for v in _flatten(data)]
+        flat = np.array(data, dtype=float).ravel()
     except (TypeError, ValueError):
         raise CalibrationError(f"the {what} must be numbers, not {shown(data)}") from None
-    if not all(abs(value) <= LARGEST_NUMBER for value in flat):  # words such as "nan" are numbers to YAML
-        raise CalibrationError(f"the {what} must be finite, not {shown(flat)}")
-    return np.array(flat)
-
-
-def _flatten(value: Any) -> Iterable[Any]:
-    if isinstance(value, (list, tuple)):
-        for item in value:
-            yield from _flatten(item)
-    else:
-        yield value
+    if not (np.abs(flat) <= LARGEST_NUMBER).all():  # words such as "nan" are numbers to YAML
+        raise CalibrationError(f"the {what} must be finite, not {shown(flat.tolist())}")
+    return flat
 
 
 def _whole(content: Mapping[str, Any], key: str) -> int:

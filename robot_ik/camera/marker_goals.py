@@ -44,13 +44,11 @@ class Delays:
     Attributes:
         count: How many were measured.
         p50, p95: Median, and what 95 of 100 stay below.
-        longest: The longest of those kept.
     """
 
     count: int = 0
     p50: float = float("nan")
     p95: float = float("nan")
-    longest: float = float("nan")
 
     def __str__(self) -> str:
         if not self.count:
@@ -87,7 +85,7 @@ class DelayMeter:
         if not kept:
             return Delays()
         p50, p95 = np.percentile(kept, [50.0, 95.0])
-        return Delays(count, float(p50), float(p95), float(max(kept)))
+        return Delays(count, float(p50), float(p95))
 
 
 # ------------------------------------------------------------------------------------------

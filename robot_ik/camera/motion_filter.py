@@ -115,11 +115,6 @@ class MotionFilter:
         """Whether anything was observed yet."""
         return bool(self.time == self.time)
 
-    @property
-    def covariance(self) -> Array:
-        """(12, 12) of the error state at ``time``: a copy."""
-        return self._covariance.copy()
-
     def reset(self) -> None:
         """Forgets everything."""
         self.__init__(self.options)  # type: ignore[misc]

@@ -17,7 +17,7 @@ def test_delays_come_as_median_and_percentile() -> None:
     found = meter.summary()
     assert found.count == 101
     assert found.p50 == pytest.approx(0.050) and found.p95 == pytest.approx(0.095)
-    assert found.longest == pytest.approx(0.1) and str(found) == "p50 50.0 ms, p95 95.0 ms"
+    assert str(found) == "p50 50.0 ms, p95 95.0 ms"
 
 
 @pytest.mark.parametrize("grabbed", [5.1, -100.0, math.nan])
@@ -31,4 +31,4 @@ def test_old_delays_are_forgotten() -> None:
     meter = DelayMeter()
     for k in range(5000):
         meter.add(0.0, 1.0 if k < 3000 else 0.01)
-    assert meter.summary().count == 5000 and meter.summary().longest == 0.01
+    assert meter.summary().count == 5000 and meter.summary().p95 == 0.01

@@ -281,6 +281,8 @@ def _text(extrinsics: CameraExtrinsics) -> str:
 
 
 _Six = Annotated[tuple[float, float, float, float, float, float], Field(strict=False)]
+#: (6, 6) in a file.
+Covariance = Annotated[tuple[_Six, _Six, _Six, _Six, _Six, _Six], Field(strict=False)]
 
 
 class _ExtrinsicsFile(Table):
@@ -288,7 +290,7 @@ class _ExtrinsicsFile(Table):
     parent: str
     position: Position
     wxyz: Wxyz
-    covariance: Annotated[tuple[_Six, _Six, _Six, _Six, _Six, _Six], Field(strict=False)]
+    covariance: Covariance
     sigma_position: float | None = None  # what the covariance says, for people
     sigma_angle: float | None = None
     residual_px: float

@@ -22,7 +22,6 @@ from robot_ik.camera.boards.board import BoardView, point_jacobian
 from robot_ik.camera.calibration.least_squares import (
     LeftOut,
     LinearViews,
-    NormalEquations,
     cauchy_weight,
     fit_views,
 )
@@ -431,14 +430,24 @@ def solve_handeye(
         return replace(views, pixels=scale**2 * views.pixels, sources=hand), corner_misses(left, scale)
 
     mount, normal = fit_views(linear, start_handeye(samples, mounting), _ALL)
+    residuals = [_residual(mount, sample, intrinsics, normal.left_out(k)) for k, sample in enumerate(samples)]
+    require_explained([one.pixels for one in residuals], [one.outlier for one in residuals], intrinsics)
+    good = [one for one in residuals if not one.outlier] or residuals
+    position, angle = normal.noise.sizes.tolist()
     # What all views have alike does not show in their scatter, nor does it become less with their number.
     off = normal.moved_by(np.array([_by_bias(mount, sample, intrinsics) for sample in samples]))
-    covariance = normal.covariance + np.outer(off, off)
-    found = _result(mount, samples, intrinsics, normal, covariance, spread)
-    require_explained(
-        [one.pixels for one in found.residuals], [one.outlier for one in found.residuals], intrinsics
+    return HandEye(
+        mounting=mounting,
+        pose_parent_camera=mount.pose_parent_camera,
+        pose_other_board=mount.pose_other_board,
+        covariance=normal.covariance + np.outer(off, off),
+        residuals=tuple(residuals),
+        residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),
+        residual_mm=float(1e3 * np.sqrt(np.mean([one.left_out_position**2 for one in good]))),
+        arm_position=position,
+        arm_angle=angle,
+        spread=spread,
     )
-    return found
 
 
 def _by_bias(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) -> Array:
@@ -448,7 +457,7 @@ def _by_bias(mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics) 
         return np.zeros(6)
     corners = view.pixels.reshape(-1, 4, 2)
     outwards = corners - corners.mean(axis=1, keepdims=True)
-    outwards /= np.linalg.norm(outwards, axis=2, keepdims=True)
+    outwards /= np.maximum(np.linalg.norm(outwards, axis=2, keepdims=True), 1e-9)
     _, _, hand = view_derivatives(mount, sample, intrinsics)
     return np.asarray(np.linalg.lstsq(hand, view.bias * outwards.ravel())[0])
 
@@ -491,31 +500,6 @@ def pixel_scale(left: Sequence[Array]) -> float:
 def corner_misses(left: Sequence[Array], scale: float) -> list[Array]:
     """What ``compress`` leaves, in standard deviations of one coordinate: ``scale`` times the stated ones."""
     return [one / np.sqrt(2.0) / scale for one in left]
-
-
-def _result(
-    mount: Mount,
-    samples: Sequence[HandEyeSample],
-    intrinsics: CameraIntrinsics,
-    normal: NormalEquations,
-    covariance: Array,
-    spread: Array,
-) -> HandEye:
-    residuals = [_residual(mount, sample, intrinsics, normal.left_out(k)) for k, sample in enumerate(samples)]
-    good = [one for one in residuals if not one.outlier] or residuals
-    position, angle = normal.noise.sizes.tolist()
-    return HandEye(
-        mounting=mount.mounting,
-        pose_parent_camera=mount.pose_parent_camera,
-        pose_other_board=mount.pose_other_board,
-        covariance=covariance,
-        residuals=tuple(residuals),
-        residual_px=float(np.sqrt(np.mean([one.pixels**2 for one in good]))),
-        residual_mm=float(1e3 * np.sqrt(np.mean([one.left_out_position**2 for one in good]))),
-        arm_position=position,
-        arm_angle=angle,
-        spread=spread,
-    )
 
 
 def _residual(

@@ -148,7 +148,6 @@ class SyntheticScene:
         pose_world_camera: OpenCV camera axes seen from the world.
         markers: Each id once per dictionary.
         table: ``None`` for no table.
-        lights: Lamp and ceiling; placed beside the camera when not given.
     """
 
     robot: SceneRobot
@@ -156,7 +155,6 @@ class SyntheticScene:
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()
     table: SceneTable | None = None
-    lights: Lights | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "markers", tuple(self.markers))
@@ -244,7 +242,7 @@ class SyntheticSource(FrameSource):
             pose, lens = scene.pose_world_camera, scene.intrinsics
             distance = _subject_distance(scene)
             x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
-            lights = scene.lights or Lights.beside(pose, distance)
+            lights = Lights.beside(pose, distance)
             still = still_picture(lens, pose, scene.table, lights, (x, y, z))
             self._photographer = Photographer(scene.robot.model, lens, pose, lights, still)
         return self._photographer

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
 from robot_ik.camera.boards.board import BoardView
-from robot_ik.camera.calibration.extrinsics import today
+from robot_ik.camera.calibration.extrinsics import Covariance, today
 from robot_ik.camera.calibration.handeye import LEAST_VIEWS, HandEyeSample, Mounting
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -263,13 +263,10 @@ def _pose_of(data: _Known) -> KnownPose:
     return KnownPose(Pose(data.position, data.wxyz), np.array(data.covariance))
 
 
-_Six = Annotated[Several[float], Field(min_length=6, max_length=6)]
-
-
 class _Known(Table):
     position: Position
     wxyz: Wxyz
-    covariance: Annotated[Several[_Six], Field(min_length=6, max_length=6)]
+    covariance: Covariance
 
 
 class _Servo(Table):
