@@ -7,7 +7,6 @@ numbers mean nothing, so it is refused.
 from __future__ import annotations
 
 import datetime
-import json
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from robot_ik.camera.calibration.handeye import (
 from robot_ik.camera.calibration.least_squares import LinearViews, cauchy_weight, fit_views
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, CameraError, ConfigError
-from robot_ik.files import write_atomically
+from robot_ik.files import toml_string, write_atomically
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.tables import Position, SchemaVersion, Table, Wxyz, read_table
@@ -251,11 +250,6 @@ def _numbers(values: Any) -> str:
     return "[" + ", ".join(repr(float(v)) for v in values) + "]"
 
 
-def _quoted(text: str) -> str:
-    """A TOML string: JSON's, which leaves one control character as it is."""
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
 def _text(extrinsics: CameraExtrinsics) -> str:
     pose, covariance = extrinsics.pose_parent_camera, extrinsics.covariance
     rows = "".join(f"  {_numbers(row)},\n" for row in covariance)
@@ -263,7 +257,7 @@ def _text(extrinsics: CameraExtrinsics) -> str:
         "# Where a camera is.  Lengths in m, angles in rad, quaternions w x y z; camera axes are OpenCV's:\n"
         "# x right, y down, z forward.\n"
         "schema = 1\n"
-        f"parent = {_quoted(extrinsics.parent)}\n"
+        f"parent = {toml_string(extrinsics.parent)}\n"
         f"position = {_numbers(pose.position)}\n"
         f"wxyz = {_numbers(pose.wxyz)}\n"
         "# translation over rotation, along the parent's axes, rotation about the camera's origin\n"
@@ -272,11 +266,11 @@ def _text(extrinsics: CameraExtrinsics) -> str:
         f"sigma_angle = {extrinsics.sigma_angle!r}\n"
         f"residual_px = {float(extrinsics.residual_px)!r}\n"
         f"residual_mm = {float(extrinsics.residual_mm)!r}\n"
-        f"method = {_quoted(extrinsics.method)}\n"
+        f"method = {toml_string(extrinsics.method)}\n"
         f"views = {int(extrinsics.views)}\n"
-        f"date = {_quoted(extrinsics.date)}\n"
-        f"intrinsics = {_quoted(extrinsics.intrinsics_hash)}\n"
-        + (f"doubt = {_quoted(extrinsics.doubt)}\n" if extrinsics.doubt else "")
+        f"date = {toml_string(extrinsics.date)}\n"
+        f"intrinsics = {toml_string(extrinsics.intrinsics_hash)}\n"
+        + (f"doubt = {toml_string(extrinsics.doubt)}\n" if extrinsics.doubt else "")
     )
 
 

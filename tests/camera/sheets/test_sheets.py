@@ -172,8 +172,8 @@ def test_the_sheet_says_what_other_commands_call_the_board(asked: SheetRequest) 
 @pytest.mark.parametrize("asked", [SheetRequest("board", columns=3, ids=(5,)), SheetRequest("cube")])
 def test_the_body_file_is_read_back(asked: SheetRequest, tmp_path: Path) -> None:
     path = tmp_path / "mine.toml"
-    path.write_text(body_file(asked, "mine"))
-    body, true = load_bodies(path)["mine"], body_of(asked)
+    path.write_text(body_file(asked, 'my "own" \\ one'))
+    body, true = load_bodies(path)['my "own" \\ one'], body_of(asked)
     assert body.dictionary == asked.dictionary
     assert list(body.markers) == list(true.markers)
     for marker, (size, pose) in true.markers.items():
