@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import errno
 import json
@@ -155,7 +156,10 @@ def make_folder(path: Path) -> Path:
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON can hold it: arrays become lists, numbers that are not finite become null."""
+    """``value`` as JSON can hold it: arrays become lists, numbers that are not finite become null.
+
+    A dataclass, such as a pose, becomes its fields; what is left its text.
+    """
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, float):
@@ -166,6 +170,8 @@ def plain(value: Any) -> Any:
         return [plain(item) for item in value]
     if value is None or isinstance(value, (bool, int, str)):
         return value
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in dataclasses.fields(value)}
     return str(value)
 
 

@@ -256,12 +256,11 @@ def _as_json(report: HandEyeReport, options: CameraHandeyeOptions) -> dict[str, 
     result = report.result
     if result is None:
         return found
-    camera, board = result.pose_parent_camera, result.pose_other_board
     return found | {
         "parent": report.parent,
         "file": options.out,
-        "camera": {"position": camera.position, "wxyz": camera.wxyz},
-        "board": {"position": board.position, "wxyz": board.wxyz},
+        "camera": result.pose_parent_camera,
+        "board": result.pose_other_board,
         "sigma_position_m": result.sigma_position,
         "sigma_angle_rad": result.sigma_angle,
         "true_error": report.true_error,

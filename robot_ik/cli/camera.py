@@ -272,12 +272,12 @@ def _picture_label(row: PictureMarkers) -> str:
 
 def _pose_cells(values: dict[str, Any]) -> list[object]:
     """Position, tilt, reprojection error, ambiguity, and how sure the pose is."""
-    position = np.array(values["pose"]["position"])
-    away = Pose(position, values["pose"]["wxyz"]).rotation[:, 2] @ position / -np.linalg.norm(position)
+    pose: Pose = values["pose"]
+    away = pose.rotation[:, 2] @ pose.position / -np.linalg.norm(pose.position)
     sigma = np.sqrt(np.diag(values["covariance"]))
     doubtful = values["ambiguity"] > _DOUBTFUL
     return [
-        " ".join(f"{x:.4f}" for x in position),
+        " ".join(f"{x:.4f}" for x in pose.position),
         f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°",
         f"{values['reprojection_error']:.2f} px",
         Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
@@ -409,13 +409,12 @@ def _board_views(
 
 
 def _as_json(found: CameraExtrinsics, options: CameraLocateOptions, used: int, searched: int) -> Any:
-    camera = found.pose_parent_camera
     return {
         "schema": 1,
         "job": "locate",
         "file": options.out,
         "parent": found.parent,
-        "camera": {"position": camera.position, "wxyz": camera.wxyz},
+        "camera": found.pose_parent_camera,
         "sigma_position_m": found.sigma_position,
         "sigma_angle_rad": found.sigma_angle,
         "residual_px": found.residual_px,

@@ -160,11 +160,11 @@ class MarkerFinder:
 
 
 def _values(sighting: Sighting) -> dict[str, Any]:
-    """A sighting for JSON: corners in pixels (integer pixel centres), poses in metres and wxyz."""
+    """A sighting by the names of JSON; corners in pixels (integer pixel centres)."""
     return {
         "markers": [_marker_values(m) for m in sighting.markers],
         "bodies": [
-            {"name": name, "ids": list(seen.ids), "rejected": list(seen.rejected)}
+            {"name": name, "ids": seen.ids, "rejected": seen.rejected}
             | _fit_values(seen, seen.pose_camera_body)
             for name, seen in sighting.bodies.items()
         ],
@@ -174,7 +174,7 @@ def _values(sighting: Sighting) -> dict[str, Any]:
 def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
     values = {
         "id": marker.id,
-        "corners": marker.corners.tolist(),
+        "corners": marker.corners,
         "corner_sigma": marker.sigma,
         "refined": marker.refined,
     }
@@ -182,17 +182,8 @@ def _marker_values(marker: MarkerObservation | Corners) -> dict[str, Any]:
 
 
 def _fit_values(seen: MarkerObservation | BodyObservation, pose: Pose) -> dict[str, Any]:
-    return {
-        "pose": _pose_values(pose),
-        "alternative": _pose_values(seen.alternative),
-        "reprojection_error": seen.reprojection_error,
-        "ambiguity": seen.ambiguity,
-        "covariance": seen.covariance.tolist(),
-    }
-
-
-def _pose_values(pose: Pose | None) -> dict[str, list[float]] | None:
-    return None if pose is None else {"position": pose.position.tolist(), "wxyz": pose.wxyz.tolist()}
+    names = ("alternative", "reprojection_error", "ambiguity", "covariance")
+    return {"pose": pose, **{name: getattr(seen, name) for name in names}}
 
 
 def draw_markers(
@@ -216,7 +207,7 @@ class PictureMarkers:
 
     Attributes:
         size: Width and height, px; None where it could not be read.
-        values: Markers and bodies, as JSON holds them.
+        values: Markers and bodies, by the names that JSON has for them.
         image: The picture itself; None where it could not be searched, because of ``error``.
     """
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -200,8 +200,8 @@ class VerifySamples:
         """Writes JSON, whole or not at all; OutputError: it cannot be written."""
         values = self.samples.as_values() | {
             "job": "verify",
-            "camera": _pose_values(self.camera),
-            "board": _pose_values(self.board),
+            "camera": plain(self.camera.pose) | {"covariance": self.camera.covariance},
+            "board": plain(self.board.pose) | {"covariance": self.board.covariance},
             "by_arm": self.by_arm,
             "true_offsets": self.true_offsets,
             "servos": self.servos,
@@ -251,12 +251,8 @@ class VerifySamples:
 
 def servo_values(joint: Any) -> dict[str, Any]:
     """One joint's row as JSON gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(plain(asdict(joint))))
+    values: dict[str, Any] = json.loads(json.dumps(plain(joint)))
     return values
-
-
-def _pose_values(known: KnownPose) -> dict[str, Any]:
-    return {"position": known.pose.position, "wxyz": known.pose.wxyz, "covariance": known.covariance}
 
 
 def _pose_of(data: _Known) -> KnownPose:
