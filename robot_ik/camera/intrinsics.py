@@ -296,11 +296,9 @@ class _Loader(yaml.SafeLoader):
     """Plain YAML plus OpenCV's tag for matrices."""
 
 
-def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
+_Loader.add_constructor(
+    "tag:yaml.org,2002:opencv-matrix", lambda loader, node: loader.construct_mapping(node, deep=True)
+)
 
 
 _HINT = (

@@ -87,19 +87,6 @@ class CameraExtrinsics:
         """Standard deviation of the whole angle, rad."""
         return float(np.sqrt(max(np.trace(self.covariance[3:, 3:]), 0.0)))
 
-    def require_intrinsics(self, intrinsics: CameraIntrinsics) -> None:
-        """Checks that this place was found with these intrinsics.
-
-        Raises:
-            CalibrationError: It was found with others.
-        """
-        if intrinsics.digest != self.intrinsics_hash:
-            raise CalibrationError(
-                f"these extrinsics were found with another calibration ({self.intrinsics_hash}) than "
-                f"the one given ({intrinsics.digest})",
-                hint="give that calibration, or find the pose again: robot-ik camera locate or handeye",
-            )
-
     def require_parent(self, parent: str) -> None:
         """Checks whose camera this is.
 
@@ -139,8 +126,12 @@ class CameraExtrinsics:
         )  # fmt: skip
         if extrinsics.doubt:
             logger.warning("%s: %s", path, extrinsics.doubt)
-        if intrinsics is not None:
-            extrinsics.require_intrinsics(intrinsics)
+        if intrinsics is not None and intrinsics.digest != extrinsics.intrinsics_hash:
+            raise CalibrationError(
+                f"these extrinsics were found with another calibration ({extrinsics.intrinsics_hash}) than "
+                f"the one given ({intrinsics.digest})",
+                hint="give that calibration, or find the pose again: robot-ik camera locate or handeye",
+            )
         return extrinsics
 
 

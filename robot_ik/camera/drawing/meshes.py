@@ -114,11 +114,6 @@ def _grid(points: Array) -> tuple[Array, Index]:
     return points.reshape(-1, 3), quads.reshape(-1, 4)
 
 
-def usual_segments(radius: float) -> int:
-    """Faces round a lathe of this radius in metres, when it is unknown how large it is seen."""
-    return next(count for limit, count in _USUAL if radius <= limit)
-
-
 def _lathe(profile: Array, count: int, *, flat_ends: bool = False) -> GeomMesh:
     """Turns a profile (k, 2) of radius and height, from bottom to top, about z in ``count`` steps.
 
@@ -287,7 +282,8 @@ def triangulate(model: mujoco.MjModel, geom: int, segments: int = 0) -> GeomMesh
     if kind == int(mujoco.mjtGeom.mjGEOM_MESH):
         return _mesh(model, int(model.geom_dataid[geom]))
     if kind in _ROUND:
-        segments = segments or usual_segments(round_radius(model, geom))
+        radius = round_radius(model, geom)
+        segments = segments or next(count for limit, count in _USUAL if radius <= limit)
     return _primitive(kind, tuple(model.geom_size[geom].tolist()), segments)
 
 

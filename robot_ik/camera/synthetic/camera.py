@@ -126,12 +126,6 @@ class SyntheticMarker:
     margin: float | None = None
     condition: Condition = "printed"
 
-    @property
-    def paper_margin(self) -> float:
-        """White paper beyond the black border, metres."""
-        cells = len(marker_bits(self.dictionary, self.id))
-        return _MARGIN_CELLS * self.size / cells if self.margin is None else self.margin
-
     def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
         """Where it is when the robot stands at ``q`` and the time is ``now``."""
         pose = self.pose(now) if callable(self.pose) else self.pose
@@ -278,7 +272,9 @@ class SyntheticSource(FrameSource):
 
 
 def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
-    margin = marker.paper_margin
+    margin = marker.margin
+    if margin is None:
+        margin = _MARGIN_CELLS * marker.size / len(marker_bits(marker.dictionary, marker.id))
     if marker.condition == "printed":
         sheet = marker_print(marker.dictionary, marker.id, marker.size, margin)
     else:
