@@ -6,12 +6,12 @@ and whose it is.  What is nearer wins, in whatever order faces come.
 Samples lie in *cells* of one column and so many rows of pixels that a cell has ``LANES`` samples: then all of
 a cell is looked at in one go, and a face is begun anew only once for several rows.
 """
+# mypy: disallow-untyped-defs = false, check-untyped-defs = false
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -35,13 +35,13 @@ _THIN = -1e-9
 
 
 @pure
-def _turn(p: Any, a: int, b: int, c: int) -> float:
+def _turn(p, a, b, c):
     """Twice the area of a triangle, which seen from outside runs counter-clockwise: below 0."""
     return (p[b, 0] - p[a, 0]) * (p[c, 1] - p[a, 1]) - (p[c, 0] - p[a, 0]) * (p[b, 1] - p[a, 1])
 
 
 @pure
-def _light(p: Any, lit: Any, a: int, b: int, c: int, at: Any, left: int, top: int, plane: Any) -> None:
+def _light(p, lit, a, b, c, at, left, top, plane):
     """``plane`` (6,): diffuse light and highlight as functions 1, x, y, from corners ``at`` of ``lit``."""
     ax, ay = p[a, 0] - left, p[a, 1] - top
     bx, by, cx, cy = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[c, 0] - p[a, 0], p[c, 1] - p[a, 1]
@@ -53,9 +53,7 @@ def _light(p: Any, lit: Any, a: int, b: int, c: int, at: Any, left: int, top: in
 
 
 @pure
-def _light_face(
-    p: Any, lit: Any, a: int, b: int, c: int, d: int, left: int, top: int, one: Any, two: Any, plane: Any
-) -> None:  # fmt: skip
+def _light_face(p, lit, a, b, c, d, left, top, one, two, plane):
     """``plane`` (11,) of a face of which at least one half is seen; see ``fill_faces``."""
     plane[6:11] = _ZERO
     if not one < _THIN:
@@ -72,7 +70,7 @@ def _light_face(
 
 
 @pure
-def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
+def _side(ax, ay, bx, by, half):
     """Distance inwards from the line a b times its length: value at (0, 0), gradient; columns a row.
 
     And where the line is at row 0 if it bounds rows from the left, and if it does so from the right.
@@ -87,10 +85,7 @@ def _side(ax: float, ay: float, bx: float, by: float, half: float) -> Any:
 
 
 @pure
-def _depth(
-    ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float,
-    wa: float, wb: float, wc: float, wd: float,
-) -> Any:  # fmt: skip
+def _depth(ax, ay, bx, by, cx, cy, dx, dy, wa, wb, wc, wd):
     """One over depth as a function 1, x, y of the picture, with the gradient that the diagonals have."""
     area = (cx - ax) * (dy - by) - (dx - bx) * (cy - ay)
     one, two = (wc - wa) / area, (wd - wb) / area
@@ -99,10 +94,7 @@ def _depth(
 
 
 @pure
-def _fill(
-    p: Any, inverse: Any, a: int, b: int, c: int, d: int, mark: int, left: float, top: float,
-    across: Any, down: Any, tall: int, lanes: int, reach: Any, depth: Any, whose: Any, extent: Any,
-) -> None:  # fmt: skip
+def _fill(p, inverse, a, b, c, d, mark, left, top, across, down, tall, lanes, reach, depth, whose, extent):
     """A convex face into the buffers; a triangle repeats its last corner, which makes a side of no length.
 
     The innermost loop has no branches, so that it is done for eight samples at a time.  Depths are compared
@@ -150,10 +142,9 @@ def _fill(
 
 @pure
 def _fill_face(
-    pixels: Any, inverse: Any, lit: Any, faces: Any, f: int, offset: int, left: int, top: int,
-    across: Any, down: Any, tall: int, lanes: int, reach: Any,
-    depth: Any, whose: Any, planes: Any, extent: Any,
-) -> None:  # fmt: skip
+    pixels, inverse, lit, faces, f, offset, left, top, across, down, tall, lanes, reach,
+    depth, whose, planes, extent,
+):  # fmt: skip
     """One of the faces, with its light; see ``fill_faces``."""
     a, b, c, d = faces[f, 0], faces[f, 1], faces[f, 2], faces[f, 3]
     one, two = _turn(pixels, a, b, c), _turn(pixels, a, c, d) if c != d else 0.0
@@ -177,10 +168,9 @@ def _fill_face(
 
 @kernel
 def fill_faces(
-    pixels: Any, inverse: Any, lit: Any, faces: Any, chosen: Any, offset: int, left: int, top: int,
-    across: Any, down: Any, tall: int, lanes: int, reach: Any,
-    depth: Any, whose: Any, planes: Any, extent: Any,
-) -> None:  # fmt: skip
+    pixels, inverse, lit, faces, chosen, offset, left, top, across, down, tall, lanes, reach,
+    depth, whose, planes, extent,
+):  # fmt: skip
     """Faces into the sample buffers.
 
     * ``pixels`` (v, 2): where the vertices are; ``inverse`` (v,): one over their depth, 1/m;
@@ -204,7 +194,7 @@ def fill_faces(
 
 
 @kernel
-def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, top: int, seen: Any) -> None:
+def hide_lines(points, inverse, slack, depth, left, top, seen):
     """``seen`` (n,): which points (n, 2) in pixels, at one over depth ``inverse`` (n,), nothing hides.
 
     A point on an outline is seen if one of the nine pixels around it lets it through.
@@ -221,7 +211,7 @@ def hide_lines(points: Any, inverse: Any, slack: float, depth: Any, left: int, t
 
 
 @kernel
-def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, placed: Any) -> None:
+def transform_vertices(vertices, owner, rotation, position, placed):
     """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
     for k in range(len(vertices)):
         g = owner[k]
@@ -233,9 +223,7 @@ def transform_vertices(vertices: Any, owner: Any, rotation: Any, position: Any, 
 
 
 @kernel
-def through_lens(
-    points: Any, lens: Any, near: float, limit: float, pixels: Any, inverse: Any, within: Any
-) -> None:
+def through_lens(points, lens, near, limit, pixels, inverse, within):
     """Where ``points`` (v, 3) of the camera frame are in the picture of a camera (``lens_vector``).
 
     What is not beyond ``near``, metres, cannot be seen, nor what is farther off the axis than ``limit`` of
@@ -256,17 +244,7 @@ def through_lens(
 
 
 @kernel
-def light_corners(
-    normals: Any,
-    faces: Any,
-    owner: Any,
-    pixels: Any,
-    every: bool,
-    light: Any,
-    half: Any,
-    ambient: float,
-    lit: Any,
-) -> None:
+def light_corners(normals, faces, owner, pixels, every, light, half, ambient, lit):
     """``lit`` (f, 4, 2): diffuse light and highlight at each corner of each face that shows its outside.
 
     * ``normals`` (f, 4, 3): at the corners, in geom frames; ``faces`` (f, 4): into ``pixels`` (v, 2);
@@ -293,7 +271,7 @@ def light_corners(
 
 
 @pure
-def _shaded(plane: Any, base: Any, gloss: Any, x: Any, y: Any) -> Any:
+def _shaded(plane, base, gloss, x, y):
     """Blue, green and red of a face at a pixel."""
     beyond = min(plane[6] + plane[7] * x + plane[8] * y, _ZERO)
     shade = plane[0] + plane[1] * x + plane[2] * y + plane[9] * beyond
@@ -308,7 +286,7 @@ def _shaded(plane: Any, base: Any, gloss: Any, x: Any, y: Any) -> Any:
 
 
 @pure
-def _put(pixel: Any, blue: Any, green: Any, red: Any) -> None:
+def _put(pixel, blue, green, red):
     pixel[0], pixel[1], pixel[2] = (
         np.uint8(np.int32(blue)),
         np.uint8(np.int32(green)),
@@ -317,9 +295,7 @@ def _put(pixel: Any, blue: Any, green: Any, red: Any) -> None:
 
 
 @pure
-def _mixed(
-    marks: Any, samples: Any, planes: Any, owner: Any, base: Any, gloss: Any, x: Any, y: Any, pixel: Any
-) -> Any:
+def _mixed(marks, samples, planes, owner, base, gloss, x, y, pixel):
     """A pixel of several faces: the mean of its samples; returns how much is covered, 0..255."""
     blue = green = red = seen = _ZERO
     share = _ONE / np.float32(len(samples))
@@ -333,10 +309,7 @@ def _mixed(
 
 
 @pure
-def _resolve_row(
-    row: int, whose: Any, tall: int, samples: Any, planes: Any, extent: Any, owner: Any, base: Any,
-    gloss: Any, colour: Any, coverage: Any,
-) -> None:  # fmt: skip
+def _resolve_row(row, whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage):
     """One row of the pixels; see ``resolve``."""
     count, cell = len(samples), row // tall
     start, stop, y = extent[cell, 0], extent[cell, 1], np.float32(row)
@@ -358,10 +331,7 @@ def _resolve_row(
 
 
 @kernel
-def resolve(
-    whose: Any, tall: int, samples: Any, planes: Any, extent: Any, owner: Any, base: Any, gloss: Any,
-    colour: Any, coverage: Any,
-) -> None:  # fmt: skip
+def resolve(whose, tall, samples, planes, extent, owner, base, gloss, colour, coverage):
     """Samples into pixels.
 
     * ``whose``, ``planes``, ``extent``: as filled; ``tall``: rows of pixels in a cell;
@@ -375,7 +345,7 @@ def resolve(
 
 
 @kernel
-def lay_over(image: Any, colour: Any, coverage: Any, alpha: float, left: int, top: int) -> None:
+def lay_over(image, colour, coverage, alpha, left, top):
     """Blends a layer (see ``resolve``) into ``image`` (h, w, 3) uint8, in place."""
     share = round(alpha * 256)
     for row in range(coverage.shape[0]):
