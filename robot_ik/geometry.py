@@ -155,16 +155,6 @@ class Pose:
             raise InvalidPoseError(f"a homogeneous matrix is (4, 4), not {m.shape}")
         return cls.from_rotation(m[:3, :3], m[:3, 3])
 
-    @classmethod
-    def exp(cls, twist: Sequence[float] | Array) -> Pose:
-        """Pose reached by (translation (3,), rotation vector (3,)), each taken by itself (R3 x SO(3))."""
-        t = np.asarray(twist, dtype=float)
-        return cls(t[:3], rotation_exp(t[3:]))
-
-    def log(self) -> Array:
-        """(6,): translation over rotation vector; inverse of ``exp``."""
-        return np.concatenate([self.position, rotation_log(self.wxyz)])
-
     @property
     def rotation(self) -> Array:
         """Rotation matrix (3, 3)."""
@@ -205,8 +195,8 @@ class Pose:
         rotation = rotation_log(quat_multiply(self.inverse().wxyz, other.wxyz))
         return float(np.linalg.norm(other.position - self.position)), float(np.linalg.norm(rotation))
 
-    def moved(self, change: Array) -> Pose:
-        """Shifted and rotated by ``change`` (6,): along and about the outer axes, about its own origin."""
+    def moved(self, change: Sequence[float] | Array) -> Pose:
+        """Shifted by ``change[:3]``, rotated about its origin by the vector ``change[3:]``; outer axes."""
         return Pose(self.position + change[:3], quat_multiply(rotation_exp(change[3:]), self.wxyz))
 
     def change_from(self, other: Pose) -> Array:

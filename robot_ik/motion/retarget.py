@@ -321,7 +321,7 @@ def _foot_path(
             share = share * share * (3.0 - 2.0 * share)
             for k in (first - step, end - 1 + step):
                 if 0 <= k < len(path) and not rests[k]:
-                    path[k] = path[k] @ Pose.exp(share * (path[k].inverse() @ pin).log())
+                    path[k] = path[k] @ Pose().moved(share * (path[k].inverse() @ pin).change_from(Pose()))
     return path
 
 

@@ -185,7 +185,7 @@ def test_the_compiled_fit_is_as_good_as_scipys() -> None:
         start = Pose(pose.position * 1.05, quat_multiply(rotation_exp([0.05, -0.05, 0.1]), pose.wxyz))
         best = least_squares(
             lambda v, d=data: whitened(d, Pose(v[:3], rotation_exp(v[3:]))),
-            start.log(),
+            start.change_from(Pose()),
             x_scale=[0.1] * 3 + [1.0] * 3,
             xtol=1e-14, ftol=1e-14, gtol=1e-14,
         )  # fmt: skip

@@ -508,7 +508,7 @@ def _residual(
     others, points = mount.moved(without.step), sample.view.points
     # The target moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
-    hand = sample.pose_world_hand.compose(Pose.exp(without.pseudo_measurement))
+    hand = sample.pose_world_hand.compose(Pose().moved(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))
     deviation = np.linalg.norm(found.apply(points) - expected.apply(points), axis=1)
     left_out = rms_distance(others.miss(sample, intrinsics))

@@ -351,8 +351,8 @@ def handeye_set(
         chain = truth.pose_parent_camera.compose(seen).compose(truth.pose_other_board.inverse())
         hand = chain if mounting == "eye_to_hand" else chain.inverse()
         pixels = STANDARD_CAMERA.project(seen.apply(points)) + rng.normal(0, 1, (4, 2)) * pixel
-        said = Pose.exp(rng.normal(0, 1, 6) * np.repeat(arm, 3))
-        rough = Pose.exp(rng.normal(0, pixel, 6) * _ROUGH)
+        said = Pose().moved(rng.normal(0, 1, 6) * np.repeat(arm, 3))
+        rough = Pose().moved(rng.normal(0, pixel, 6) * _ROUGH)
         view = BoardView(points, pixels, seen.compose(rough), max(pixel, 0.01))
         samples.append(HandEyeSample(hand.compose(said), view))
     return truth, samples

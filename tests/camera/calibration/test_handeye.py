@@ -53,7 +53,7 @@ def test_exact_views_give_the_exact_mount(seed: int, mounting: Mounting) -> None
 @given(seed=st.integers(0, 10**6))
 def test_another_world_frame_moves_the_answer_and_nothing_else(seed: int) -> None:
     _, samples = handeye_set(8, mounting="eye_to_hand", seed=seed)
-    world = Pose.exp(np.random.default_rng(seed).normal(0, 1, 6))
+    world = Pose().moved(np.random.default_rng(seed).normal(0, 1, 6))
     elsewhere = [HandEyeSample(world.compose(one.pose_world_hand), one.view) for one in samples]
     here = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
     there = solve_handeye(elsewhere, STANDARD_CAMERA, mounting="eye_to_hand")
@@ -77,7 +77,9 @@ def test_derivatives_are_those_of_finite_differences(mounting: Mounting) -> None
         np.testing.assert_allclose(shared[:, k], difference / (2 * step), rtol=1e-4, atol=1e-2)
     for k in range(6):
         there, back = (
-            HandEyeSample(sample.pose_world_hand.compose(Pose.exp(sign * step * np.eye(6)[k])), sample.view)
+            HandEyeSample(
+                sample.pose_world_hand.compose(Pose().moved(sign * step * np.eye(6)[k])), sample.view
+            )
             for sign in (1, -1)
         )
         difference = (mount.miss(there, STANDARD_CAMERA) - mount.miss(back, STANDARD_CAMERA)).ravel()
@@ -149,7 +151,7 @@ def test_with_a_perfect_arm_it_is_scipys_least_squares_of_all_corners() -> None:
 @pytest.mark.parametrize("mounting", MOUNTINGS)
 def test_wrong_views_are_named_and_hardly_count(mounting: Mounting) -> None:
     truth, samples = handeye_set(mounting=mounting, seed=2)
-    bumped = Pose.exp([0.008, -0.006, 0.01, 0.03, -0.04, 0.02])
+    bumped = Pose().moved([0.008, -0.006, 0.01, 0.03, -0.04, 0.02])
     samples[4] = HandEyeSample(samples[4].pose_world_hand.compose(bumped), samples[4].view)
     view = samples[11].view
     moved = view.pixels + np.array([[9, 0], [0, 7], [-6, 0], [0, -8]])
@@ -235,7 +237,7 @@ def test_the_mean_rotation_is_scipys_whatever_the_signs(seed: int) -> None:
 
 def test_the_robust_mean_leaves_a_stray_pose_alone() -> None:
     rng = np.random.default_rng(0)
-    poses = [Pose.exp(rng.normal(0, 1e-3, 6)) for _ in range(9)]
+    poses = [Pose().moved(rng.normal(0, 1e-3, 6)) for _ in range(9)]
     mean, weights = robust_mean_pose([*poses, Pose((0.3, 0, 0), (0, 1, 0, 0))])
     assert max(mean.distance(Pose())) < 1.5e-3 and weights[-1] < 1e-3
 
