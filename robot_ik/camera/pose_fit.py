@@ -20,7 +20,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.lens import FX, FY, distort_point, lens_vector
 from robot_ik.geometry import Pose
 from robot_ik.kernels.jit import announce, kernel, outlined
-from robot_ik.kernels.linalg import eliminate
+from robot_ik.kernels.linalg import eliminate, normal_equations
 from robot_ik.ports import Array
 
 # ------------------------------------------------------------------------------------------
@@ -101,7 +101,7 @@ def fit_poses(
                 for i in range(7):
                     pose[i] = trial[i]
                 cost, damping, growth = trial_cost, max(0.1 * damping, 1e-9), 2.0
-                normal_equations(residual, jacobian, normal)
+                normal_equations(jacobian, residual, normal, normal[_DOF])
             else:
                 damping, growth = damping * growth, 2.0 * growth
                 largest = 0.0
@@ -159,21 +159,6 @@ def whitened(points, normalized, blocks, pose, slope, residual, jacobian):
                     jacobian[row, k] += value * slope[m * size + j, k]
             cost += residual[row] * residual[row]
     return cost
-
-
-@outlined
-def normal_equations(residual, jacobian, normal):
-    """Lower triangle of JᵀJ, and in a last row Jᵀr."""
-    n = jacobian.shape[1]  # no constant: loops that are unrolled take longer to compile than to run
-    for i in range(n):
-        for j in range(i + 1):
-            total = 0.0
-            for row in range(len(residual)):
-                total += jacobian[row, i] * jacobian[row, j]
-            normal[i, j] = total
-        normal[n, i] = 0.0
-        for row in range(len(residual)):
-            normal[n, i] += jacobian[row, i] * residual[row]
 
 
 @outlined
