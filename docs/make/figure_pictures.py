@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from robot_ik.camera.drawing.painter import surface_points
-from robot_ik.camera.image import Image, write_image
+from robot_ik.camera.image import write_image
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.session import FigureFrame
 from robot_ik.jobs.figure import FigureRequest, Painter, run_figure, watch
 from robot_ik.jobs.gallery import fitted_camera, lens, photograph
-from robot_ik.ports import Array
+from robot_ik.ports import Array, Image
 
 FOLDER = Path(__file__).resolve().parents[1] / "images" / "figure"
 BALLS: dict[str, tuple[float, float, float]] = {
