@@ -74,7 +74,9 @@ def test_impossible_mujoco_gl(command: list[str], robot_ik_child: Any) -> None:
 def test_mujoco_gl_without_its_library(value: str, package: str, tmp_path: Path, robot_ik_child: Any) -> None:
     (tmp_path / "OpenGL").mkdir()
     (tmp_path / "OpenGL" / "__init__.py").write_text(_NO_LIBRARY)
-    run = robot_ik_child("solve", "--goal", "0", "0", "1", MUJOCO_GL=value, PYTHONPATH=str(tmp_path))
+    # PyOpenGL's own choice, which a test that drew leaves behind, would keep MuJoCo from trying.
+    variables = {"MUJOCO_GL": value, "PYOPENGL_PLATFORM": "", "PYTHONPATH": str(tmp_path)}
+    run = robot_ik_child("solve", "--goal", "0", "0", "1", **variables)
     run.assert_one_screen_error()
     for text in (
         f"MUJOCO_GL={value}",
