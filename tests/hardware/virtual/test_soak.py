@@ -45,6 +45,6 @@ def test_ten_minutes_with_every_fault_of_the_wire() -> None:
             memory.append(tracemalloc.get_traced_memory()[0])
     tracemalloc.stop()
     assert missing < 0.001 * 6 * 60_000 * 1.5  # error numbers without data; the rest was asked again
-    assert memory[-1] < 1.05 * memory[0]
+    assert memory[-1] < 1.05 * memory[2]  # then most sets of servos have been asked: plans are kept
     assert sim.counters.cycles == 60_000
     assert sim.counters.timeouts <= 2  # all three tries spoilt: some 0.04 are expected
