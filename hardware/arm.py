@@ -11,7 +11,6 @@ import enum
 import logging
 import threading
 from collections.abc import Callable, Mapping
-from types import TracebackType
 from typing import TYPE_CHECKING, Self, TypeVar
 
 from numpy.typing import ArrayLike
@@ -33,7 +32,7 @@ from robot_ik.hardware.startup import (
 from robot_ik.hardware.stop_file import StopFile
 from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
-from robot_ik.ports import Array, JointReading, VirtualClock
+from robot_ik.ports import Array, Closing, JointReading, VirtualClock
 
 if TYPE_CHECKING:
     from robot_ik.hardware.virtual.bus import VirtualBus
@@ -81,7 +80,7 @@ EVENTS: Mapping[str, Mapping[ArmState, ArmState]] = {
 """The life of an arm: event -> state before -> state after.  ``close`` and a fault come in every state."""
 
 
-class Arm:
+class Arm(Closing):
     """Servos of one arm file on one bus: a ``JointSink`` and a ``JointSource``.
 
     Args:
@@ -550,11 +549,6 @@ class Arm:
             self._guard.remove()
 
     @uninterrupted
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
     def _leave_for_good(self) -> None:
         if not self._energised:
             if self.state is not ArmState.DISCONNECTED and self.exit_report is None:

@@ -18,10 +18,10 @@ import threading
 import time
 import tty
 from pathlib import Path
-from types import TracebackType
 
 from robot_ik.errors import OutputError
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.ports import Closing
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ _RATES = {
 }
 
 
-class PtyPort:
+class PtyPort(Closing):
     """Serves a virtual bus on a pty; a context manager.
 
     The thread sleeps in ``select`` until bytes come, so an idle port costs nothing.  A client may close
@@ -94,14 +94,6 @@ class PtyPort:
             self._thread.join()
         self._pull_out()
         self._close_files(self._wake_reader, self._wake_writer)
-
-    def __enter__(self) -> PtyPort:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def client_baud(self) -> int:
         """Bits/s the client has set the port to; 0 if it is not known."""

@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 from urllib.parse import urlsplit
 from urllib.request import url2pathname
 
@@ -31,7 +31,7 @@ from robot_ik.camera.image import (
     read_image,
 )
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
-from robot_ik.ports import Image
+from robot_ik.ports import Closing, Image
 
 #: Sources that other modules know how to open: the module, and its function or class.
 _OPENERS = {
@@ -70,7 +70,7 @@ class Frame:
         return dataclasses.replace(self, truth=None)
 
 
-class FrameSource(ABC):
+class FrameSource(Closing, ABC):
     """Gives pictures one by one; a context manager, and an iterator up to the last picture.
 
     Every source says itself whether it is live, and what wraps a source passes that on: an arm is moved and
@@ -103,19 +103,13 @@ class FrameSource(ABC):
         """
         return self.read()
 
-    def close(self) -> None:  # noqa: B027 - most sources hold nothing that must be closed
+    def close(self) -> None:
         """Lets go of the device or file; may be called twice."""
 
     @property
     def exhausted(self) -> bool:
         """Whether ``read`` would find nothing more."""
         return False
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        self.close()
 
     def __iter__(self) -> Iterator[Frame]:
         while not self.exhausted:

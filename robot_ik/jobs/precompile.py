@@ -22,6 +22,7 @@ from robot_ik.camera.photometric_corners import refine_prints
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
+from robot_ik.ports import Closing
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver
 from robot_ik.solvers.analytic import closed_form
@@ -37,7 +38,7 @@ rik.solve(robot, rik.PoseGoal.at(None, robot.forward(robot.home)), solver=sys.ar
 """
 
 
-class Precompilation:
+class Precompilation(Closing):
     """A program that compiles ``what``, unless one of ``kernels`` has been; ``wait`` before its use."""
 
     def __init__(self, kernels: Sequence[Callable[..., None]], what: str, *arguments: str) -> None:
@@ -73,10 +74,8 @@ class Precompilation:
         if self._process is not None:
             self._process.wait()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
+    def close(self) -> None:
+        """Ends it, done or not."""
         if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait()

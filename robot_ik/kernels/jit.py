@@ -82,26 +82,25 @@ _OPTIONS: dict[str, Any] = {
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 # What compiled code of one file takes from another lies in these.
-_WITH_COMPILED_CODE = ("kernels", "solvers", "camera", "targets")
+_WITH_COMPILED_CODE = ("kernels", "solvers", "camera")
 # At the margin only: what is imported inside a function is no global of compiled code.
 _IMPORT = re.compile(r"^(?:from|import) robot_ik\.([\w.]+)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
 def _file_of(module: str) -> Path | None:
-    """The source of ``solvers.ccd``; None for what has no compiled code."""
-    if module.split(".")[0] not in _WITH_COMPILED_CODE:
-        return None
+    """The source of ``solvers.ccd``; None for what is no module."""
     path = _PACKAGE.joinpath(*module.split("."))
     return next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.is_file()), None)
 
 
 @functools.cache
 def _imported(path: Path) -> tuple[bytes, tuple[Path, ...]]:
-    """One source, and the sources that it imports."""
+    """One source, and the sources of compiled code that it imports."""
     text = path.read_bytes()
     found: list[Path | None] = []
     for module, names in _IMPORT.findall(text.decode()):
-        found += [_file_of(module), *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names))]
+        if module.split(".")[0] in _WITH_COMPILED_CODE:
+            found += [_file_of(module), *(_file_of(f"{module}.{name}") for name in re.findall(r"\w+", names))]
     return text, tuple(dict.fromkeys(other for other in found if other is not None))
 
 
