@@ -6,6 +6,7 @@ cache serves a compiled caller again although a callee in *another* file has cha
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import ctypes
 import functools
@@ -27,6 +28,7 @@ from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
+from numba.core.compiler_lock import global_compiler_lock
 
 from robot_ik.errors import ConfigError
 
@@ -55,7 +57,16 @@ if "numba.np.arraymath" not in sys.modules and importlib.util.find_spec("scipy")
 class _TunedCompiler(event.Listener):
     """Makes numba compile faster.  Most processes load what is compiled, and never load ``numba_tuning``."""
 
+    exiting = False
+
+    def stop_at_exit(self) -> None:
+        """Has a thread that compiles stop at its next function: LLVM crashes if it ends under a thread."""
+        self.exiting = True
+        global_compiler_lock.acquire()  # and keeps it
+
     def on_start(self, event: Any) -> None:
+        if self.exiting:
+            raise SystemExit
         from robot_ik.kernels import numba_tuning
 
         numba_tuning.tune()
@@ -63,13 +74,17 @@ class _TunedCompiler(event.Listener):
         numba_tuning.optimization.begin(event.data["dispatcher"].py_func.__module__)
 
     def on_end(self, event: Any) -> None:
+        if self.exiting:
+            return
         from robot_ik.kernels import numba_tuning
 
         numba_tuning.optimization.end()
         numba_tuning.garbage_collection.resume()
 
 
-event.register("numba:compile", _TunedCompiler())
+_compiler = _TunedCompiler()
+event.register("numba:compile", _compiler)
+atexit.register(_compiler.stop_at_exit)
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -228,6 +228,32 @@ for _ in range(2):
     assert done.stdout.split() == ["interrupted", "4.0"], done.stderr
 
 
+def test_a_program_that_ends_while_a_thread_compiles_lets_it_stop_first(tmp_path: Path) -> None:
+    """One in fourteen ended with a segmentation fault or was aborted: LLVM was torn down under the thread."""
+    code = """
+import atexit, threading
+from numba.core import event
+from numba.core.compiler_lock import global_compiler_lock
+begun, compiled = threading.Event(), []
+class Listener(event.Listener):
+    def on_start(self, event):
+        begun.set()
+    def on_end(self, event):
+        compiled.append(event)
+event.register("numba:compile", Listener())
+def at_last():
+    print(global_compiler_lock.is_locked(), len(compiled) < 60)
+atexit.register(at_last)
+def solve():
+    import robot_ik as rik
+    rik.solve(rik.load_robot("puma560"), rik.PositionGoal(None, (0.3, 0.2, 0.4)), solver="lm")
+threading.Thread(target=solve, daemon=True).start()
+begun.wait()
+"""
+    done = run(code, XDG_CACHE_HOME=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "True True\n", "")
+
+
 def test_scipy_is_loaded_only_by_code_that_asks_for_its_linear_algebra() -> None:
     done = run(
         "import sys, numpy as np, numba, robot_ik.kernels.kinematics; print('scipy.linalg' in sys.modules)"
