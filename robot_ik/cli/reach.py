@@ -180,6 +180,9 @@ def make_request(options: ReachOptions) -> ReachRequest:
     require(not (options.film and options.follow), "--film", still, "without --follow")
     require(0.0 <= options.lost_after < math.inf, "--lost-after", f"{options.lost_after:g} s", "0 or more")
     require(0.0 <= options.lead <= 0.2, "--lead", f"{options.lead:g} s cannot be predicted", "0 to 0.2")
+    for name in ("intrinsics", "camera_pose", "camera_extrinsics") if options.camera == "synthetic" else ():
+        knows = "the synthetic camera has the lens and the place of the robot's scene"
+        require(not getattr(options, name), f"--{name.replace('_', '-')}", knows, "with a real --camera")
     rehearse, at = options.rehearse, options.rehearse.marker_at
     allowed = "3 or 4: x y z in metres, yaw in degrees"
     require(len(at) in (0, 3, 4), "--rehearse.marker-at", f"{len(at)} numbers", allowed)
