@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError
+from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError, did_you_mean
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
@@ -141,6 +141,7 @@ def checked_policy(name: str, config: ArmConfig) -> str:
             file=config.file or config.name,
             key="bus.on_exit",
             allowed=", ".join(ON_EXIT),
+            hint=did_you_mean(name, ON_EXIT),
         )
     return name
 

@@ -163,8 +163,8 @@ def _detect(
         error = failed[0].error
         assert error is not None
         if len(failed) > 1:
-            others = f"nor can the {len(failed) - 1} other(s) be used"
-            error.args = (f"{error.args[0]}; {others}", *error.args[1:])
+            others = console.count_of(len(failed) - 1, "other file")
+            error.args = (f"{error.args[0]}; {others} cannot be used either", *error.args[1:])
         raise error
     if options.json:
         images = [row.as_values() for row in rows]
@@ -178,8 +178,8 @@ def _detect(
     if any(row.values["markers"] for row in rows):
         return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
-    count = len(rows) - len(failed)
-    return console.refused(f"{wanted} of {options.dictionary} in {count} picture(s)", _hint(options, blank))
+    looked_at = console.count_of(len(rows) - len(failed), "picture")
+    return console.refused(f"{wanted} of {options.dictionary} in {looked_at}", _hint(options, blank))
 
 
 def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
@@ -341,7 +341,7 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
     views, searched = _board_views(options, board, intrinsics, blank)
     if not views:
         raise MarkerNotFoundError(
-            f"the board {options.board} is in none of {searched} pictures of {options.source}",
+            f"no board {options.board} in {console.count_of(searched, 'picture')} of {options.source}",
             hint=_unseen_hint(board, blank),
         )
     extrinsics = locate_camera(views, pose, intrinsics, parent=options.parent)

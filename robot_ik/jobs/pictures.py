@@ -20,7 +20,7 @@ from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
 from robot_ik.camera.image import dictionary_size, to_gray, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
 from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
 from robot_ik.camera.tracker import MarkerTracker
@@ -113,6 +113,8 @@ class MarkerFinder:
         wanted = sorted(ids) or (sorted(known) if known and size is None else None)
         self._detector = MarkerDetector(dictionary, wanted)
         self._tracker: MarkerTracker | None = None
+        if size is not None:
+            marker_points(size)
         if intrinsics is None:
             if self.bodies:
                 raise CameraError(

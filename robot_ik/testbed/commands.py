@@ -301,7 +301,7 @@ class CommandLog:
         if first.pop("testbed_log", None) != FORMAT:
             raise ConfigError(
                 "the first line is not that of a command log",
-                file=file, key="testbed_log", allowed=f"{FORMAT}; logs come from robot-ik view --log FILE",
+                file=file, key="testbed_log", allowed=f"{FORMAT}, as robot-ik view --log FILE writes it",
             )  # fmt: skip
         start: Start = _checked(Start, first, file)
         commands: list[tuple[int, Command]] = []

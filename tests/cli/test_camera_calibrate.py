@@ -168,6 +168,7 @@ def test_a_camera_that_gives_nothing_is_an_error(robot_ik: Any, monkeypatch: pyt
             "of 0.03 mm is not possible give 1 to 1000 mm: is 30 mm meant?",
         ),
         (["grey.png", "--pattern", "chess"], "--pattern"),
+        (["grey.png", "--pattern", "chessboard", "--marker-mm", "20"], "a chessboard has no markers"),
         ([], "nothing to calibrate from"),
     ],
 )

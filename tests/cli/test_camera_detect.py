@@ -139,7 +139,7 @@ def test_a_picture_that_cannot_be_used_is_named_and_the_others_are_done(
         (folder / name).unlink()
     run = robot_ik("camera", "detect", folder, *options)
     run.assert_one_screen_error()
-    assert "a.png is not a picture" in run.err and "2 other(s)" in run.err
+    assert "a.png is not a picture" in run.err and "2 other files cannot be used either" in run.err
 
 
 def test_no_marker_is_exit_code_1(robot_ik: Any, tmp_path: Path) -> None:
@@ -170,6 +170,7 @@ def test_markers_of_another_kind_are_named(robot_ik: Any, place: Path, options: 
         (("{}/board.png", "--ids", "50"), "marker ids 50 are not in DICT_5X5_50"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml"), "a pose needs the size of the marker"),
         (("{}/board.png", "--intrinsics", "{}/camera.yaml", "--size", "50"), "50.0 mm are 0.05"),
+        (("{}/board.png", "--size", "-1"), "a marker size of -1.0 m cannot be right"),
         (("{}/board.png", "--bodies", "{}/bodies.toml"), "needs the camera's intrinsics"),
         (("{}/board.png", "--intrinsics", "{}/none.yaml", "--size", "0.05"), "none.yaml"),
         (("{}/board.png", "--bodies", "{}/camera.yaml"), "camera.yaml: not valid TOML"),

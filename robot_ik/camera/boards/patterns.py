@@ -422,6 +422,8 @@ class PatternRequest:
         square = square if self.square_mm is None else self.square_mm
         check_millimetres("a square", square)
         if self.kind == "chessboard":
+            if self.marker_mm is not None:
+                raise CalibrationError("a chessboard has no markers", hint="leave their size out")
             return ChessboardPattern(columns, rows, square / 1e3)
         marker = self.marker_mm
         if marker is None:

@@ -155,8 +155,7 @@ def run_ar(
         report.file = sink.close()
     if report.pictures and not report.drawn:
         raise MarkerNotFoundError(
-            f"the board {request.board} was seen in none of {report.pictures} pictures; "
-            f"they are in {report.file}",
+            f"the board {request.board} was seen in no picture; what was drawn is in {report.file}",
             hint=_why_unseen(request, opened),
         )
     if 2 * report.drawn < report.pictures:
