@@ -256,14 +256,17 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
     """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
+    for name, members in file.groups.items():
+        for joint in members:
+            if joint not in names:
+                raise UnknownJointError(joint, names, hint=f"named by groups.{name} of {file.path}")
     group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
     if group is not None and group not in file.groups:
         raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
     wanted = file.groups[group] if group is not None else names if joints is None else joints
-    hint = f"named by groups.{group} of {file.path}" if group is not None else ""
     for joint in wanted:
         if joint not in names:
-            raise UnknownJointError(joint, names, hint=hint)
+            raise UnknownJointError(joint, names)
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 

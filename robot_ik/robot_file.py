@@ -20,7 +20,9 @@ SERVO_ROBOT = "tabletop_puma"
 DESCRIPTIONS = "robot_descriptions:"
 """What the name of a robot of that package begins with."""
 _MODELS = {".xml", ".mjcf", ".urdf", "robot.toml"}
-_WHAT_A_ROBOT_IS = "a robot is a name of the catalogue or the path of an MJCF or URDF file"
+_WHAT_A_ROBOT_IS = (
+    "a robot is a name of the catalogue, the path or text of an MJCF or URDF file, or an MjSpec or MjModel"
+)
 
 
 _PosQuat = Annotated[tuple[float, float, float, float, float, float, float], Field(strict=False)]
@@ -180,8 +182,14 @@ def catalogue() -> dict[str, Path]:
 def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     """Model file and contents of a ``robot.toml``; raises ``ConfigError`` as ``read_table``."""
     parsed = read_table(_RobotTable, path, "robot.toml")
-    order = parsed.groups.get("arm", ())
-    return path.parent / parsed.model, RobotFile(
+    order, model = parsed.groups.get("arm", ()), path.parent / parsed.model
+    if not model.is_file():
+        beside = sorted(p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODELS)
+        raise ConfigError(
+            f"there is no file {model}", file=path, key="model",
+            allowed=f"a model file, such as {', '.join(beside)}" if beside else "an MJCF or URDF file",
+        )  # fmt: skip
+    return model, RobotFile(
         **{key: getattr(parsed, key) for key in _Keys.model_fields},
         name=path.resolve().parent.name,
         path=path,

@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, UnknownSolverError
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue, find_robot, read_robot_file
+from robot_ik.solvers import solver_name
 
 MODEL = """<mujoco><compiler angle="radian"/><worldbody><body name="a"><joint name="one"/><geom size="0.1"/>
 <body name="b" pos="1 0 0"><joint name="two" range="-2 2"/><joint name="finger" type="slide" range="0 0.4"/>
@@ -148,7 +149,18 @@ def test_what_is_no_toml_or_no_file_is_reported(folder):
             ModelError,
             r"robot\.toml: home: .*no keyframe 'redy'; it has: ready",
         ),
-        ('model = "arm.xml"', 'model = "none.xml"', ModelError, r"none\.xml"),
+        (
+            'all = ["one", "two"',
+            'all = ["one", "too"',
+            UnknownJointError,
+            r"\nnamed by groups\.all of .*robot\.toml",
+        ),
+        (
+            'model = "arm.xml"',
+            'model = "none.xml"',
+            ConfigError,
+            r"robot\.toml: model: .*none\.xml; allowed: a model file, such as arm\.xml",
+        ),
         (
             'tool = "grip"',
             'tool = "gripp"',
@@ -161,6 +173,16 @@ def test_a_file_that_does_not_fit_its_model_is_reported(folder, before, after, e
     (folder / "robot.toml").write_text(FILE.replace(before, after))
     with pytest.raises(error, match=says):
         load_robot(folder)
+
+
+def test_a_method_that_is_misspelt_is_reported_with_the_file(folder):
+    (folder / "robot.toml").write_text(FILE.replace('solver = "dls"', 'solver = "dlss"'))
+    robot = load_robot(folder)
+    assert solver_name("lm", robot.file) == "lm"
+    with pytest.raises(
+        UnknownSolverError, match=r"did you mean 'dls'(?s:.*)\nnamed by solver of .*robot\.toml"
+    ):
+        solver_name("", robot.file)
 
 
 def test_numbers_of_home_count_and_may_be_rounded_at_a_limit(folder):

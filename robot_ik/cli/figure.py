@@ -130,6 +130,8 @@ def _checked(options: FigureOptions) -> FigureOptions:
     require(bool(np.isfinite(options.place).all()), "--place", f"{options.place}", numbers)
     require(0.0 < options.seconds < np.inf, "--seconds", f"{options.seconds:g}", "more than 0")
     require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
+    for name in ("record", "frames", "viewer") if options.balls is not None else ():
+        require(not getattr(options, name), f"--{name}", "with --balls nothing moves", "without --balls")
     drawn = "--ar draws into the camera's pictures"
     require(not (options.ar and options.viewer), "--viewer", drawn, "one of both")
     return options

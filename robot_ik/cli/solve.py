@@ -67,11 +67,11 @@ def run(options: SolveOptions) -> int:
     from robot_ik.goals import Tolerance
     from robot_ik.problem import Budget, Problem
     from robot_ik.robot import load_robot
-    from robot_ik.solvers import make_solver
+    from robot_ik.solvers import make_solver, solver_name
 
     goal = make_goal(options.goal, options.frame)
     robot = load_robot(options.robot)
-    name = options.solver or robot.file.solver or "auto"
+    name = solver_name(options.solver, robot.file)
     solver = make_solver(name, **solver_options(name, options.set))
     tolerance = Tolerance(position=options.position_tolerance, angle=options.angle_tolerance)
     budget = Budget(iterations=options.iterations)

@@ -87,6 +87,9 @@ def run(options: ViewOptions) -> int:
     from robot_ik.testbed.commands import COUNTS
 
     if options.replay is not None:
+        for name in ("robot", "count", "method", "bus", "arm", "log", "seed"):
+            same = getattr(options, name) == getattr(ViewOptions, name, ())
+            require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
     require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
     _check_seconds(options.seconds, "until Ctrl-C")

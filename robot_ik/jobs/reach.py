@@ -42,7 +42,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.robot_file import find_robot
 from robot_ik.solution import Solution
-from robot_ik.solvers import make_solver
+from robot_ik.solvers import make_solver, solver_name
 from robot_ik.testbed.frontends.window import Solid, WindowSink
 
 # ------------------------------------------------------------------------------------------
@@ -192,14 +192,12 @@ def run_reach(
         RobotIkError: Wrong input or environment; nothing was sent to a servo, or the arm was left as its
             exit policy says.
     """
-    if request.solver:
-        make_solver(request.solver)  # a misspelt name shall cost nothing
+    method = solver_name(request.solver, find_robot(request.robot)[1])
     if request.follow > 0.0 and request.goal is not None:
         raise ConfigError(
             "a goal that is given does not move, so there is nothing to follow",
             file="command line", key="--follow", allowed="without --goal, so that a marker is the goal",
         )  # fmt: skip
-    method = request.solver or find_robot(request.robot)[1].solver or "auto"
     with contextlib.ExitStack() as stack:
         compiling = stack.enter_context(Precompilation.solver(request.robot, method))
         setup = prepare_robot(request)

@@ -14,6 +14,7 @@ from robot_ik.errors import ConfigError, UnknownSolverError, close_matches
 
 if TYPE_CHECKING:
     from robot_ik.problem import Problem
+    from robot_ik.robot_file import RobotFile
     from robot_ik.solvers.base import Solver
 
 # name -> module and class; a method is imported when it is first used.
@@ -83,6 +84,18 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
             problem = "unknown option" + (f" (did you mean {close[0]!r}?)" if close else "")
             raise ConfigError(problem, file=f"solver {solver}", key=key, allowed=", ".join(known))
     return kind(**options)
+
+
+def solver_name(asked: str, file: RobotFile) -> str:
+    """The method that is asked for, else that of ``robot.toml``, else ``auto``.
+
+    Raises:
+        UnknownSolverError: With the close names, and with the file if the name is from there.
+    """
+    name = asked or file.solver or "auto"
+    if name not in SOLVERS:
+        raise UnknownSolverError(name, SOLVERS, hint="" if asked else f"named by solver of {file.path}")
+    return name
 
 
 def able_solvers(problem: Problem) -> tuple[str, ...]:

@@ -135,6 +135,8 @@ def test_the_command_prints_decisions_and_writes_frames(
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [row["action"] for row in rows] == ["reach", "bend", "nothing"]
     assert rows[2]["ball"] == [0.5, 0.5, 3.2]
+    assert main(["figure", "--balls", str(balls), "--record", str(tmp_path / "film.mp4")]) == 2
+    assert "with --balls nothing moves" in capsys.readouterr().err
     assert main(["figure", "--ball", "0.5", "0.5", "3.2", "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["misses"] == []
     out = tmp_path / "frames.csv"

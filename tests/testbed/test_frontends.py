@@ -140,6 +140,7 @@ def test_a_replay_says_whether_it_ends_in_the_same_bits(
     assert main(["view", "--replay", str(bad)]) == 1
     assert "other bits" in capsys.readouterr().err
     assert main(["view", "--replay", str(tmp_path / "none.jsonl")]) == 2
+    assert main(["view", "--replay", str(good), "--count", "2"]) == 2
 
 
 def test_view_opens_the_page_writes_its_log_and_ends(

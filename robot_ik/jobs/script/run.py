@@ -26,7 +26,8 @@ from robot_ik.jobs.script.steps import Action, ScriptStep
 from robot_ik.jobs.vision import AXIS_DOF, Vision
 from robot_ik.reading import WrongKey
 from robot_ik.robot import Robot
-from robot_ik.robot_file import catalogue, find_robot
+from robot_ik.robot_file import catalogue
+from robot_ik.solvers import solver_name
 
 # ------------------------------------------------------------------------------------------
 # The world of a script: its synthetic camera, and objects that lie about.
@@ -134,7 +135,7 @@ class ScriptRun:
         if arm_file is None and content.arm is not None and not request.robot:
             arm_file = Path(resolved(script, content.arm))
         self.setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
-        self._now = RunState(script, self.setup, find_robot(robot)[1].solver or "auto", seed)
+        self._now = RunState(script, self.setup, solver_name("", self.setup.robot.file), seed)
         self._record = request.record
         check_script(self._now)
         rows = [StepResult(step.title, step.do) for step in script.steps]
