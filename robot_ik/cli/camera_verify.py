@@ -45,7 +45,7 @@ class CameraVerifyOptions(ArmCameraOptions):
     """
 
     camera_extrinsics: Annotated[Path | None, arg(metavar="FILE.toml", help_behavior_hint=NEEDED)] = None
-    """Where it stands, from camera locate."""
+    """Where it stands, from camera locate; a simulated camera is put there."""
     board_pose: Annotated[tuple[float, ...], single(XYZ_WXYZ, "in the frame")] = ()
     """Where the board is, seen from the frame that carries it."""
     board_sigma: Annotated[tuple[float, ...], single("MM DEG", "0.2 0.1")] = ()
