@@ -50,9 +50,6 @@ SAG = 0.05
 """rad (of a slide's pinion) between goal and shaft up to which holding keeps the goal.  Beyond, something
 pushes: it yields, once."""
 
-FOLLOWING_ALARM = 0.15
-"""rad of tracking error at which a servo is asked whether it still has torque (it may have restarted)."""
-
 ARRIVED_TICKS = 3
 """Servo ticks between goal and shaft at which a joint counts as arrived."""
 
@@ -66,8 +63,6 @@ after the last reply, at 100 Hz); without a reply it is given up 0.14 s later at
 SILENT_CYCLES = 3
 """Cycles in a row a servo must have missed as well: a program that paused is no fault of a servo."""
 
-_ALARM_PERIOD = 0.5  # s; asking costs a cycle
-
 
 @dataclass
 class MotionReport:
@@ -78,30 +73,18 @@ class MotionReport:
         stale: Times no command came for too long and the arm was held by itself.
         clipped: Joint -> number of ticks in which its command lay outside the limits.
         capped: Joint -> number of ticks in which a cap held it back.
-        tracking_error: (n,) rad, shaft against the goal of one cycle before; newest.
-        largest_tracking_error: (n,) rad.
     """
 
-    tracking_error: Array
-    largest_tracking_error: Array
     sent: int = 0
     stale: int = 0
     clipped: dict[str, int] = field(default_factory=dict)
     capped: dict[str, int] = field(default_factory=dict)
-
-    @classmethod
-    def empty(cls, n: int) -> MotionReport:
-        return cls(np.zeros(n), np.zeros(n))
 
     def count(self, report: LimiterReport) -> None:
         self.sent += 1
         for counts, names in ((self.clipped, report.clipped), (self.capped, report.capped)):
             for name in names:
                 counts[name] = counts.get(name, 0) + 1
-
-    def track(self, error: Array) -> None:
-        self.tracking_error = error
-        self.largest_tracking_error = np.fmax(self.largest_tracking_error, error)
 
 
 class Samples:
@@ -255,12 +238,11 @@ class Cycle:
 
     def __init__(self, config: ArmConfig, bus: ServoBus, feedback: Feedback | None = None) -> None:
         driven, config = len(config.joints), config.whole
-        n = len(config.joints)
         self.samples = Samples(config)
-        self.limits = LimiterState.at_rest(np.zeros(n))
+        self.limits = LimiterState.at_rest(np.zeros(len(config.joints)))
         self.goals: dict[int, int] = {}
         self.held = False
-        self.reports = MotionReport.empty(n)
+        self.reports = MotionReport()
         self.period = 1.0 / config.rate_hz
         self._config, self._bus, self._clock = config, bus, bus.clock
         self._limiter = SafetyLimiter(
@@ -273,10 +255,9 @@ class Cycle:
         self._written = [servo for servo in config.servos if servo.shadow_of is None]
         # A pause of half the bus watchdog: from there on it may have tripped.
         self._trust = 0.0005 * config.watchdog_ms if config.watchdog_ms else math.inf
-        self._suspect = False
         self._last_now: float | None = None
         self._moved_until = -math.inf  # time on our own clock that the commands so far have used
-        self._last_traffic = self._last_alarm = -math.inf
+        self._last_traffic = -math.inf
 
     def stand(self, goals: Mapping[int, int]) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
@@ -303,7 +284,6 @@ class Cycle:
         start = self._clock.now()
         self.stay_alive()
         self.held = False
-        before = np.array(self.limits.q)
         dt = self._tick(now)
         if dt > 0.0:
             self.limits, out, report = self._limiter.step(self.limits, command, dt)
@@ -313,9 +293,6 @@ class Cycle:
             }
             self.reports.count(report)
         self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})
-        # A shaft had one period to reach the goal before this one.
-        self.reports.track(np.abs(self.samples.q - before))
-        self._check_torque()
 
     def measure(self) -> None:
         """Positions of all, without new goals.
@@ -425,9 +402,9 @@ class Cycle:
             BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError, HardwareError.
         """
         start = self._clock.now()
-        if not self._suspect and start - self._last_traffic < self._trust:
+        if start - self._last_traffic < self._trust:
             return
-        self._suspect, self._last_traffic = False, start
+        self._last_traffic = start
         armed = self._config.watchdog_ms // WATCHDOG_UNIT_MS
         watchdog = shared_register(self._config, "bus_watchdog")
         statuses = self._bus.sync_read(self._config.servo_ids, watchdog)
@@ -466,24 +443,6 @@ class Cycle:
             return 0.0  # what has passed is left to the next command
         self._moved_until = max(self._moved_until + dt, here - JITTER * self.period)
         return dt
-
-    def _check_torque(self) -> None:
-        """A servo that restarts by itself (brown-out) comes back healthy, silently and without torque.
-
-        Only for servos whose torque is not in the feedback: asking costs a cycle, so it needs a reason.
-        """
-        if self.feedback.watched:
-            return
-        now = self._clock.now()
-        if self.reports.tracking_error.max() < FOLLOWING_ALARM or now - self._last_alarm < _ALARM_PERIOD:
-            return
-        self._last_alarm = now
-        self._suspect = True
-        torque = shared_register(self._config, "torque_enable")
-        statuses = self._bus.sync_read(self._config.servo_ids, torque)
-        for servo in self._config.servos:
-            if statuses[servo.id].data == 0:
-                raise torque_lost(servo)
 
     def _confirm_torque(self, servo: JointMap) -> None:
         """The feedback of a servo says it has no torque."""

@@ -3,7 +3,7 @@
 The two lie 68 bytes apart.  Indirect addresses put them side by side: one byte more than the position, and a
 servo that has lost its torque, by a restart of its own or by another's doing, shows in the same cycle.  After
 a restart the indirect addresses are gone too and the torque byte reads 0: such a reply is not believed.
-Servos that do not take indirect addresses are read plainly.
+A servo that does not take indirect addresses is read plainly: all registers from torque to temperature.
 
 Of joints with thresholds (``[joints.stop_at]``) one servo a cycle, in turn, is asked for more in the same
 request: current or load, temperature and supply as well.  Its block is longer by more than the bytes by
@@ -44,7 +44,7 @@ class Measurement(NamedTuple):
     """One servo in one cycle."""
 
     ticks: int | None  # present position; None if there is none to be believed
-    torque: bool | None  # whether it has torque; None where that was not asked or not answered
+    torque: bool | None  # whether it has torque; None where it did not answer
 
 
 class _FeedbackBlock(NamedTuple):
@@ -72,7 +72,7 @@ class Feedback:
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
-        self._health: dict[int, _FeedbackBlock] = {}
+        self._blocks: dict[int, _FeedbackBlock] = {}  # those longer than torque and position
         self._thresholds = {
             servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
         }
@@ -100,19 +100,18 @@ class Feedback:
                 size = sum(table[name].size for name in _PARTS)  # at the head of the block
                 self.registers[id] = Register(_BLOCK, block.register.address, size, signed=True)
                 if id in self._thresholds:
-                    self._health[id] = block
+                    self._blocks[id] = block
             except (HardwareError, KeyError) as error:
                 if not bus.is_open:
                     raise
-                log.info("servo %d takes no indirect addresses, its torque is not watched: %s", id, error)
+                log.info("servo %d takes no indirect addresses and is read plainly: %s", id, error)
                 self.read_plainly(id)
         bus.use_fast_reads([id for id, table in self._tables.items() if "fast_read" in table.abilities])
 
     def read_plainly(self, id: int) -> None:
-        """Only the position of this servo from here on; with thresholds what lies around it in its turn."""
-        self.registers[id] = self._tables[id]["present_position"]
-        if id in self._thresholds:
-            self._health[id] = _contiguous_block(self._tables[id])
+        """This servo without its indirect addresses from here on: more bytes, and the same is seen."""
+        self._blocks[id] = _plain_block(self._tables[id])
+        self.registers[id] = self._blocks[id].register
 
     def asked(self) -> Mapping[int, Register]:
         """Servo id -> register of the next cycle: ``registers``, with more of the servo whose turn it is."""
@@ -121,33 +120,28 @@ class Feedback:
         ids = tuple(self._thresholds)
         self._health_index = (self._health_index + 1) % len(ids)
         turn = ids[self._health_index]
-        self._asked = {**self.registers, turn: self._health[turn].register}
+        self._asked = {**self.registers, turn: self._blocks[turn].register}
         return self._asked
 
     def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
         """What a reply says; ``now``: when it came, s, for thresholds."""
         value, id = status.data, status.id
-        register, block = self._asked[id], self._health.get(id)
-        if value is not None and register.name == _BLOCK:
+        if value is None:
+            return Measurement(None, None)
+        if self._asked[id].name == _BLOCK:
             torque = bool(value & 0xFF)
             return Measurement(value >> 8 if torque else None, torque)
-        if value is None or block is None or register is not block.register:
-            return Measurement(value, None)
-        values = block.values(self._tables[id], value)
-        if values.get("torque_enable") == 0:
+        values = self._blocks[id].values(self._tables[id], value)
+        if not values["torque_enable"]:
             return Measurement(None, False)
-        self._beyond = self._beyond or self._thresholds[id].take(values, now)
-        return Measurement(values["present_position"], True if "torque_enable" in values else None)
+        if id in self._thresholds:
+            self._beyond = self._beyond or self._thresholds[id].take(values, now)
+        return Measurement(values["present_position"], True)
 
     def check_thresholds(self) -> None:
         """Raises ``MotorFaultError`` where a servo has been beyond a threshold of its joint for too long."""
         if self._beyond is not None:
             raise self._beyond
-
-    @property
-    def watched(self) -> bool:
-        """Whether every servo's torque is seen in every cycle."""
-        return all(register.name == _BLOCK for register in self.registers.values())
 
 
 class Thresholds:
@@ -219,10 +213,9 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
     )
 
 
-def _contiguous_block(table: ControlTable) -> _FeedbackBlock:
-    """From current or load to temperature, as they lie: for servos without indirect addresses."""
-    names = (*_health_of(table), "present_position")
-    first = min(table[name].address for name in names)
-    size = max(table[name].end for name in names) - first
-    register = Register("health and position", first, size, signed=True)
+def _plain_block(table: ControlTable) -> _FeedbackBlock:
+    """From torque to temperature, as they lie: the same 83 bytes in all models."""
+    first = table["torque_enable"].address
+    register = Register("torque to temperature", first, table["present_temperature"].end - first)
+    names = (*_PARTS, *_health_of(table))
     return _FeedbackBlock(register, {name: table[name].address - first for name in names})

@@ -86,6 +86,29 @@ def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream,
     assert arm.ages[2] <= 0.011
 
 
+@pytest.mark.parametrize("model", ["XM430-W350", "XL430-W250", "XL330-M288"])
+@pytest.mark.parametrize("loses", ["its torque", "its supply for a moment"])
+def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
+    arm_config, stream, start, model, loses
+):
+    joints = list(arm_config.joints)
+    joints[4] = dataclasses.replace(joints[4], model=model)
+    with open_arm(dataclasses.replace(arm_config, joints=tuple(joints)), "sim", start=start) as arm:
+        arm.enable()
+        servo = arm.virtual_bus.servo(5)
+        servo.memory.set("indirect_address_1", 65)  # its LED, which is off
+        stream(arm, [start] * 100)
+        assert arm.state is ArmState.ENABLED and arm.ages[4] <= 0.011
+        if loses == "its torque":
+            servo.memory.set("torque_enable", 0)
+        else:
+            servo.reboot()
+            arm.clock.sleep_until(arm.clock.now() + 0.01)
+        with pytest.raises(MotorFaultError, match="joint5") as caught:
+            stream(arm, [start])
+        assert caught.value.status == ("torque_lost",)
+
+
 def test_a_slide_that_jumps_is_reported_in_millimetres():
     mode = OperatingMode.EXTENDED_POSITION
     rack = JointMap("rack", 2, "XL330-M288", mode, 1, 0, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.01)
