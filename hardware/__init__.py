@@ -142,6 +142,7 @@ def open_bus(name: str, config: ArmConfig, *, virtual_bus: VirtualBus | None = N
         ConfigError: ``config`` is none, or ``virtual_bus`` for a real port.
     """
     bus = bus_row(name).make(name, config, _servos(config, name, virtual_bus, None))
+    bus.names |= {servo.id: servo.name for servo in config.servos}
     bus.open()
     return bus
 

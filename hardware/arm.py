@@ -108,6 +108,7 @@ class Arm(Closing):
     ) -> None:
         self.on_exit = checked_policy(on_exit or config.on_exit, config)
         self.config, self.bus, self.clock, self.virtual_bus = config, bus, bus.clock, virtual_bus
+        bus.names |= {servo.id: servo.name for servo in config.servos}
         self.joints: tuple[str, ...] = config.names
         self.lower, self.upper, self.resolution = config.lower, config.upper, config.resolution
         self.state = ArmState.DISCONNECTED

@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 
 from robot_ik.errors import ArmStateError, HardwareError, ServoRefusedError
 from robot_ik.files import timestamp, write_atomically
-from robot_ik.hardware.bus import ServoBus, joint_named, require_models
+from robot_ik.hardware.bus import ServoBus, require_models
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import ControlTable, Register, control_table, model_by_number, model_name
 from robot_ik.hardware.joint_map import ServoId
@@ -74,12 +74,11 @@ def read_tables(bus: ServoBus, config: ArmConfig) -> list[SavedServo]:
     """
     require_models(bus, {s.id: (s.name, s.table.number) for s in config.servos}, "the arm file")
     found = []
-    with joint_named(config):
-        for servo in config.servos:
-            firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
-            table = control_table(servo.model, firmware)
-            registers = _read(bus, servo.id, table, [r for r in table if "indirect_data" not in r.name])
-            found.append(SavedServo(servo.name, servo.id, table.model, table.number, firmware, registers))
+    for servo in config.servos:
+        firmware = bus.read(servo.id, servo.table["firmware_version"]).data or 0
+        table = control_table(servo.model, firmware)
+        registers = _read(bus, servo.id, table, [r for r in table if "indirect_data" not in r.name])
+        found.append(SavedServo(servo.name, servo.id, table.model, table.number, firmware, registers))
     return found
 
 

@@ -7,8 +7,7 @@ radians begin one layer up, in ``JointMap``.  All methods are safe to call from 
 from __future__ import annotations
 
 import logging
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -17,7 +16,6 @@ from robot_ik.errors import (
     BusTimeoutError,
     ConfigError,
     ServoMismatchError,
-    ServoRefusedError,
 )
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import Register, model_name
@@ -112,6 +110,7 @@ class ServoBus(Protocol):
     port: str
     counters: Counters
     clock: Clock  # on which an arm on this bus runs
+    names: dict[int, str]  # servo id -> joint, for errors; each arm on this bus adds its own
 
     @property
     def is_open(self) -> bool:
@@ -214,30 +213,6 @@ def shared_register(config: ArmConfig, name: str) -> Register:
     return first
 
 
-@contextmanager
-def joint_named(config: ArmConfig) -> Iterator[None]:
-    """Adds the joint's name to errors of the bus, which knows ids only."""
-    names = {servo.id: servo.name for servo in config.servos}
-    try:
-        yield
-    except BusTimeoutError as error:
-        raise BusTimeoutError(
-            id=error.id,
-            register=error.register,
-            port=error.port,
-            joint=names.get(error.id, ""),
-            last_good=error.last_good,
-        ) from error
-    except ServoRefusedError as error:
-        raise ServoRefusedError(
-            id=error.id,
-            register=error.register,
-            code=error.code,
-            reason=error.reason,
-            joint=names.get(error.id, ""),
-        ) from error
-
-
 def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source: str) -> None:
     """Every servo is there, and is the right model.
 
@@ -292,13 +267,12 @@ def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None 
     """
     register = shared_register(config, name)
     values: dict[int, int] = {}
-    with joint_named(config):
-        for id, status in bus.sync_read(config.servo_ids, register).items():
-            value = status.data
-            if value is None and status.error == NO_ACCESS and absent is not None:
-                value = absent
-            if value is None:
-                value = bus.read(id, register).data
-            assert value is not None  # read() answers or raises
-            values[id] = value
+    for id, status in bus.sync_read(config.servo_ids, register).items():
+        value = status.data
+        if value is None and status.error == NO_ACCESS and absent is not None:
+            value = absent
+        if value is None:
+            value = bus.read(id, register).data
+        assert value is not None  # read() answers or raises
+        values[id] = value
     return values

@@ -147,6 +147,7 @@ class DynamixelBus:
         self.port = port
         self.baud = baud
         self.counters = Counters()
+        self.names: dict[int, str] = {}
         self._packet = Protocol2PacketHandler()
         self.clock = clock or RealClock()
         self._retries = retries
@@ -503,11 +504,12 @@ class DynamixelBus:
                 if packet is not None and packet.code != GARBLED:
                     break
                 self._dirty = True
+        joint = self.names.get(id, "")
         if packet is not None:
             self._last_good[id] = self._now()
             if packet.code:
                 reason = ERROR_REASONS.get(packet.code, "unknown error")
-                raise ServoRefusedError(id=id, register=what, code=packet.code, reason=reason)
+                raise ServoRefusedError(id=id, register=what, code=packet.code, reason=reason, joint=joint)
             return packet
         if self.counters.corrupt > corrupt:
             raise BusCorruptError(
@@ -518,7 +520,7 @@ class DynamixelBus:
         self.counters.timeouts += 1
         since = self._last_good.get(id)
         age = None if since is None else self._now() - since
-        raise BusTimeoutError(id=id, register=what, port=self.port, last_good=age)
+        raise BusTimeoutError(id=id, register=what, port=self.port, joint=joint, last_good=age)
 
     def _receive_status(self, port: SleepingPortHandler, id: int, size: int) -> StatusPacket | None:
         """What servo ``id`` says within the packet's time; None if nothing, or only damaged packets."""

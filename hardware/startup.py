@@ -25,7 +25,7 @@ from robot_ik.errors import (
     ServoRefusedError,
     UnsafeCommandError,
 )
-from robot_ik.hardware.bus import ServoBus, joint_named, read_all, require_models, shared_register
+from robot_ik.hardware.bus import ServoBus, read_all, require_models, shared_register
 from robot_ik.hardware.calibration import check_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
@@ -94,9 +94,8 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     """
     wanted = {servo.id: (servo.name, servo.table.number) for servo in config.servos}
     require_models(bus, wanted, "the arm file")
-    with joint_named(config):
-        for joint in config.servos:
-            _return_all(bus, joint)
+    for joint in config.servos:
+        _return_all(bus, joint)
     errors = read_all(bus, config, "hardware_error_status")
     faulty = [(joint.name, hardware_error_names(errors[joint.id])) for joint in config.servos]
     faulty = [row for row in faulty if row[1]]
@@ -105,9 +104,8 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
         hint = "remove the cause, support the arm, then: robot-ik servo reset-fault"
         raise MotorFaultError(*faulty[0], hint=(f"likewise {others}; " if others else "") + hint)
     _check_voltage(bus, config)
-    with joint_named(config):
-        for joint in config.servos:
-            _clear_watchdog(bus, config, joint)
+    for joint in config.servos:
+        _clear_watchdog(bus, config, joint)
 
 
 def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
@@ -156,7 +154,7 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
     set_currents(bus, config, {})
     for servo in config.servos:
         for name, value in (servo.gains.registers | _profile(servo, config.rate_hz)).items():
-            _write_register(bus, config, servo, name, value)
+            _write_register(bus, servo, name, value)
 
 
 def _check_reverse(servo: JointMap, found: bool) -> None:
@@ -240,24 +238,21 @@ def _set_eeprom(
                 f"{name} of joint {joint.name!r} must change, but its torque is on (left on by a program)",
                 hint="support the arm, switch its torque off, and connect again",
             )
-    with joint_named(config):
-        for joint in wrong:
-            log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
-            bus.write(joint.id, register, wanted[joint.id])
+    for joint in wrong:
+        log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
+        bus.write(joint.id, register, wanted[joint.id])
     present = read_all(bus, config, name, absent=0) if wrong else present
     for joint in wrong:
         if present[joint.id] != wanted[joint.id]:
             raise _not_taken(name, joint)
 
 
-def _write_register(bus: ServoBus, config: ArmConfig, servo: JointMap, name: str, value: int) -> None:
+def _write_register(bus: ServoBus, servo: JointMap, name: str, value: int) -> None:
     """One register of one servo, read back."""
     register = servo.table[name]
-    with joint_named(config):
-        bus.write(servo.id, register, value)
-        if bus.read(servo.id, register).data == value:
-            return
-    raise _not_taken(name, servo)
+    bus.write(servo.id, register, value)
+    if bus.read(servo.id, register).data != value:
+        raise _not_taken(name, servo)
 
 
 def _not_taken(name: str, servo: JointMap) -> HardwareError:
@@ -337,7 +332,7 @@ def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) 
         limit = bus.read(servo.id, servo.table["current_limit"]).data or 0
         given = [mA for mA in (servo.current, wanted.get(servo.name)) if mA is not None]
         counts = min([limit, *(int(mA / servo.table.current_unit) for mA in given)])
-        _write_register(bus, config, servo, "goal_current", counts)
+        _write_register(bus, servo, "goal_current", counts)
 
 
 # ------------------------------------------------------------------------------------------
@@ -385,19 +380,18 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
     """
     rows = []
     for servo in config.servos:
-        ticks, found, silence = _look(bus, config, servo)
+        ticks, found, silence = _look(bus, servo)
         rows.append((servo, ticks, ServoReset(servo.name, servo.id, found or (), found, silence=silence)))
-    with joint_named(config):
-        for servo, _, row in rows:
-            if row.restarted:
-                log.info("rebooting servo %d (%s)", servo.id, servo.name)
-                bus.reboot(servo.id)
-            elif row.before:
-                bus.write(servo.id, servo.table["bus_watchdog"], 0)
+    for servo, _, row in rows:
+        if row.restarted:
+            log.info("rebooting servo %d (%s)", servo.id, servo.name)
+            bus.reboot(servo.id)
+        elif row.before:
+            bus.write(servo.id, servo.table["bus_watchdog"], 0)
     reset = []
     for servo, ticks, row in rows:
         if row.before:
-            here, after, silence = _look(bus, config, servo, restarted=row.restarted)
+            here, after, silence = _look(bus, servo, restarted=row.restarted)
             turned = 0 if after is None else here - ticks
             row = replace(row, after=after, turned=turned, silence=silence)
         reset.append(row)
@@ -405,18 +399,17 @@ def reset_servos(bus: ServoBus, config: ArmConfig) -> list[ServoReset]:
 
 
 def _look(
-    bus: ServoBus, config: ArmConfig, servo: JointMap, *, restarted: bool = False
+    bus: ServoBus, servo: JointMap, *, restarted: bool = False
 ) -> tuple[int, tuple[str, ...] | None, BusTimeoutError | BusCorruptError | None]:
     """Where it stands, ticks, and its troubles; None and the error where it does not answer."""
     try:
-        with joint_named(config):
-            if restarted:
-                bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
-                _until(bus.clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
-            here = bus.read(servo.id, servo.table["present_position"]).data or 0
-            found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
-            if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
-                found += (WATCHDOG,)
+        if restarted:
+            bus.clock.sleep_until(bus.clock.now() + _POLL)  # or it answers before it goes
+            _until(bus.clock, RESTART_TIME, _NO_REPLY, lambda: bus.ping(servo.id))
+        here = bus.read(servo.id, servo.table["present_position"]).data or 0
+        found = hardware_error_names(bus.read(servo.id, servo.table["hardware_error_status"]).data or 0)
+        if WATCHDOG in servo.table and bus.read(servo.id, servo.table[WATCHDOG]).data == TRIPPED:
+            found += (WATCHDOG,)
     except _NO_REPLY as error:
         return 0, None, error
     return here, found, None

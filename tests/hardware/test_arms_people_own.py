@@ -18,7 +18,13 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.cli.main import main
-from robot_ik.errors import ConfigError, HardwareError, MotorFaultError, UnsafeCommandError
+from robot_ik.errors import (
+    BusTimeoutError,
+    ConfigError,
+    HardwareError,
+    MotorFaultError,
+    UnsafeCommandError,
+)
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.calibration import calibrated, check_calibration
@@ -27,6 +33,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.hardware.virtual.servo import VirtualServo
 from robot_ik.jobs.hand_calibration import calibrate_by_hand
 from robot_ik.ports import VirtualClock
@@ -523,6 +530,12 @@ def test_a_fault_of_one_arm_on_a_shared_wire_is_none_of_the_other(
             assert caught.value.joint == "joint2"
             stream(theirs, "shoulder_pan", 0.1)
             assert ours.reset_fault() == ("joint2",)
+            for id in (11, 2):  # an error of the wire names the joint, of either arm
+                servos.inject(Fault("silent", id))
+                with pytest.raises(BusTimeoutError) as silent:
+                    wire.ping(id)
+                assert silent.value.joint == {11: "joint1", 2: "shoulder_lift"}[id]
+                servos.clear("silent")
             ours.enable()
             stream(ours, "joint1", 0.2)
             stream(theirs, "shoulder_pan", 0.0)

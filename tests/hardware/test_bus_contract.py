@@ -76,7 +76,7 @@ def test_a_silent_servo_times_out_and_does_not_hide_the_others(bus, servos, arm_
     assert before == 1
     with pytest.raises(BusTimeoutError) as caught:
         bus.read(3, XM["present_position"])
-    assert caught.value.id == 3 and caught.value.register == "present_position"
+    assert (caught.value.id, caught.value.joint, caught.value.register) == (3, "joint3", "present_position")
     assert caught.value.last_good is not None and caught.value.port == bus.port
     assert bus.counters.timeouts == before + 1
     servos.clear()
@@ -103,7 +103,8 @@ def test_a_refusal_names_register_and_reason_and_is_not_repeated(bus):
     retries = bus.counters.retries
     with pytest.raises(ServoRefusedError) as caught:
         bus.write(1, XM["operating_mode"], 3)
-    assert (caught.value.id, caught.value.code) == (1, 7) and "EEPROM" in str(caught.value)
+    assert (caught.value.id, caught.value.joint, caught.value.code) == (1, "joint1", 7)
+    assert "EEPROM" in str(caught.value)
     assert bus.counters.retries == retries
 
 
