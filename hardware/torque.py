@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from robot_ik.errors import BusDisconnectedError, ConfigError, HardwareError, MotorFaultError, did_you_mean
+from robot_ik.errors import ConfigError, HardwareError, MotorFaultError, did_you_mean
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
@@ -232,39 +232,27 @@ def leave(
 
 
 def force_torque_off(
-    bus: ServoBus, config: ArmConfig, ids: Iterable[int], *, everyone: bool
-) -> dict[int, HardwareError]:
+    bus: ServoBus, config: ArmConfig, servos: Mapping[int, str], *, everyone: bool
+) -> dict[int, str]:
     """Torque off for an arm in any state: nothing is asked of a servo before it is written.
+
+    Never raises on what the bus does: what failed is in the log.
 
     Args:
         bus: Open.
-        config: Whose servos they are; what it says of limits and health does not matter.
-        ids: Of the servos; each is read back.
+        config: Of the arm; what it says of limits and health does not matter.
+        servos: Servo id -> name for the log; each is read back.
         everyone: All servos on the wire at once first, which needs no reply.
 
     Returns:
-        Servo id -> why it did not confirm; empty: all have no torque.
-
-    Raises:
-        BusDisconnectedError: The port is gone.
+        Those that did not confirm it: their torque may still be on.
     """
-    register = config.joints[0].table["torque_enable"]
+    left, reported = dict(servos), set[str]()
     if everyone:
-        bus.write(BROADCAST_ID, register, 0)
-    failed: dict[int, HardwareError] = {}
-    for id in ids:
-        failed[id] = HardwareError(f"servo {id} still reports torque")
-        for _ in range(_ATTEMPTS):
-            try:
-                bus.write(id, register, 0)
-                if bus.read(id, register).data == 0:
-                    del failed[id]
-                    break
-            except BusDisconnectedError:
-                raise
-            except HardwareError as error:
-                failed[id] = error
-    return failed
+        with _tolerant("torque off for everyone", reported):
+            bus.write(BROADCAST_ID, shared_register(config, "torque_enable"), 0)
+    _torque_off(bus, config, left, reported)
+    return left
 
 
 def _torque_off(bus: ServoBus, config: ArmConfig, left: dict[int, str], reported: set[str]) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_ik.hardware.virtual.faults import Fault
 from tests.waiting import wait_for
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="pseudo terminals")
@@ -178,8 +179,17 @@ def test_torque_off_with_one_dead_servo_reaches_the_others(robot_ik: Any, desk: 
     robot_ik("servo", "torque", "on", *desk.at)
     desk.servo(2).silent = True
     run = robot_ik("servo", "torque", "off", *desk.at)
-    assert run.code == 1 and "joint2" in run.err and "ON" in run.err
-    assert desk.torque() == [False, True, False]
+    assert run.code == 1 and "torque off for joint2: no answer from servo id 2" in run.err
+    assert "error: not confirmed by joint2: torque may be ON, cut the power" in run.err
+    assert desk.torque() == [False, True, False] and run.out == "torque off, read back: joint1, joint3\n"
+
+
+def test_torque_off_on_a_port_that_goes_away_is_not_confirmed(robot_ik: Any, desk: Any) -> None:
+    robot_ik("servo", "torque", "on", *desk.at)
+    desk.bus.inject(Fault("port_unplugged", at_packet=1))
+    run = robot_ik("servo", "torque", "off", *desk.at)
+    assert run.code == 1 and "went away" in run.err and run.out == ""
+    assert "error: not confirmed by joint1, joint2, joint3: torque may be ON" in run.err
 
 
 @pytest.mark.parametrize(
