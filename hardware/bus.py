@@ -159,7 +159,8 @@ class ServoBus(Protocol):
 
     def exchange(
         self,
-        writes: Mapping[int, tuple[Register, int]],
+        register: Register,
+        values: Mapping[int, int],
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
@@ -168,8 +169,9 @@ class ServoBus(Protocol):
         Late replies are distinguished from good ones: at times some bytes behind each register are read.
 
         Args:
-            writes: Servo id -> register and value, each its own; may be empty.
-            reads: Servo id -> register.
+            register: Written, the same of every servo.
+            values: Servo id -> its value; may be empty.
+            reads: Servo id -> register, each its own.
             within: s after which no servo is asked again.
 
         Returns:

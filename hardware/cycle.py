@@ -22,7 +22,6 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     TICKS_PER_REVOLUTION,
     OperatingMode,
-    Register,
     hardware_error_names,
 )
 from robot_ik.hardware.feedback import Feedback
@@ -292,7 +291,7 @@ class Cycle:
                 servo.id: servo.goal(angle) for servo, angle in zip(self._config.servos, angles, strict=True)
             }
             self.reports.count(report)
-        self._measure(start, {s.id: (self._goal, self.goals[s.id]) for s in self._written})
+        self._measure(start, {s.id: self.goals[s.id] for s in self._written})
 
     def measure(self) -> None:
         """Positions of all, without new goals.
@@ -307,9 +306,12 @@ class Cycle:
         self.stay_alive()
         self._measure(start, {})
 
-    def _measure(self, start: float, goals: Mapping[int, tuple[Register, int]]) -> None:
-        """``goals`` to the servos, then their measurements; ``start``: since when no packet was sent."""
-        statuses = self._bus.exchange(goals, self.feedback.asked(), within=self.period)
+    def _measure(self, start: float, goals: Mapping[int, int]) -> None:
+        """``goals`` (servo id -> ticks) to the servos, then their measurements.
+
+        ``start``: since when no packet was sent.
+        """
+        statuses = self._bus.exchange(self._goal, goals, self.feedback.asked(), within=self.period)
         self._last_traffic = start
         now = self._clock.now()
         measured = {id: self.feedback.measurement(status, now) for id, status in statuses.items()}

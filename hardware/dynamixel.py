@@ -310,7 +310,7 @@ class DynamixelBus:
     # ------------------------------------------------------------------------- many servos at once
 
     def sync_write(self, register: Register, values: Mapping[int, int]) -> None:
-        request = write_request({id: (register, value) for id, value in values.items()}) if values else b""
+        request = write_request(register, values) if values else b""
         # It has no reply, so a reply still outstanding keeps belonging to the request before.
         with self._transaction(None) as port:
             if request:
@@ -321,11 +321,13 @@ class DynamixelBus:
 
     def exchange(
         self,
-        writes: Mapping[int, tuple[Register, int]],
+        register: Register,
+        values: Mapping[int, int],
         reads: Mapping[int, Register],
         within: float | None = None,
     ) -> dict[int, BusStatus]:
-        return self._read_many(reads, writes, within, guarded=True)
+        before = write_request(register, values) if values else b""
+        return self._read_many(reads, before, within, guarded=True)
 
     def use_fast_reads(self, ids: Collection[int]) -> None:
         self._fast_ids = frozenset(ids)
@@ -333,17 +335,16 @@ class DynamixelBus:
     def _read_many(
         self,
         registers: Mapping[int, Register],
-        writes: Mapping[int, tuple[Register, int]] | None = None,
+        before: bytes = b"",
         within: float | None = None,
         *,
         guarded: bool = False,
     ) -> dict[int, BusStatus]:
         """``exchange``; the first request always gets its full time.
 
-        ``guarded``: late replies are recognised by their length; ``PHASES`` - 1 bytes behind each register
-        must be readable as well.
+        ``before``: leaves with it, in one write.  ``guarded``: late replies are recognised by their length;
+        ``PHASES`` - 1 bytes behind each register must be readable as well.
         """
-        before = write_request(writes) if writes else b""
         found: dict[int, BusStatus] = {}
         # A servo waits for the replies of those named before it: silent ones go last and hide no other.
         missing = sorted(registers, key=self._silent.__contains__) if self._silent else list(registers)

@@ -20,7 +20,7 @@ from robot_ik.hardware.control_table import Register
 HEADER = b"\xff\xff\xfd\x00"
 STATUS = 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
-BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+BULK_READ, FAST_BULK_READ = 0x92, 0x9A
 
 SHORTEST_STATUS = 11
 """Bytes of a status packet without data: header 4, id 1, length 2, instruction 1, error 1, CRC 2."""
@@ -82,18 +82,14 @@ def _where(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
 
-def write_request(values: Mapping[int, tuple[Register, int]]) -> bytes:
-    """Sync write if all registers have the same address, else bulk write.
+def write_request(register: Register, values: Mapping[int, int]) -> bytes:
+    """Sync write of one register, servo id -> value.
 
     Raises:
-        ValueError: A value does not fit its register.
+        ValueError: A value does not fit the register.
     """
-    registers = [register for register, _ in values.values()]
-    if _same_address(registers):
-        body = [bytes((id,)) + register.encode(value) for id, (register, value) in values.items()]
-        return build(BROADCAST_ID, SYNC_WRITE, _where(registers[0]) + b"".join(body))
-    body = [bytes((id,)) + _where(r) + r.encode(value) for id, (r, value) in values.items()]
-    return build(BROADCAST_ID, BULK_WRITE, b"".join(body))
+    body = [bytes((id,)) + register.encode(value) for id, value in values.items()]
+    return build(BROADCAST_ID, SYNC_WRITE, _where(register) + b"".join(body))
 
 
 def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:

@@ -39,7 +39,7 @@ CALLS: dict[str, Callable[[ServoBus], object]] = {
     "reboot": lambda bus: bus.reboot(2),
     "sync_write": lambda bus: bus.sync_write(GOAL, {1: 2048}),
     "sync_read": lambda bus: bus.sync_read([1, 3], POSITION),
-    "exchange": lambda bus: bus.exchange({1: (GOAL, 2048)}, {1: POSITION}),
+    "exchange": lambda bus: bus.exchange(GOAL, {1: 2048}, {1: POSITION}),
     "broadcast_ping": lambda bus: bus.broadcast_ping(),
 }
 
@@ -102,13 +102,6 @@ def _goals(packet: Packet) -> list[tuple[int, int]]:
         return [(packet.id, goal(2))]
     if packet.instruction == Instruction.SYNC_WRITE and word(0) == GOAL.address:
         return [(params[at], goal(at + 1)) for at in range(4, len(params), 5)]
-    if packet.instruction == Instruction.BULK_WRITE:
-        found, at = [], 0
-        while at < len(params):
-            if word(at + 1) == GOAL.address:
-                found.append((params[at], goal(at + 5)))
-            at += 5 + word(at + 3)
-        return found
     return []
 
 

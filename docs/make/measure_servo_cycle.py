@@ -150,7 +150,7 @@ def our_cycle(
     right = 2048 if register is PRESENT else 2048 << 8 | 1
 
     def cycle(goal: int) -> None:
-        statuses = bus.exchange({id: (GOAL, goal) for id in IDS}, reads)
+        statuses = bus.exchange(GOAL, dict.fromkeys(IDS, goal), reads)
         assert all(status.data in (right, None) for status in statuses.values())
 
     return cycle, bus.close
@@ -204,7 +204,7 @@ def measure_wire(baud: int, rounds: int) -> float:
 def wire_us(baud: int, register: Register, *, fast: bool) -> float:
     """Time of a cycle's bytes on the wire, µs: nothing can be quicker."""
     asked = dict.fromkeys(IDS, register)
-    sent = len(write_request({id: (GOAL, 0) for id in IDS})) + len(read_request(asked, fast=fast))
+    sent = len(write_request(GOAL, dict.fromkeys(IDS, 0))) + len(read_request(asked, fast=fast))
     back = 8 + 6 * (4 + register.size) if fast else 6 * (11 + register.size)
     return 1e6 * BITS_PER_BYTE * (sent + back) / baud
 

@@ -204,8 +204,8 @@ def _rows(statuses: Mapping[int, Any]) -> list[tuple[int, int, int]]:
 
 def _exchange(bus: DynamixelBus, fast: tuple[int, ...]) -> list[tuple[int, int, int]]:
     bus.use_fast_reads(fast)
-    goals = dict.fromkeys((1, 2, 3), (GOAL, 7))
-    return _rows(bus.exchange(goals, dict.fromkeys((1, 2, 3), PRESENT), 0.01))
+    goals = dict.fromkeys((1, 2, 3), 7)
+    return _rows(bus.exchange(GOAL, goals, dict.fromkeys((1, 2, 3), PRESENT), 0.01))
 
 
 QUESTIONS: tuple[Callable[[DynamixelBus], list[tuple[int, int, int]]], ...] = (

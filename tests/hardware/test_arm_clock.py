@@ -23,11 +23,11 @@ class Goals:
         self.rows: list[tuple[float, np.ndarray]] = []
         exchange, servos = arm.bus.exchange, arm.config.servos
 
-        def recorded(writes, reads, within=None):
-            if writes:
-                q = [servo.to_radians(writes[servo.id][1]) for servo in servos]
+        def recorded(register, values, reads, within=None):
+            if values:
+                q = [servo.to_radians(values[servo.id]) for servo in servos]
                 self.rows.append((arm.clock.now(), np.array(q)))
-            return exchange(writes, reads, within)
+            return exchange(register, values, reads, within)
 
         arm.bus.exchange = recorded
 

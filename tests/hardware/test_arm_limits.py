@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 
 import numpy as np
 import pytest
@@ -11,8 +12,11 @@ from hypothesis import strategies as st
 
 from robot_ik.errors import UnsafeCommandError
 from robot_ik.hardware import open_arm
+from robot_ik.hardware.bus import BROADCAST_ID
 from robot_ik.hardware.control_table import CONTROL_TABLES
+from robot_ik.hardware.packets import build
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.protocol import Instruction
 from robot_ik.ports import VirtualClock
 
 GOAL = CONTROL_TABLES["XM430-W350"]["goal_position"]
@@ -46,8 +50,10 @@ def test_the_recorder_sees_a_goal_beyond_the_limits_however_it_is_written(arm, g
     assert goal_recorder.goals == 2 and not goal_recorder.forbidden
     arm.bus.sync_write(GOAL, {1: last + 10})
     arm.bus.write(1, GOAL, first - 10)
-    arm.bus.exchange({1: (GOAL, last + 10), 2: (CONTROL_TABLES["XM430-W350"]["led"], 1)}, {1: GOAL})
-    assert len(goal_recorder.forbidden) == 3
+    arm.bus.exchange(GOAL, {1: last + 10}, {1: GOAL})
+    bulk = [bytes((1,)) + struct.pack("<HHi", GOAL.address, 4, last + 10), bytes((2, 65, 0, 1, 0, 1))]
+    arm.virtual_bus.handle(build(BROADCAST_ID, Instruction.BULK_WRITE, b"".join(bulk)))
+    assert len(goal_recorder.forbidden) == 4
     assert "joint1" in goal_recorder.forbidden[0]
     goal_recorder.forbidden.clear()
 

@@ -34,9 +34,9 @@ def test_a_stall_inside_a_cycle_is_noticed_as_well(arm, stream, smooth, register
     stream(arm, [start] * 3)
     original = arm.bus.exchange
 
-    def stalled(writes, reads, within=None):
+    def stalled(register, values, reads, within=None):
         arm.clock.sleep_until(arm.clock.now() + 0.3)
-        return original(writes, reads, within)
+        return original(register, values, reads, within)
 
     arm.bus.exchange = stalled
     stream(arm, [start])

@@ -42,26 +42,28 @@ def test_each_servo_is_asked_for_its_own_register(any_bus, mixed, fast):
     any_bus.use_fast_reads([1, 2, 3] if fast else [])
     places = {1: XM["indirect_data_1"], 2: XL["indirect_data_1"], 3: XM["present_position"]}
     assert places[1].address != places[2].address
-    writes = {1: (places[1], 11), 2: (places[2], 22), 3: (GOAL, 5)}
-    assert {id: s.data for id, s in any_bus.exchange(writes, places).items()} == {1: 11, 2: 22, 3: 300}
+    any_bus.write(1, places[1], 11)
+    any_bus.write(2, places[2], 22)
+    replies = any_bus.exchange(GOAL, {3: 5}, places)
+    assert {id: s.data for id, s in replies.items()} == {1: 11, 2: 22, 3: 300}
     assert mixed.servo(3).memory.values["goal_position"] == 5
     # the request alone tells a fast from a plain read: one status packet comes back instead of three
     before = any_bus.counters.bytes_received
-    any_bus.exchange({}, places)
+    any_bus.exchange(GOAL, {}, places)
     plain, together = 3 * 11 + 1 + 1 + 4, 8 + 3 * 4 + 1 + 1 + 4
     assert any_bus.counters.bytes_received - before == (together if fast else plain)
 
 
 def test_an_exchange_writes_before_it_reads_in_one_piece(any_bus, mixed):
-    any_bus.exchange({id: (GOAL, 7 * id) for id in (1, 2, 3)}, {1: PRESENT})
-    reads = any_bus.exchange({2: (GOAL, 99)}, dict.fromkeys((1, 2, 3), GOAL))
+    any_bus.exchange(GOAL, {id: 7 * id for id in (1, 2, 3)}, {1: PRESENT})
+    reads = any_bus.exchange(GOAL, {2: 99}, dict.fromkeys((1, 2, 3), GOAL))
     assert [reads[id].data for id in (1, 2, 3)] == [7, 99, 21]
 
 
 def test_a_value_that_does_not_fit_stops_the_whole_exchange(any_bus):
     sent = any_bus.counters.bytes_sent
     with pytest.raises(ValueError, match="fit"):
-        any_bus.exchange({1: (GOAL, 0), 2: (GOAL, 2**40)}, {1: PRESENT})
+        any_bus.exchange(GOAL, {1: 0, 2: 2**40}, {1: PRESENT})
     assert any_bus.counters.bytes_sent == sent
 
 
@@ -167,7 +169,7 @@ def test_a_late_answer_is_never_taken_for_that_of_a_later_cycle(sim, fast):
         for servo in sim.virtual_bus.servos:
             servo.rotate_by_hand(1)
         right = [value + k + 1 for value in RIGHT]
-        seen = values(sim.exchange({}, dict.fromkeys(IDS, PRESENT)))
+        seen = values(sim.exchange(GOAL, {}, dict.fromkeys(IDS, PRESENT)))
         assert all(v in (None, r) for v, r in zip(seen, right, strict=True)), (k, seen)
         taken += sum(v is not None for v in seen)
     assert taken > 0.95 * 1800 and sim.counters.late > (0 if fast else 20)
@@ -185,7 +187,7 @@ def test_a_late_answer_of_another_length_is_known_as_well(sim, fast):
         for servo in sim.virtual_bus.servos:
             servo.rotate_by_hand(1)
         turn = IDS[k % len(IDS)]
-        seen = sim.exchange({}, {**dict.fromkeys(IDS, PRESENT), turn: long})
+        seen = sim.exchange(GOAL, {}, {**dict.fromkeys(IDS, PRESENT), turn: long})
         for id, value in zip(IDS, RIGHT, strict=True):
             data = seen[id].data
             if data is not None and id == turn:  # the position lies six bytes in
@@ -212,12 +214,12 @@ def test_repetitions_stay_within_the_time_of_a_cycle(served, arm_config):
     port, bus = served
     reads = dict.fromkeys(arm_config.ids, PRESENT)
     for _ in range(50):
-        bus.exchange({}, reads)  # learns how quick these servos are
+        bus.exchange(GOAL, {}, reads)  # learns how quick these servos are
     begin = time.monotonic()
     slow = 0
     for k in range(20):
         port.bus.servo(3).silent = k % 2 == 0
-        missing = [id for id, s in bus.exchange({}, reads, within=0.0).items() if s.data is None]
+        missing = [id for id, s in bus.exchange(GOAL, {}, reads, within=0.0).items() if s.data is None]
         slow += missing not in ([], [3])
     assert bus.counters.retries <= slow + 1  # no time for any
     # Without what was learned each of the ten misses would cost 34 ms; generous, for busy machines.
@@ -226,8 +228,8 @@ def test_repetitions_stay_within_the_time_of_a_cycle(served, arm_config):
 
 def test_a_single_question_after_a_miss_waits_for_what_may_still_come(served, arm_config):
     port, bus = served
-    bus.exchange({}, dict.fromkeys(arm_config.ids, PRESENT))
+    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.ids, PRESENT))
     port.bus.servo(3).silent = True
-    bus.exchange({}, dict.fromkeys(arm_config.ids, PRESENT))
+    bus.exchange(GOAL, {}, dict.fromkeys(arm_config.ids, PRESENT))
     port.bus.servo(3).silent = False
     assert bus.read(3, XM["model_number"]).data == arm_config.joints[2].table.number

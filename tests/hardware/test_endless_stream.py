@@ -103,7 +103,7 @@ CALLS: dict[str, tuple[Callable[[DynamixelBus], object], float]] = {
     "sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
     "fast sync_read": (lambda bus: bus.sync_read(IDS, POSITION), GROUP),
     "exchange": (
-        lambda bus: bus.exchange({1: (GOAL, 5)}, dict.fromkeys(IDS, POSITION), 0.01),
+        lambda bus: bus.exchange(GOAL, {1: 5}, dict.fromkeys(IDS, POSITION), 0.01),
         LONGEST_DRAIN + RESPONSE_TIME + 0.002,
     ),
     "broadcast_ping": (lambda bus: bus.broadcast_ping(), LONGEST_DRAIN + listening_time(1_000_000)),

@@ -149,12 +149,9 @@ def test_the_driver_works_on_a_port_that_is_no_file(bus: VirtualBus, monkeypatch
     present = bus.servo(1).table["present_position"]
     assert driver.read(3, present).data == 300
     driver.use_fast_reads((1, 2, 3))
-    goals = {id: (bus.servo(1).table["goal_position"], 5) for id in (1, 2, 3)}
-    assert [s.data for s in driver.exchange(goals, dict.fromkeys((1, 2, 3), present)).values()] == [
-        100,
-        200,
-        300,
-    ]
+    goal, goals = bus.servo(1).table["goal_position"], dict.fromkeys((1, 2, 3), 5)
+    replies = driver.exchange(goal, goals, dict.fromkeys((1, 2, 3), present))
+    assert [s.data for s in replies.values()] == [100, 200, 300]
     driver.close()
     assert made[0].options == {}
 

@@ -188,10 +188,10 @@ def test_a_stop_during_a_parking_ends_it_and_the_arm_holds(arm_config, start, st
         stream(arm, smooth(start, start + 0.4, 1.0))
         exchange = arm.bus.exchange
 
-        def asked(writes, reads, within=None):
+        def asked(register, values, reads, within=None):
             if arm.state is ArmState.MOVING:
                 arm.request_stop()
-            return exchange(writes, reads, within)
+            return exchange(register, values, reads, within)
 
         arm.bus.exchange = asked
     assert arm.exit_report.done == "hold" and arm.exit_report.ok and not arm.exit_report.parked

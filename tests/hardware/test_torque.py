@@ -42,9 +42,9 @@ class SpiedBus(SimBus):
         self.written |= set(values)
         super().sync_write(register, values)
 
-    def exchange(self, writes, reads, within=None):
-        self.written |= set(writes)
-        return super().exchange(writes, reads, within)
+    def exchange(self, register, values, reads, within=None):
+        self.written |= set(values)
+        return super().exchange(register, values, reads, within)
 
 
 # ------------------------------------------------------------------------------- (a) it tells the truth
@@ -166,11 +166,11 @@ def parked_with_signals(arm_config, start, stream, smooth, signals: int) -> Arm:
         stream(arm, smooth(start, start + 0.4, 1.0))
         exchange, left = arm.bus.exchange, [signals]
 
-        def interrupted(writes, reads, within=None):
+        def interrupted(register, values, reads, within=None):
             if arm.state is ArmState.MOVING and left[0]:
                 left[0] -= 1
                 signal.raise_signal(signal.SIGINT)
-            return exchange(writes, reads, within)
+            return exchange(register, values, reads, within)
 
         arm.bus.exchange = interrupted
     assert left == [0]
