@@ -230,14 +230,13 @@ def measured_calibration(
     Args:
         bus: Open.
         config: The arm.
-        sweep: Ranges, and where the servos stand now.
+        sweep: Ranges.
         zero: Servo id -> ticks at ``pose``; ``pose``: joint -> rad (m of a slide).
         pose: See there.
         directions: Servo id -> +1 or -1.
         limits: Joint -> limits of the model, rad (m).
     """
-    names = ("firmware_version", "drive_mode", "homing_offset")
-    firmware, drive_mode, homing = (read_all(bus, config, name) for name in names)
+    drive_mode, homing = (read_all(bus, config, name) for name in ("drive_mode", "homing_offset"))
     check_shadows(config, directions, zero)
     rows = []
     for servo in config.servos:
@@ -251,7 +250,6 @@ def measured_calibration(
                 servo.name,
                 servo.id,
                 servo.model,
-                firmware[servo.id],
                 drive_mode[servo.id],
                 homing[servo.id],
                 sweep.low[servo.id],
@@ -260,11 +258,10 @@ def measured_calibration(
                 zero_ticks,
                 round(lower, 6),
                 round(upper, 6),
-                sweep.now[servo.id],
             )
         )
     n = len(config.joints)
-    return Calibration(config.name, config.robot, timestamp(), config.baud, tuple(rows[:n]), tuple(rows[n:]))
+    return Calibration(config.name, config.robot, timestamp(), tuple(rows[:n]), tuple(rows[n:]))
 
 
 def check_calibration(

@@ -9,16 +9,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, RootModel, model_validator
 
 from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import IDS, MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
+from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign
 from robot_ik.hardware.x_series import REVERSE
-from robot_ik.reading import WrongKey, read_json, shown
-from robot_ik.tables import SchemaVersion, Several, Table, keys_of, read_table
+from robot_ik.reading import WrongKey, read_json
+from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of, read_table
 
 SCHEMA = 1  # raised when a key changes its meaning
 
@@ -35,17 +35,15 @@ class JointCalibration:
     """One joint and a servo of it, as measured.
 
     Attributes:
-        name, id, model, firmware: Which; ``drive_mode``, ``homing_offset``: registers 10 and 20.
+        name, id, model: Which; ``drive_mode``, ``homing_offset``: registers 10 and 20.
         range_min, range_max: Present Position at the ends of the sweep, ticks.
         direction: +1 or -1; ``zero_ticks``: Present Position at q = 0.
         urdf_lower, urdf_upper: Limits of the model then, deg (mm of a slide).
-        present_at_save: Present Position at the end, ticks.
     """
 
     name: str
     id: ServoId
     model: str
-    firmware: _Byte
     drive_mode: _Byte
     homing_offset: _Ticks
     range_min: _Ticks
@@ -54,7 +52,6 @@ class JointCalibration:
     zero_ticks: _Ticks
     urdf_lower: float
     urdf_upper: float
-    present_at_save: _Ticks
 
 
 @dataclass(frozen=True)
@@ -62,7 +59,7 @@ class Calibration:
     """A calibrated arm.
 
     Attributes:
-        arm: Name in the arm file; ``robot``: model; ``created``: ISO 8601; ``baud``: bits/s.
+        arm: Name in the arm file; ``robot``: model; ``created``: ISO 8601.
         joints: In the order of the arm file.
         twins: The second servos, of joints that two of them turn.
         file: Where it was read from, for messages.
@@ -71,7 +68,6 @@ class Calibration:
     arm: str
     robot: str
     created: str
-    baud: int
     joints: tuple[JointCalibration, ...]
     twins: tuple[JointCalibration, ...] = ()
     file: Path | None = None
@@ -89,7 +85,6 @@ class Calibration:
         """
         lines = [f"schema = {SCHEMA}"]
         lines += [f"{k} = {json.dumps(getattr(self, k))}" for k in ("arm", "robot", "created")]
-        lines += ["", "[bus]", f"baud = {self.baud}"]
         for table, rows in (("joints", self.joints), ("twins", self.twins)):
             for row in rows:
                 lines += ["", f"[[{table}]]", *(f"{k} = {json.dumps(v)}" for k, v in asdict(row).items())]
@@ -103,7 +98,7 @@ class Calibration:
             ConfigError: It cannot be read, or a key is unknown, missing or out of range.
         """
         found = read_table(_CalibrationFile, path, "the calibration")
-        return cls(found.arm, found.robot, found.created, found.bus.baud, found.joints, found.twins, path)
+        return cls(found.arm, found.robot, found.created, found.joints, found.twins, path)
 
 
 def calibration_beside(arm_file: Path) -> Path:
@@ -111,11 +106,14 @@ def calibration_beside(arm_file: Path) -> Path:
     return arm_file.with_name(arm_file.stem + SUFFIX)
 
 
-_Row = Annotated[JointCalibration, keys_of(JointCalibration)]
+_NOT_READ = ("firmware", "present_at_save")  # keys of joints in older files
 
 
-class _BusTable(Table):
-    baud: int
+def _keys_read(row: Any) -> Any:
+    return {key: row[key] for key in row if key not in _NOT_READ} if isinstance(row, dict) else row
+
+
+_Row = Annotated[JointCalibration, keys_of(JointCalibration), BeforeValidator(_keys_read)]
 
 
 class _CalibrationFile(Table):
@@ -123,7 +121,7 @@ class _CalibrationFile(Table):
     arm: str
     robot: str
     created: str
-    bus: _BusTable
+    bus: Any = None  # of older files, not read
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
 
@@ -142,7 +140,27 @@ class _CalibrationFile(Table):
 # in them; its zero degrees are the middle of the range.  (huggingface/lerobot, ``motors/motors_bus.py``:
 # ``MotorCalibration``, and ``_normalize`` for degrees.)
 
-KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+class _LeRobotRow(Table):
+    """Other keys are LeRobot's affair."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    id: ServoId
+    drive_mode: _Byte
+    homing_offset: _Ticks
+    range_min: _Ticks
+    range_max: _Ticks
+
+    @model_validator(mode="after")
+    def _some_range(self) -> _LeRobotRow:
+        if self.range_min >= self.range_max:
+            raise WrongKey("the range is empty", "range_min", f"< {self.range_max}")
+        return self
+
+
+class _LeRobotFile(RootModel[dict[str, _LeRobotRow]]):
+    """Joint -> its row."""
 
 
 def save_lerobot(path: Path, calibration: Calibration) -> None:
@@ -162,7 +180,8 @@ def save_lerobot(path: Path, calibration: Calibration) -> None:
                 key=joint.name,
                 allowed=f"0 to {TICKS_PER_REVOLUTION - 1} (LeRobot writes it into the position limits)",
             )
-    content = {joint.name: {key: getattr(joint, key) for key in KEYS} for joint in calibration.joints}
+    keys = _LeRobotRow.model_fields
+    content = {joint.name: {key: getattr(joint, key) for key in keys} for joint in calibration.joints}
     write_atomically(path, json.dumps(content, indent=4) + "\n")
 
 
@@ -179,8 +198,6 @@ def _require_no_twins(names: Sequence[str], file: Path) -> None:
 def load_lerobot(
     path: Path,
     config: ArmConfig,
-    firmware: Mapping[int, int],
-    present: Mapping[int, int],
     limits: Mapping[str, tuple[float, float]],
 ) -> Calibration:
     """A calibration out of LeRobot's file, for the joints of an arm file.
@@ -191,21 +208,24 @@ def load_lerobot(
     Args:
         path: The file.
         config: The arm.
-        firmware: Servo id -> version.
-        present: Servo id -> Present Position, ticks.
         limits: Joint -> limits of the model, rad (m of a slide).
 
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
     """
     _require_no_twins([joint.name for joint in config.joints if joint.twin is not None], path)
-    rows = _rows(path)
-    by_id = {row["id"]: row for row in rows.values()}
+    content = read_json(path, "LeRobot's calibration")
+    if not isinstance(content, dict) or not content:
+        raise ConfigError(
+            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
+        )
+    rows = check_table(_LeRobotFile, content, path).root
+    by_id = {row.id: row for row in rows.values()}
     joints = []
     for joint in config.joints:
         row = rows.get(joint.name) or by_id.get(joint.id)
         if row is None:
-            allowed = ", ".join(f"{name} (id {row['id']})" for name, row in rows.items())
+            allowed = ", ".join(f"{name} (id {row.id})" for name, row in rows.items())
             raise ConfigError(f"no joint {joint.name!r} (id {joint.id}) in it", file=path, allowed=allowed)
         _require_usable(joint, row, path)
         lower, upper = (q / joint.per_unit for q in limits[joint.name])
@@ -213,62 +233,35 @@ def load_lerobot(
             JointCalibration(
                 name=joint.name,
                 model=joint.model,
-                firmware=firmware[joint.id],
                 direction=joint.direction,
-                zero_ticks=(row["range_min"] + row["range_max"]) // 2,
+                zero_ticks=(row.range_min + row.range_max) // 2,
                 urdf_lower=lower,
                 urdf_upper=upper,
-                present_at_save=present[joint.id],
-                **row,
+                **dict(row),
             )
         )
-    return Calibration(config.name, config.robot, timestamp(), config.baud, tuple(joints), file=path)
+    return Calibration(config.name, config.robot, timestamp(), tuple(joints), file=path)
 
 
-def _require_usable(joint: JointMap, row: dict[str, int], path: Path) -> None:
+def _require_usable(joint: JointMap, row: _LeRobotRow, path: Path) -> None:
     """Offset and direction of counting that the servo of the arm file has as well."""
-    if joint.mode == OperatingMode.POSITION and abs(row["homing_offset"]) > POSITION_MODE_HOMING:
+    if joint.mode == OperatingMode.POSITION and abs(row.homing_offset) > POSITION_MODE_HOMING:
         raise ConfigError(
             f"servos in position mode, as {joint.name!r} in the arm file, ignore a Homing Offset of "
-            f"{row['homing_offset']} ticks",
+            f"{row.homing_offset} ticks",
             file=path,
             key=f"{joint.name}.homing_offset",
             allowed=HOMING_FIXES,
         )
-    if bool(row["drive_mode"] & REVERSE) != bool(joint.reverse):
+    if bool(row.drive_mode & REVERSE) != bool(joint.reverse):
         said = "not reversed" if joint.reverse else "reversed"
         raise ConfigError(
-            f"the servo of {joint.name!r} is {said} in it (drive_mode {row['drive_mode']}), and the arm file "
+            f"the servo of {joint.name!r} is {said} in it (drive_mode {row.drive_mode}), and the arm file "
             f"says reverse = {str(bool(joint.reverse)).lower()}",
             file=path,
             key=f"{joint.name}.drive_mode",
             allowed=f"reverse = {str(not joint.reverse).lower()} in the arm file",
         )
-
-
-def _rows(path: Path) -> dict[str, dict[str, int]]:
-    content = read_json(path, "LeRobot's calibration")
-    if not isinstance(content, dict) or not content:
-        raise ConfigError(
-            "this is no calibration of LeRobot", file=path, allowed='{"joint": {"id": 1, …}, …}'
-        )
-    return {str(name): _row(name, row, path) for name, row in content.items()}
-
-
-def _row(name: str, row: Any, path: Path) -> dict[str, int]:
-    limits = {"id": (IDS[0], IDS[-1]), "drive_mode": (0, 255)}
-    found = {}
-    for key in KEYS:
-        value = row.get(key) if isinstance(row, dict) else None
-        low, high = limits.get(key, (-MULTI_TURN_TICKS, MULTI_TURN_TICKS))
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise ConfigError(
-                f"{shown(value)} is not right", file=path, key=f"{name}.{key}", allowed=f"{low}..{high}"
-            )
-        found[key] = value
-    if found["range_min"] >= found["range_max"]:
-        raise ConfigError("the range is empty", file=path, key=name, allowed="range_min < range_max")
-    return found
 
 
 # ------------------------------------------------------------------------------------------

@@ -96,7 +96,7 @@ Wxyz = Annotated[
     Field(strict=False, description="4 numbers, w x y z"),
     AfterValidator(_not_zero),
 ]
-Made = TypeVar("Made", bound=Table)
+Made = TypeVar("Made", bound=BaseModel)
 
 
 def check_table(model: type[Made], data: Any, file: Path | str) -> Made:

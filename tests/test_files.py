@@ -88,16 +88,15 @@ URDF = """<robot name="r"><link name="base"/><link name="arm"><inertial><mass va
 # ------------------------------------------------------------------------------- what is read
 
 
-# What LeRobot's file leaves to servos and model.
-NOTHING_SAID = (defaultdict(int), defaultdict(int), defaultdict(lambda: (0.0, 0.0)))
+# What LeRobot's file leaves to the model.
+NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 
 def _calibration() -> Calibration:
     rows = tuple(
-        JointCalibration(j.name, j.id, j.model, 46, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0, 2000)
-        for j in ARM.joints
+        JointCalibration(j.name, j.id, j.model, 0, 0, 100, 3000, 1, 2048, -90.0, 90.0) for j in ARM.joints
     )
-    return Calibration(ARM.name, ARM.robot, today(), ARM.baud, rows)
+    return Calibration(ARM.name, ARM.robot, today(), rows)
 
 
 def _samples() -> SampleSet:
@@ -178,7 +177,7 @@ ROWS = {
     "arm file": Row(ArmConfig.load, "arm.toml", lambda _: ARM.to_toml()),
     "calibration": Row(Calibration.load, "c.toml", _saved(_calibration().save)),
     "LeRobot's": Row(
-        lambda p: load_lerobot(p, ARM, *NOTHING_SAID),
+        lambda p: load_lerobot(p, ARM, NO_LIMITS),
         "l.json",
         _saved(lambda p: save_lerobot(p, _calibration())),
     ),

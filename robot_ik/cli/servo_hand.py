@@ -182,12 +182,13 @@ def _check_seconds(seconds: float | None) -> None:
 def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
-    from robot_ik.jobs.hand_calibration import calibrate_by_hand, calibration_from_lerobot, require_limp
+    from robot_ik.hardware.calibration_file import load_lerobot
+    from robot_ik.jobs.hand_calibration import calibrate_by_hand, require_limp
 
     limits = model_limits(config)
     arm = arm_on(options, config)
     if options.from_lerobot is not None:
-        measure = partial(calibration_from_lerobot, arm, options.from_lerobot, limits)
+        measure = partial(load_lerobot, options.from_lerobot, arm.config, limits)
     else:  # the prompts may refuse: before the arm is connected
         measure = partial(calibrate_by_hand, arm, Prompts(arm.clock, options.seconds), pose, limits)
     with arm:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Protocol, TypeVar
 
 from robot_ik.errors import ArmStateError
@@ -19,7 +18,7 @@ from robot_ik.hardware.calibration import (
     counting_directions,
     measured_calibration,
 )
-from robot_ik.hardware.calibration_file import Calibration, load_lerobot
+from robot_ik.hardware.calibration_file import Calibration
 from robot_ik.hardware.joint_map import JointMap, Sign
 
 STILL_SAMPLES = 10
@@ -119,16 +118,3 @@ def _held(arm: Arm, sweep: Sweep, sample: Callable[[], None]) -> dict[int, int]:
                     f"joint {servo.name!r} moved while its zero was taken", hint="hold it still"
                 )
     return zero
-
-
-def calibration_from_lerobot(arm: Arm, path: Path, limits: Limits) -> Calibration:
-    """LeRobot's calibration instead of a hand's; what its file does not say comes from servos and ``limits``.
-
-    Raises:
-        ConfigError: Unreadable, or not of this arm.
-        HardwareError: A servo did not answer.
-    """
-    firmware, present = (
-        read_all(arm.bus, arm.config, name) for name in ("firmware_version", "present_position")
-    )
-    return load_lerobot(path, arm.config, firmware, present, limits)

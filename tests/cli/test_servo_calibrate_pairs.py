@@ -181,7 +181,7 @@ def test_lerobot_has_one_servo_for_each_joint(tmp_path: Path) -> None:
     true, _, found, _ = measured(OWN)
     for save in (
         lambda: save_lerobot(tmp_path / "a.json", found),
-        lambda: load_lerobot(tmp_path / "a.json", true, {}, {}, {}),
+        lambda: load_lerobot(tmp_path / "a.json", true, {}),
     ):
         with pytest.raises(ConfigError, match="two servos turn lift"):
             save()

@@ -76,13 +76,24 @@ def test_a_lost_turn_is_refused(robot_ik: Any, mine: Path, desk: Any) -> None:
     ],
 )
 def test_a_wrong_calibration_file(old: str, new: str, named: str, tmp_path: Path) -> None:
-    row = JointCalibration("joint1", 1, "XL430-W250", 48, 0, 0, 10, 900, -1, 500, -9.0, 9.0, 500)
+    row = JointCalibration("joint1", 1, "XL430-W250", 0, 0, 10, 900, -1, 500, -9.0, 9.0)
     path = tmp_path / "a.calibration.toml"
-    Calibration("a", "b", "now", 57_600, (row,)).save(path)
+    Calibration("a", "b", "now", (row,)).save(path)
     assert Calibration.load(path).joints == (row,)
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ConfigError, match=re.escape(named)):
         Calibration.load(path)
+
+
+def test_an_older_calibration_file_with_more_keys_is_read(tmp_path: Path) -> None:
+    row = JointCalibration("joint1", 1, "XL430-W250", 0, 0, 10, 900, -1, 500, -9.0, 9.0)
+    found = Calibration("a", "b", "now", (row,), (replace(row, id=2),))
+    path = tmp_path / "a.calibration.toml"
+    found.save(path)
+    text = path.read_text().replace("drive_mode", "firmware = 48\npresent_at_save = 500\ndrive_mode")
+    path.write_text(text.replace("[[joints]]", "[bus]\nbaud = 57600\n\n[[joints]]", 1))
+    assert Calibration.load(path) == replace(found, file=path)
+    assert len(tomllib.loads(path.read_text())["twins"][0]) == 13
 
 
 def test_the_calibration_of_another_arm(robot_ik: Any, mine: Path, desk: Any) -> None:
@@ -153,6 +164,10 @@ def test_lerobot_cannot_have_more_than_a_turn(robot_ik: Any, mine: Path, desk: A
         ("{", "not valid JSON"),
         ("{}", "LeRobot"),
         ('{"joint1": {"id": 1}}', "joint1.drive_mode"),
+        ('{"joint1": {"id": 253}}', "joint1.id: 253 is not right; allowed: 0..252"),
+        ('{"joint1": {"id": true}}', "joint1.id: True is not right; allowed: 0..252"),
+        ('{"joint1": 5}', "joint1: 5 is not right; allowed: a table"),
+        ("[]", "LeRobot"),
         ('{"m": {"id": 9, "drive_mode": 0, "homing_offset": 0, "range_min": 1, "range_max": 2}}', "joint1"),
         ('{"m": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2, "range_max": 2}}', "empty"),
     ],
@@ -182,8 +197,8 @@ def _lerobot(path: Path, **row: int) -> Path:
     return path
 
 
-# What LeRobot's file leaves to servos and model.
-NOTHING_SAID = (defaultdict(int), defaultdict(int), defaultdict(lambda: (0.0, 0.0)))
+# What LeRobot's file leaves to the model.
+NO_LIMITS = defaultdict(lambda: (0.0, 0.0))
 
 
 @pytest.mark.parametrize("offset", [1025, -2047])
@@ -196,11 +211,11 @@ def test_an_offset_of_lerobots_that_position_mode_ignores_is_refused_before_it_i
     file = _lerobot(tmp_path / "koch.json", homing_offset=offset)
     config = replace(desk.config, joints=(first, *joints[1:]))
     with pytest.raises(ConfigError) as caught:
-        load_lerobot(file, config, *NOTHING_SAID)
+        load_lerobot(file, config, NO_LIMITS)
     assert (caught.value.file, caught.value.key) == (file, "joint1.homing_offset")
     assert str(offset) in str(caught.value) and "extended_position" in str(caught.value)
     many = replace(first, mode=OperatingMode.EXTENDED_POSITION)
-    found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), *NOTHING_SAID)
+    found = load_lerobot(file, replace(config, joints=(many, *joints[1:])), NO_LIMITS)
     assert found.joints[0].homing_offset == offset
 
 
@@ -209,9 +224,9 @@ def test_lerobots_drive_mode_is_compared_with_reverse(reverse: bool, desk: Any, 
     first = replace(desk.config.joints[0], reverse=reverse)
     config = replace(desk.config, joints=(first, *desk.config.joints[1:]))
     right = _lerobot(tmp_path / "right.json", drive_mode=int(reverse))
-    assert load_lerobot(right, config, *NOTHING_SAID).joints[0].drive_mode == reverse
+    assert load_lerobot(right, config, NO_LIMITS).joints[0].drive_mode == reverse
     with pytest.raises(ConfigError, match=f"reverse = {str(not reverse).lower()}") as caught:
-        load_lerobot(_lerobot(tmp_path / "wrong.json", drive_mode=int(not reverse)), config, *NOTHING_SAID)
+        load_lerobot(_lerobot(tmp_path / "wrong.json", drive_mode=int(not reverse)), config, NO_LIMITS)
     assert caught.value.key == "joint1.drive_mode"
 
 

@@ -406,9 +406,8 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
     path = tmp_path / "koch.json"
     path.write_text(f"{{{rows}}}")
     config = dataclasses.replace(arm_file("koch_v11").whole, file=None)
-    said = dict.fromkeys(config.servo_ids, 0)
     limits = dict.fromkeys(config.names, (0.0, 0.0))
-    found = load_lerobot(path, config, said, said, limits)
+    found = load_lerobot(path, config, limits)
     assert isinstance(found, Calibration)
     assert [joint.zero_ticks for joint in found.joints] == [2047] * 6
     in_one_turn = dataclasses.replace(
@@ -419,7 +418,7 @@ def test_lerobots_calibration_of_a_koch_is_read_with_its_offsets(tmp_path: Path)
         ),
     )
     with pytest.raises(ConfigError, match=r"Homing Offset of -1900"):  # there it would count for nothing
-        load_lerobot(path, in_one_turn, said, said, limits)
+        load_lerobot(path, in_one_turn, limits)
 
 
 @pytest.mark.parametrize("name", ["omx_f", "wx250s"])  # the others: tests/models/test_owned_arms.py

@@ -117,11 +117,11 @@ def test_the_calibration_beside_goes_along(twins: Path) -> None:
     used = ArmConfig.load(twins)
     rows = tuple(
         JointCalibration(
-            one.name, one.id, one.model, 45, 0, 0, 100, 3000, one.direction, one.zero_ticks, -90.0, 90.0, 2000
+            one.name, one.id, one.model, 0, 0, 100, 3000, one.direction, one.zero_ticks, -90.0, 90.0
         )
         for one in used.servos
     )
-    found = Calibration(used.name, used.robot, "2026-01-01T00:00:00Z", used.baud, rows[:2], rows[2:])
+    found = Calibration(used.name, used.robot, "2026-01-01T00:00:00Z", rows[:2], rows[2:])
     found.save(calibration_beside(twins))
     assert len(write_zeros(twins, used, {"joint2": math.radians(3.0)})) == 2
     now, beside = ArmConfig.load(twins), Calibration.load(calibration_beside(twins))
