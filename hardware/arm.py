@@ -106,7 +106,8 @@ class Arm(Closing):
         on_exit: str | None = None,
         park_at: ArrayLike | None = None,
     ) -> None:
-        self.on_exit = checked_policy(on_exit or config.on_exit, config)
+        said = on_exit or config.on_exit
+        self.on_exit = checked_policy(said, config.file or config.name, "bus.on_exit")
         self.config, self.bus, self.clock, self.virtual_bus = config, bus, bus.clock, virtual_bus
         bus.names |= {servo.id: servo.name for servo in config.servos}
         self.joints: tuple[str, ...] = config.names

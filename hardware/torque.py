@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError, did_you_mean
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
@@ -133,13 +134,13 @@ def _check_twins(config: ArmConfig, present: dict[int, int]) -> None:
 # -------------------------------------------------------------------------------------------- leaving
 
 
-def checked_policy(name: str, config: ArmConfig) -> str:
-    """``name`` if it is one of ``ON_EXIT``; else raises ``ConfigError``."""
+def checked_policy(name: str, file: Path | str, key: str) -> str:
+    """``name`` if it is one of ``ON_EXIT``; else raises ``ConfigError``, with where it was said."""
     if name not in ON_EXIT:
         raise ConfigError(
             f"{name!r} is no way to leave an arm",
-            file=config.file or config.name,
-            key="bus.on_exit",
+            file=file,
+            key=key,
             allowed=", ".join(ON_EXIT),
             hint=did_you_mean(name, ON_EXIT),
         )

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import require
 from robot_ik.errors import (
     BusNotOpenError,
     HardwareError,
@@ -151,10 +150,10 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
         ConfigError: No such way to leave an arm.
     """
     from robot_ik.hardware import open_arm
-    from robot_ik.hardware.torque import ON_EXIT
+    from robot_ik.hardware.torque import checked_policy
 
-    known = not on_exit or on_exit in ON_EXIT
-    require(known, "--on-exit", f"{on_exit!r} is no way to leave an arm", ", ".join(ON_EXIT))
+    if on_exit:
+        checked_policy(on_exit, "command line", "--on-exit")
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 
