@@ -49,7 +49,7 @@ class Kind:
     Attributes:
         help: One line for people.
         apply: What it does, to a servo or to the bus.
-        low, high: Range of its value; ``among``: instead, the only values; none of them: it takes none.
+        low, high: Range of its value; without one it takes none.
         whole: The value is a whole number.
         servo: It befalls servos; else the bus, wire and port among it.
     """
@@ -59,14 +59,11 @@ class Kind:
     low: float | None = None
     high: float | None = None
     whole: bool = False
-    among: tuple[int, ...] = ()
     servo: bool = True
 
     @property
     def span(self) -> str:
         """What its value may be, as text; empty where it takes none."""
-        if self.among:
-            return ", ".join(map(str, self.among))
         whole = "a whole number, " if self.whole else ""
         return "" if self.low is None or self.high is None else f"{whole}{self.low:.10g}..{self.high:.10g}"
 
@@ -77,9 +74,6 @@ class Kind:
                 raise WrongKey(f"{value:g} is given to a fault that takes no value", "value", "nothing")
         elif value is None:
             raise WrongKey("this key is missing", "value", self.span)
-        elif self.among:
-            if value not in self.among:
-                raise WrongKey(f"{value:g} is not right", "value", self.span)
         elif not (self.low or 0.0) <= value <= (self.high or 0.0) or (self.whole and value != round(value)):
             raise WrongKey(f"{value:g} is not right", "value", self.span)
 
@@ -282,7 +276,6 @@ _SUPPLY = _Override(lambda servo: servo.shaft.volts, VirtualServo.set_supply)
 _ZERO_OFFSET = _attribute("zero_offset_ticks", lambda degrees: degrees * TICKS_PER_DEGREE)
 _BAUD = _register("baud_rate", _baud_code)
 _LATENCY = _attribute("latency", lambda ms: 1e-3 * ms)
-_MODELS = tuple(sorted({table.number for table in CONTROL_TABLES.values()}))
 
 FAULTS: Mapping[str, Kind] = MappingProxyType(
     {
@@ -304,7 +297,7 @@ FAULTS: Mapping[str, Kind] = MappingProxyType(
         "id": Kind(
             "its id; one that is taken makes status packets collide", _register("id"), *_ID_RANGE, whole=True
         ),
-        "model": Kind("says it is this model number", _register("model_number"), among=_MODELS),
+        "model": Kind("says it is this model number", _register("model_number"), 0, 65535, whole=True),
         "supply": Kind("volts it gets; far too low: it restarts", _SUPPLY, 0, 30),
         "extra": Kind("one servo more, with this id", _add_servo, *_ID_RANGE, whole=True, servo=False),
         **{name: Kind(row.help, _chance(name), 0, 1, servo=False) for name, row in SPOILS.items()},
