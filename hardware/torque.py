@@ -158,14 +158,12 @@ class ExitReport:
             limp, or have another goal.
         limp: Those of ``unverified`` that were to hold and say that they have no torque.
         parked: The way to the park pose was finished before.
-        seconds: How long it took on the arm's clock, parking not counted.
     """
 
     done: str
     verified: tuple[str, ...] = ()
     unverified: tuple[str, ...] = ()
     parked: bool = False
-    seconds: float = 0.0
     limp: tuple[str, ...] = ()
 
     @property
@@ -219,16 +217,15 @@ def leave(
         limp = _hold(bus, config, goals, left, reported)
     else:
         _torque_off(bus, config, left, reported)
-    seconds = bus.clock.now() - begin
     names = dict.fromkeys(servo.name for servo in config.servos)
     unverified = tuple(dict.fromkeys(left.values()))
     verified = tuple(name for name in names if name not in unverified)
     limp_joints = tuple(dict.fromkeys(name for id, name in left.items() if id in limp))
-    report = ExitReport(done, verified, unverified, parked, seconds, limp_joints)
+    report = ExitReport(done, verified, unverified, parked, limp_joints)
     if left:
         log.error("%s %s", done, report.doubt)
     else:
-        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), seconds)
+        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), bus.clock.now() - begin)
     return report
 
 
