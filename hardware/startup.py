@@ -25,7 +25,7 @@ from robot_ik.errors import (
     ServoRefusedError,
     UnsafeCommandError,
 )
-from robot_ik.hardware.bus import ServoBus, read_all, require_models, shared_register
+from robot_ik.hardware.bus import ServoBus, read_all, require_models
 from robot_ik.hardware.calibration import check_beside
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
@@ -229,7 +229,6 @@ def _set_eeprom(
     bus: ServoBus, config: ArmConfig, name: str, wanted: Mapping[int, int], torque: Mapping[int, int]
 ) -> None:
     """A register of all servos, written only where it differs."""
-    register = shared_register(config, name)
     present = read_all(bus, config, name, absent=0)
     wrong = [joint for joint in config.servos if present[joint.id] != wanted[joint.id]]
     for joint in wrong:
@@ -240,11 +239,7 @@ def _set_eeprom(
             )
     for joint in wrong:
         log.info("%s of %s: %d -> %d", name, joint.name, present[joint.id], wanted[joint.id])
-        bus.write(joint.id, register, wanted[joint.id])
-    present = read_all(bus, config, name, absent=0) if wrong else present
-    for joint in wrong:
-        if present[joint.id] != wanted[joint.id]:
-            raise _not_taken(name, joint)
+        _write_register(bus, joint, name, wanted[joint.id])
 
 
 def _write_register(bus: ServoBus, servo: JointMap, name: str, value: int) -> None:
@@ -252,14 +247,10 @@ def _write_register(bus: ServoBus, servo: JointMap, name: str, value: int) -> No
     register = servo.table[name]
     bus.write(servo.id, register, value)
     if bus.read(servo.id, register).data != value:
-        raise _not_taken(name, servo)
-
-
-def _not_taken(name: str, servo: JointMap) -> HardwareError:
-    return HardwareError(
-        f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back otherwise; "
-        "no torque was changed"
-    )
+        raise HardwareError(
+            f"{name} of joint {servo.name!r} (servo id {servo.id}) was written and reads back otherwise; "
+            "no torque was changed"
+        )
 
 
 def _check_shadows(bus: ServoBus, config: ArmConfig) -> None:
