@@ -86,6 +86,20 @@ def test_a_servo_whose_indirect_addresses_go_astray_is_read_plainly(arm, stream,
     assert arm.ages[2] <= 0.011
 
 
+def test_servos_read_plainly_are_all_seen_in_every_cycle(arm, stream, start):
+    arm.enable()
+    for id in (2, 4, 5):
+        arm._cycle.feedback.read_plainly(id)
+    stream(arm, [start] * 10)
+    received = arm.bus.counters.bytes_received
+    stream(arm, [start])
+    assert arm.bus.counters.bytes_received - received == 8 + 6 * 4 + 3 * 5 + 3 * 83
+    arm.virtual_bus.servo(4).memory.set("torque_enable", 0)
+    with pytest.raises(MotorFaultError, match="joint4") as caught:
+        stream(arm, [start])
+    assert caught.value.status == ("torque_lost",)
+
+
 @pytest.mark.parametrize("model", ["XM430-W350", "XL430-W250", "XL330-M288"])
 @pytest.mark.parametrize("loses", ["its torque", "its supply for a moment"])
 def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
