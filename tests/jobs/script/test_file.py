@@ -120,7 +120,7 @@ def test_no_toml_and_no_file_are_reported(tmp_path: Path) -> None:
         (("do = 'inject'", "kind = 'overload'", "joint = 'joint9'"), "joint", "joint9"),
         (("do = 'inject'", "kind = 'corrupt'", "value = 2.0"), "value", "0..1"),
         (("do = 'inject'", "kind = 'corrupt'"), "value", "missing"),
-        (("do = 'inject'", "kind = 'model'", "value = 3"), "value", "1020"),
+        (("do = 'inject'", "kind = 'model'", "value = 3.5"), "value", "a whole number"),
         (("do = 'inject'", "kind = 'drop'", "joint = 'joint2'", "value = 0.1"), "joint", "not of one servo"),
     ],
 )
