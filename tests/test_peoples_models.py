@@ -158,7 +158,7 @@ def test_a_number_that_is_none_is_named(where: str) -> None:
 @pytest.mark.parametrize("value", [5, None, 2.5, b"puma560", ["puma560"]])
 def test_what_is_no_name_at_all_is_a_value_error(value: object) -> None:
     with pytest.raises(
-        InvalidModelError, match="is no robot\na robot is a name of the catalogue or"
+        InvalidModelError, match="is no robot\na robot is a name of the catalogue, the path or text of"
     ) as caught:
         rik.load_robot(value)  # type: ignore[arg-type]
     assert isinstance(caught.value, ValueError) and repr(value) in str(caught.value)

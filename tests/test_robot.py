@@ -144,7 +144,7 @@ def test_copies_and_pickles_work_alone(arm_file):
 def test_an_unknown_robot_lists_the_close_names():
     with pytest.raises(UnknownRobotError, match="did you mean 'puma560'") as caught:
         load_robot("pumma560")
-    assert "path of an MJCF or URDF file" in str(caught.value)
+    assert "the path or text of an MJCF or URDF file" in str(caught.value)
 
 
 def test_broken_xml_tells_the_file_and_mujocos_reason(tmp_path):
