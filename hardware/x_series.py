@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 # ------------------------------------------------------------------------------------------
 # What the motors of the X series can do: the manual's specification tables, as data.
@@ -57,6 +56,7 @@ class Motor:
 # name, address, size, access (s = signed, r = read only), unit, initial, minimum, maximum.
 # None as initial: depends on the servo's state.  Addresses below 64 are EEPROM.
 Row = tuple[str, int, int, str, str, int | None, int, int]
+Changes = Mapping[str, Mapping[str, object]]
 SHARED: tuple[Row, ...] = (
     ("model_number", 0, 2, "r", "", None, 0, 65535),
     ("model_information", 2, 4, "r", "", 0, 0, 2**32 - 1),
@@ -154,11 +154,18 @@ class ServoFamily:
         since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
             ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
             ``guarded_reset`` (ignores a broadcast factory reset of everything).
+        fastest: Largest Velocity Limit, 0.229 rev/min; ``current_unit``: of the current registers.
+        changed: Register name -> fields of ``Register`` that differ from the shared table.
+        added: Registers beyond it.
     """
 
     firmware: int
     indirect: tuple[Indirect, ...]
     since: Mapping[str, int]
+    fastest: int = 1023
+    current_unit: str = "2.69 mA"
+    changed: Changes = field(default_factory=dict)
+    added: tuple[Row, ...] = ()
 
 
 # What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
@@ -179,7 +186,7 @@ FAMILY_430 = ServoFamily(
         "fast_read": 45,
     },
 )
-FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38})
+FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38}, added=EXTERNAL_PORTS)
 FAMILY_330 = ServoFamily(
     firmware=52,
     # ROBOTIS-GIT/dynamixel_hardware_interface, param/dxl_model/x?330_*.model against x?330_*_fw52.model.
@@ -195,7 +202,18 @@ FAMILY_330 = ServoFamily(
         "backup": 46,
         "fast_read": 46,
     },
+    fastest=2047,
+    current_unit="1 mA",
+    changed={
+        "baud_rate": {"maximum": 6},
+        "protocol_type": {"minimum": 2, "maximum": 22},
+        "temperature_limit": {"initial": 70},
+    },
+    added=(("pwm_slope", 62, 1, "", "1.977 mV/ms", 140, 1, 255),),
 )
+FAMILY_330_12V = replace(FAMILY_330, added=(("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255),))
+
+_LOAD: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
 
 
 @dataclass(frozen=True)
@@ -205,20 +223,61 @@ class Model:
     Attributes:
         number: What Model Number reads.
         family: What it shares with others of its size.
-        modes: Operating modes it has.
-        supply: Nominal supply, V.
         motor: What it can do.
-        changed: Register name -> fields of ``Register`` that differ; ``added``, ``removed``: whole registers.
+        supply: Nominal supply, V.
+        voltage: Max and Min Voltage Limit at first, and the range of both, 0.1 V.
+        velocity: Velocity Limit at first, 0.229 rev/min.
+        current: Largest current, counts; None: it measures its load, and no current.
+        gains: At first: velocity I and P, position D, I and P.
+        initial: Register name -> another initial value.
     """
 
     number: int
     family: ServoFamily
-    modes: tuple[int, ...]
-    supply: float
     motor: Motor
-    changed: Mapping[str, Mapping[str, object]]
-    added: tuple[Row, ...] = ()
-    removed: tuple[str, ...] = ()
+    supply: float
+    voltage: tuple[int, int, int, int]
+    velocity: int
+    current: int | None
+    gains: tuple[int, int, int, int, int] = (1920, 100, 0, 0, 800)
+    initial: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def modes(self) -> tuple[int, ...]:
+        """Values of ``OperatingMode`` that it has."""
+        return (1, 3, 4, 16) if self.current is None else (0, 1, 3, 4, 5, 16)
+
+    @property
+    def added(self) -> tuple[Row, ...]:
+        """Registers beyond the shared table."""
+        return (*self.family.added, _LOAD) if self.current is None else self.family.added
+
+    @property
+    def removed(self) -> tuple[str, ...]:
+        """Registers of the shared table that it has not."""
+        return ("current_limit", "goal_current", "present_current") if self.current is None else ()
+
+    @property
+    def changed(self) -> Changes:
+        """Register name -> fields of ``Register`` that differ from the shared table."""
+        longest, shortest, lowest, highest = self.voltage
+        fastest, current, unit = self.family.fastest, self.current or 0, self.family.current_unit
+        gains = zip(_GAINS, self.gains, strict=True)
+        return {
+            **self.family.changed,
+            "max_voltage_limit": {"initial": longest, "minimum": lowest, "maximum": highest},
+            "min_voltage_limit": {"initial": shortest, "minimum": lowest, "maximum": highest},
+            "velocity_limit": {"initial": self.velocity, "maximum": fastest},
+            "goal_velocity": {"minimum": -fastest, "maximum": fastest},
+            "current_limit": {"initial": current, "maximum": current, "unit": unit},
+            "goal_current": {"minimum": -current, "maximum": current, "unit": unit},
+            "present_current": {"unit": unit},
+            **{f"{name}_gain": {"initial": value} for name, value in gains},
+            **{name: {"initial": value} for name, value in self.initial.items()},
+        }
+
+
+_GAINS = ("velocity_i", "velocity_p", "position_d", "position_i", "position_p")
 
 
 # ------------------------------------------------------------------------------------------
@@ -232,144 +291,48 @@ class Model:
 # (_includes/en/dxl/control_table_vellimit.md), and pages of that time have an Acceleration Limit,
 # register 40.
 
-
-# Values of Operating Mode: 0 current, 1 velocity, 3 position, 4 extended, 5 current-based position, 16 PWM.
-_CURRENT_MODES = (0, 1, 3, 4, 5, 16)
-
-Changes = dict[str, Mapping[str, object]]
-
-
-def _voltage(initial: tuple[int, int], lowest: int, highest: int) -> Changes:
-    """Max and Min Voltage Limit, 0.1 V."""
-    span = {"minimum": lowest, "maximum": highest}
-    return {
-        "max_voltage_limit": {"initial": initial[0], **span},
-        "min_voltage_limit": {"initial": initial[1], **span},
-    }
-
-
-def _velocity(initial: int, highest: int) -> Changes:
-    """Velocity Limit and Goal Velocity, 0.229 rev/min."""
-    return {
-        "velocity_limit": {"initial": initial, "maximum": highest},
-        "goal_velocity": {"minimum": -highest, "maximum": highest},
-    }
-
-
-def _current(highest: int, unit: str) -> Changes:
-    """Current Limit (which starts at its maximum), Goal Current and Present Current."""
-    return {
-        "current_limit": {"initial": highest, "maximum": highest, "unit": unit},
-        "goal_current": {"minimum": -highest, "maximum": highest, "unit": unit},
-        "present_current": {"unit": unit},
-    }
-
-
-def _gains(velocity_i: int, velocity_p: int, position_d: int, position_i: int, position_p: int) -> Changes:
-    return {
-        "velocity_i_gain": {"initial": velocity_i},
-        "velocity_p_gain": {"initial": velocity_p},
-        "position_d_gain": {"initial": position_d},
-        "position_i_gain": {"initial": position_i},
-        "position_p_gain": {"initial": position_p},
-    }
-
-
-def _metal(
-    number: int, family: ServoFamily, motor: Motor, current: int, velocity: int, added: tuple[Row, ...] = ()
-) -> Model:
-    """XM430, XM540 and XH540."""
-    changed = {
-        **_voltage((160, 95), 95, 160),
-        **_velocity(velocity, 1023),
-        **_current(current, "2.69 mA"),
-        **_gains(1920, 100, 0, 0, 800),
-    }
-    return Model(number, family, _CURRENT_MODES, 12.0, motor, changed, added)
-
-
-def _without_current(
-    number: int, motor: Motor, volts: Changes, velocity: int, gains: Changes, own: Changes | None = None
-) -> Model:
-    """XL430 and XC430: they measure their load, and no current."""
-    changed = {**volts, **_velocity(velocity, 1023), **gains, **(own or {})}
-    load: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
-    removed = ("current_limit", "goal_current", "present_current")
-    return Model(number, FAMILY_430, (1, 3, 4, 16), 12.0, motor, changed, (load,), removed)
-
-
-class _Supply(NamedTuple):
-    """What the small servos of one voltage have in common: V, limits, PWM Slope."""
-
-    volts: float
-    limits: Changes
-    slope: Row
-
-
-_FIVE = _Supply(5.0, _voltage((70, 35), 31, 70), ("pwm_slope", 62, 1, "", "1.977 mV/ms", 140, 1, 255))
-_TWELVE = _Supply(12.0, _voltage((140, 55), 55, 140), ("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255))
-
-
-def _small(
-    number: int,
-    motor: Motor,
-    supply: _Supply,
-    current: int,
-    velocity: int,
-    gains: Changes,
-    shutdown: int = 52,
-) -> Model:
-    """XL330 and XC330."""
-    changed = {
-        "baud_rate": {"maximum": 6},
-        "protocol_type": {"minimum": 2, "maximum": 22},
-        "temperature_limit": {"initial": 70},
-        "shutdown": {"initial": shutdown},
-        **supply.limits,
-        **_velocity(velocity, 2047),
-        **_current(current, "1 mA"),
-        **gains,
-    }
-    return Model(number, FAMILY_330, _CURRENT_MODES, supply.volts, motor, changed, (supply.slope,))
-
+_METAL, _SIX_VOLTS = (160, 95, 95, 160), (160, 60, 60, 160)
+_FIVE, _TWELVE = (70, 35, 31, 70), (140, 55, 55, 140)
 
 MODELS: Mapping[str, Model] = {
-    "XL430-W250": _without_current(
-        1060, Motor(1.4, 1.3, 57.0, 11.1), _voltage((140, 60), 60, 140), 265, _gains(1000, 100, 4000, 0, 640),
-        {"temperature_limit": {"initial": 72}},
+    "XL430-W250": Model(
+        1060, FAMILY_430, Motor(1.4, 1.3, 57.0, 11.1), 12.0, (140, 60, 60, 140), 265, None,
+        (1000, 100, 4000, 0, 640), {"temperature_limit": 72},
     ),
-    "XC430-W150": _without_current(
-        1070, Motor(1.6, 1.4, 106.0, 12.0), _voltage((160, 60), 60, 160), 460, _gains(1920, 100, 0, 0, 460),
-        {"moving_threshold": {"initial": 20}},
+    "XC430-W150": Model(
+        1070, FAMILY_430, Motor(1.6, 1.4, 106.0, 12.0), 12.0, _SIX_VOLTS, 460, None,
+        (1920, 100, 0, 0, 460), {"moving_threshold": 20},
     ),
-    "XC430-W240": _without_current(
-        1080, Motor(1.9, 1.4, 70.0, 12.0), _voltage((160, 60), 60, 160), 306, _gains(1920, 100, 0, 0, 700)
+    "XC430-W240": Model(
+        1080, FAMILY_430, Motor(1.9, 1.4, 70.0, 12.0), 12.0, _SIX_VOLTS, 306, None, (1920, 100, 0, 0, 700)
     ),
-    "XM430-W210": _metal(1030, FAMILY_430, Motor(3.0, 2.3, 77.0, 12.0), 1193, 330),
-    "XM430-W350": _metal(1020, FAMILY_430, Motor(4.1, 2.3, 46.0, 12.0), 1193, 200),
-    "XH540-W150": _metal(1110, FAMILY_540, Motor(7.1, 4.9, 70.0, 12.0), 2047, 300, EXTERNAL_PORTS),
-    "XM540-W150": _metal(1130, FAMILY_540, Motor(7.3, 4.4, 53.0, 12.0), 2047, 230, EXTERNAL_PORTS),
-    "XM540-W270": _metal(1120, FAMILY_540, Motor(10.6, 4.4, 30.0, 12.0), 2047, 128, EXTERNAL_PORTS),
-    "XL330-M077": _small(  # Position I Gain 400 is what its page says, alone of all; it may be a misprint
-        1190, Motor(0.215, 1.47, 383.0, 5.0), _FIVE, 1750, 1620, _gains(400, 40, 0, 400, 400), 53,
+    "XM430-W210": Model(1030, FAMILY_430, Motor(3.0, 2.3, 77.0, 12.0), 12.0, _METAL, 330, 1193),
+    "XM430-W350": Model(1020, FAMILY_430, Motor(4.1, 2.3, 46.0, 12.0), 12.0, _METAL, 200, 1193),
+    "XH540-W150": Model(1110, FAMILY_540, Motor(7.1, 4.9, 70.0, 12.0), 12.0, _METAL, 300, 2047),
+    "XM540-W150": Model(1130, FAMILY_540, Motor(7.3, 4.4, 53.0, 12.0), 12.0, _METAL, 230, 2047),
+    "XM540-W270": Model(1120, FAMILY_540, Motor(10.6, 4.4, 30.0, 12.0), 12.0, _METAL, 128, 2047),
+    "XL330-M077": Model(  # Position I Gain 400 is what its page says, alone of all; it may be a misprint
+        1190, FAMILY_330, Motor(0.215, 1.47, 383.0, 5.0), 5.0, _FIVE, 1620, 1750,
+        (400, 40, 0, 400, 400), {"shutdown": 53},
     ),
-    "XL330-M288": _small(
-        1200, Motor(0.52, 1.47, 103.0, 5.0), _FIVE, 1750, 445, _gains(1600, 180, 0, 0, 400), 53,
+    "XL330-M288": Model(
+        1200, FAMILY_330, Motor(0.52, 1.47, 103.0, 5.0), 5.0, _FIVE, 445, 1750,
+        (1600, 180, 0, 0, 400), {"shutdown": 53},
     ),
-    "XC330-M181": _small(
-        1230, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True),
-        _FIVE, 2352, 545, _gains(1400, 100, 500, 0, 1200),
+    "XC330-M181": Model(
+        1230, FAMILY_330, Motor(0.60, 1.80, 129.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 545, 2352,
+        (1400, 100, 500, 0, 1200),
     ),
-    "XC330-M288": _small(
-        1240, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True),
-        _FIVE, 2352, 350, _gains(1600, 50, 500, 0, 1100),
+    "XC330-M288": Model(
+        1240, FAMILY_330, Motor(0.93, 1.80, 81.0, 5.0, sensed_at_supply=True), 5.0, _FIVE, 350, 2352,
+        (1600, 50, 500, 0, 1100),
     ),
-    "XC330-T181": _small(
-        1210, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True),
-        _TWELVE, 910, 510, _gains(1200, 40, 0, 0, 900),
+    "XC330-T181": Model(
+        1210, FAMILY_330_12V, Motor(0.76, 0.80, 104.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 510, 910,
+        (1200, 40, 0, 0, 900),
     ),
-    "XC330-T288": _small(
-        1220, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True),
-        _TWELVE, 910, 320, _gains(1200, 40, 0, 0, 900),
+    "XC330-T288": Model(
+        1220, FAMILY_330_12V, Motor(0.92, 0.80, 65.0, 11.1, sensed_at_supply=True), 12.0, _TWELVE, 320, 910,
+        (1200, 40, 0, 0, 900),
     ),
 }  # fmt: skip
