@@ -59,7 +59,7 @@ def test_the_terminal_is_seen_behind_a_progress_bar() -> None:
 
 
 def fake_checks(monkeypatch: pytest.MonkeyPatch, *rows: environment.CheckRow) -> None:
-    monkeypatch.setattr(doctor, "CHECKS", [lambda until: list(rows)])
+    monkeypatch.setattr(doctor, "CHECKS", {"all": lambda until: list(rows)})
 
 
 def test_a_problem_ends_in_2_and_says_what_to_do(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,7 +83,7 @@ def test_a_check_that_crashes_becomes_a_row() -> None:
     def check_ill(until: float) -> list[environment.CheckRow]:
         raise RuntimeError("oops")
 
-    rows = doctor.run_checks([check_ill, doctor.check_python])
+    rows = doctor.run_checks({"ill": check_ill, "python": doctor.check_python})
     assert rows[0].status == environment.NOTE and "oops" in rows[0].found and rows[0].what == "ill"
     assert rows[1].status == environment.OK
 
@@ -91,23 +91,24 @@ def test_a_check_that_crashes_becomes_a_row() -> None:
 def test_it_never_takes_longer_than_it_may() -> None:
     """Ten children that would sleep for ten minutes each: the later ones get what time is left."""
 
-    def slow(until: float) -> list[environment.CheckRow]:
-        probe = environment.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until))
-        return [doctor.late("slow", probe)]
+    def slow(until: float) -> doctor.Finding:
+        doctor.in_time(environment.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until)))
+        return environment.OK, "not late", ""
 
     started = time.monotonic()
-    rows = doctor.run_checks([slow] * 10, limit=3.0)
+    rows = doctor.run_checks({f"slow {k}": slow for k in range(10)}, limit=3.0)
     assert len(rows) == 10 and time.monotonic() - started < 300  # one after the other: 6000 s
     assert {row.status for row in rows} == {environment.NOTE}
 
 
-@pytest.mark.parametrize("name", ["mujoco", "opencv", "kernels", "user_gl", "display"])
+@pytest.mark.parametrize("name", ["mujoco", "opencv", "kernels", "MUJOCO_GL", "display"])
 def test_a_late_answer_is_no_problem(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.setenv("DISPLAY", ":0")
     probes(monkeypatch, Probe(False, "something\nno answer within 7.0 s", late=True))
-    (row,) = getattr(doctor, f"check_{name}")(SOON)
-    assert row.status == environment.NOTE and "not checked" in row.found and row.do
+    (row,) = doctor.run_checks({name: doctor.CHECKS[name]})
+    assert row.what == name and row.status == environment.NOTE and "not checked: no answer" in row.found
+    assert row.do
 
 
 def probes(monkeypatch: pytest.MonkeyPatch, probe: Probe) -> None:
@@ -120,48 +121,48 @@ def versions(monkeypatch: pytest.MonkeyPatch, **known: str) -> None:
 
 def test_an_empty_mujoco_shell(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "AttributeError: module 'mujoco' has no attribute 'MjModel'"))
-    (row,) = doctor.check_mujoco(SOON)
-    assert row.status == environment.PROBLEM and "uninstall" in row.do
+    status, _, do = doctor.check_mujoco(SOON)
+    assert status == environment.PROBLEM and "uninstall" in do
 
 
 def test_mixed_mujoco_versions(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "4.0.0"))
     versions(monkeypatch, mujoco="4.0.0", mujoco_core="4.0.1")
-    (row,) = doctor.check_mujoco(SOON)
-    assert row.status == environment.NOTE and "4.0.1" in row.found and "uninstall" in row.do
+    status, found, do = doctor.check_mujoco(SOON)
+    assert status == environment.NOTE and "4.0.1" in found and "uninstall" in do
 
 
 def test_two_opencv_wheels(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(True, "5.0.0"))
     versions(monkeypatch, opencv_python="5.0", opencv_contrib_python_headless="5.0")
-    (row,) = doctor.check_opencv(SOON)
-    assert row.status == environment.NOTE
-    assert "pip uninstall -y opencv-contrib-python-headless opencv-python &&" in row.do
+    status, _, do = doctor.check_opencv(SOON)
+    assert status == environment.NOTE
+    assert "pip uninstall -y opencv-contrib-python-headless opencv-python &&" in do
 
 
 def test_opencv_that_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
     probes(monkeypatch, Probe(False, "ImportError: libGL.so.1"))
     versions(monkeypatch, opencv_python="5.0")
-    (row,) = doctor.check_opencv(SOON)
-    assert row.status == environment.PROBLEM and "libGL.so.1" in row.found and "headless" in row.do
+    status, found, do = doctor.check_opencv(SOON)
+    assert status == environment.PROBLEM and "libGL.so.1" in found and "headless" in do
 
 
 def test_missing_package(monkeypatch: pytest.MonkeyPatch) -> None:
     real = doctor.version_of
     monkeypatch.setattr(doctor, "version_of", lambda name: "" if name == "dynamixel-sdk" else real(name))
-    rows = doctor.check_packages(SOON)
-    assert rows[-1].status == environment.PROBLEM and "dynamixel-sdk" in rows[-1].found
+    status, found, _ = doctor.check_packages(SOON)
+    assert status == environment.PROBLEM and found == "missing: dynamixel-sdk"
 
 
 def test_broken_mujoco_gl_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "bogus")
-    (row,) = doctor.check_user_gl(SOON)
-    assert row.status == environment.PROBLEM and "unset MUJOCO_GL" in row.do and "bogus" in row.found
+    status, found, do = doctor.check_user_gl(SOON)
+    assert status == environment.PROBLEM and "unset MUJOCO_GL" in do and "bogus" in found
 
 
 def test_gl_switched_off_is_fine(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
-    assert [row.status for row in doctor.check_user_gl(SOON)] == [environment.OK]
+    assert doctor.check_user_gl(SOON)[0] == environment.OK
 
 
 # ----------------------------------------------------------------------------------- devices
