@@ -25,7 +25,7 @@ from robot_ik.hardware.control_table import (
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, SwingArm, Twin
+from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
 from robot_ik.ports import Array
 from robot_ik.reading import WrongKey, parse_toml, read_text
@@ -234,41 +234,19 @@ class ArmConfig:
 
     def to_toml(self) -> str:
         """Text of the arm file; ``parse`` reads the same arm back (angles to 1e-12 degrees)."""
-        lines = [
-            "schema = 1",
-            f"name = {json.dumps(self.name)}",
-            f"robot = {json.dumps(self.robot)}",
-            *(["uncalibrated = true"] if self.uncalibrated else []),
-            "",
-            "[bus]",
-            f"baud = {self.baud:_}",
-            f"rate_hz = {self.rate_hz:g}",
-            f"watchdog_ms = {self.watchdog_ms}",
-            f"on_exit = {json.dumps(self.on_exit)}",
-            f"stale_ms = {self.stale_ms}",
-            f"on_stale = {json.dumps(self.on_stale)}",
-        ]
+        head = {
+            "schema": 1,
+            "name": self.name,
+            "robot": self.robot,
+            "uncalibrated": self.uncalibrated or None,
+        }
+        bus = {key: getattr(self, key) for key in BusFile.model_fields}
+        lines = [*_rows(head), "", "[bus]", *_rows(bus)]
         for joint in self.whole.joints:
-            values: dict[str, Any] = {
-                "name": joint.name,
-                "id": joint.id,
-                "model": joint.model,
-                "mode": joint.mode.name.lower(),
-                "direction": joint.direction,
-                "zero_ticks": joint.zero_ticks,
-                "ratio": joint.ratio,
-                "reverse": joint.reverse or None,
-                "group": None if joint.group == ARM else joint.group,
-                **_gear(joint),
-            }
-            ends = {"lower": max(joint.lower, joint.limits[0]), "upper": min(joint.upper, joint.limits[1])}
-            for key in _MEASURES:
-                if (value := ends.get(key, getattr(joint, key))) is not None:
-                    values[f"{key}_{joint.unit}"] = _number(joint, value)
-            values |= {"current_ma": joint.current, "current_limit_ma": joint.current_limit}
+            values = _keys(joint)
+            parts = {name: values.pop(name) for name in ("twin", "gains", "stop_at")}
             lines += ["", "[[joints]]", *_rows(values)]
-            for name in ("twin", "gains", "stop_at"):
-                part = getattr(joint, name)
+            for name, part in parts.items():
                 if part is not None and (rows := _rows(asdict(part))):
                     lines += ["", f"[joints.{name}]", *rows]
         return "\n".join(lines) + "\n"
@@ -404,43 +382,41 @@ def _from_file(arm: ArmFile, file: Path) -> ArmConfig:
     )
 
 
-_MEASURES = ("lower", "upper", "velocity", "acceleration", "profile_velocity", "profile_acceleration")
+_UNITS = {"deg": math.radians(1.0), "mm": 1e-3, "ma": 1.0}
+"""End of a key of ``[[joints]]`` -> one of it in the field of ``JointMap``."""
+
+
+def _field(key: str) -> tuple[str, float | None]:
+    """The field of ``JointMap`` that has the value of a key, and its unit there."""
+    name, _, unit = key.rpartition("_")
+    return (name, _UNITS[unit]) if unit in _UNITS else (key, None)
 
 
 def _joint_map(table: JointFile) -> JointMap:
-    keys = dict(table)
-    unit, one = ("mm", 1e-3) if isinstance(table, SlideFile) else ("deg", math.radians(1.0))
-    measures: dict[str, Any] = {}
-    for key in _MEASURES:
-        value = keys.pop(f"{key}_{unit}")
-        measures[key] = None if value is None else one * value
-    pinion, horn, rod = (keys.pop(f"{part}_mm", None) for part in ("pinion", "horn", "rod"))
-    return JointMap(
-        mode=MODES[keys.pop("mode")],
-        current=keys.pop("current_ma"),
-        current_limit=keys.pop("current_limit_ma"),
-        pinion=1e-3 * pinion if pinion else None,
-        swing=SwingArm(1e-3 * horn, 1e-3 * rod) if horn and rod else None,
-        **measures,
-        **keys,
-    )
+    values: dict[str, Any] = {}
+    for key, value in table:
+        name, one = _field(key)
+        values[name] = value if one is None or value is None else one * value
+    return JointMap(**values | {"mode": MODES[table.mode]})
 
 
-def _gear(joint: JointMap) -> dict[str, float]:
-    gear = {"pinion_mm": joint.pinion} if joint.pinion is not None else {}
-    if joint.swing is not None:
-        gear = {"horn_mm": joint.swing.horn, "rod_mm": joint.swing.rod}
-    return {key: round(1e3 * metres, 9) for key, metres in gear.items()}
+def _keys(joint: JointMap) -> dict[str, Any]:
+    """Keys of ``[[joints]]`` and their values, None where a key need not be there."""
+    lower, upper = joint.limits
+    joint = replace(joint, lower=max(joint.lower, lower), upper=min(joint.upper, upper))
+    values: dict[str, Any] = {}
+    for key in (SlideFile if joint.slides else HingeFile).model_fields:
+        name, one = _field(key)
+        value = getattr(joint, name)
+        # Without the tail of a binary conversion (160.00000000000003).
+        values[key] = value if one is None or value is None else round(value / one, 12)
+    mode, group = joint.mode.name.lower(), None if joint.group == ARM else joint.group
+    return values | {"mode": mode, "group": group, "reverse": joint.reverse or None}
 
 
 def _rows(values: Mapping[str, Any]) -> list[str]:
     """Those that are given."""
     return [f"{key} = {json.dumps(value)}" for key, value in values.items() if value is not None]
-
-
-def _number(joint: JointMap, value: float) -> float:
-    """Degrees or millimetres without the tail of a binary conversion (160.00000000000003)."""
-    return round(1e3 * value if joint.slides else math.degrees(value), 12)
 
 
 # ------------------------------------------------------------------------------------------

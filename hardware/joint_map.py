@@ -188,7 +188,7 @@ class JointMap:
         current: Largest motor current, mA, in current-based position mode; None: the servo's own limit.
         twin: The other servo, where two turn this joint.
         shadow_of: Id of the first servo, where this row stands for its shadow.
-        pinion: Radius of the pinion that moves a slide, m; ``swing``: horn and rod that do.  None: a hinge.
+        pinion: Radius of the pinion that moves a slide, m; ``horn``, ``rod``: of ``SwingArm``.  None: hinge.
         group: ``arm``: part of q; another, such as ``gripper``: held, and moved by its name.
         reverse: Bit 0 of its Drive Mode, set by the arm's maker; ticks are those that it then counts.  None:
             as it is found.
@@ -215,12 +215,18 @@ class JointMap:
     pinion: float | None = None
     group: str = ARM
     reverse: bool | None = False
-    swing: SwingArm | None = None
+    horn: float | None = None
+    rod: float | None = None
     gains: Gains = Gains()
     current_limit: float | None = None
     profile_velocity: float | None = None
     profile_acceleration: float | None = None
     stop_at: StopAt = StopAt()
+
+    @cached_property
+    def swing(self) -> SwingArm | None:
+        """Horn and rod that move a slide."""
+        return None if self.horn is None or self.rod is None else SwingArm(self.horn, self.rod)
 
     @property
     def slides(self) -> bool:

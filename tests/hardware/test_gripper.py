@@ -248,7 +248,7 @@ def test_the_finger_of_a_swing_arm_is_where_it_is_said_to_be_in_mujoco(direction
     swing = SwingArm(0.014, 0.024)
     mode = OperatingMode.POSITION
     finger = JointMap(
-        "finger", 9, "XL430-W250", mode, direction, 2048, 1.0, 0.015, 0.037, 0.05, 0.5, swing=swing,
+        "finger", 9, "XL430-W250", mode, direction, 2048, 1.0, 0.015, 0.037, 0.05, 0.5, horn=0.014, rod=0.024,
         reverse=reverse,
     )  # fmt: skip
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))

@@ -20,7 +20,10 @@ ALOHA_LEADER = SwingArm(0.020, 0.020)
 
 def finger(swing: SwingArm = WX250S, **changes: object) -> JointMap:
     """The gripper of a wx250s, its servo as the maker mounts it."""
-    made = JointMap("finger", 9, "XL430-W250", POSITION, 1, 2048, 1.0, 0.015, 0.037, 0.05, 0.5, swing=swing)
+    made = JointMap(
+        "finger", 9, "XL430-W250", POSITION, 1, 2048, 1.0, 0.015, 0.037, 0.05, 0.5,
+        horn=swing.horn, rod=swing.rod,
+    )  # fmt: skip
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
@@ -33,18 +36,18 @@ def maps(draw: st.DrawFn) -> JointMap:
     ratio = draw(st.floats(0.05, 20.0))
     mode = draw(st.sampled_from([POSITION, EXTENDED]))
     pinion = draw(st.floats(0.002, 0.05)) if kind == "rack" else None
-    swing = None
+    horn = rod = None
     scale = 1.0 if pinion is None else pinion
     low, high = -7.0 * scale, 7.0 * scale
     if kind == "swing":
         horn = draw(st.floats(0.005, 0.05))
-        swing = SwingArm(horn, horn * draw(st.floats(1.0, 4.0)))
-        low, high = swing.ends
+        rod = horn * draw(st.floats(1.0, 4.0))
+        low, high = SwingArm(horn, rod).ends
     lower = low + draw(st.floats(0.0, 0.9)) * (high - low)
     upper = lower + draw(st.floats(0.01, 1.0)) * (high - lower)
     joint = JointMap(
         "j", 1, "XM430-W350", mode, direction, zero, ratio, lower, upper, scale, scale, pinion=pinion,
-        swing=swing,
+        horn=horn, rod=rod,
     )  # fmt: skip
     low, high = joint.limits
     assume(high - low >= joint.resolution)
@@ -133,7 +136,9 @@ def test_a_swing_arm_goes_on_straight_beyond_its_dead_centres(
 
 
 def test_a_rack_that_fits_best_is_millimetres_off_where_the_swing_arm_is_exact() -> None:
-    rack = replace(finger(), swing=None, pinion=0.0145, zero_ticks=2048 - round(0.0199 / 0.0145 * 651.9))
+    rack = replace(
+        finger(), horn=None, rod=None, pinion=0.0145, zero_ticks=2048 - round(0.0199 / 0.0145 * 651.9)
+    )
     off = [abs(rack.to_radians(finger().position(d)) - d) for d in (0.015, 0.020, 0.026, 0.032, 0.037)]
     assert 1.0e-3 < max(off) < 1.4e-3
     assert max(abs(finger().to_radians(finger().position(d)) - d) for d in (0.015, 0.026, 0.037)) < 1e-12
