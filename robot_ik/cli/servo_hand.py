@@ -251,7 +251,7 @@ class ServoTeachOptions(BusOptions):
     Ctrl-C ends it too: what was recorded is kept, and the exit code is 130.
     """
 
-    file: Positional[Annotated[Path, arg(metavar="FILE.csv|FILE.json")]]
+    file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """Where to: times in s, joint angles in rad."""
     seconds: Annotated[float | None, single("S", "until Enter")] = None
     """Record for so long."""
@@ -263,9 +263,10 @@ class ServoTeachOptions(BusOptions):
 
 def run_teach(options: ServoTeachOptions) -> int:
     """Records and writes the file."""
-    from robot_ik.jobs.teach import TaughtMotion, require_suffix
+    from robot_ik.jobs.teach import TaughtMotion
 
-    require_suffix(options.file)
+    if options.file.suffix != ".csv":
+        raise wrong("FILE.csv", f"{options.file}", "a name that ends in .csv")
     _check_seconds(options.seconds)
     require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
@@ -283,12 +284,12 @@ def run_teach(options: ServoTeachOptions) -> int:
 
 
 def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
-    from robot_ik.jobs.teach import outside, save_motion
+    from robot_ik.jobs.teach import outside
 
     if motion is None:
         console.refused("no servo position could be read")
         return
-    save_motion(path, motion)
+    motion.save_csv(path)
     console.result(f"{path}: {len(motion)} samples, {motion.duration:.2f} s")
     for joint, most in outside(motion, config):
         console.say(f"{joint.name} was {joint.text(most)} beyond its limits: play refuses that", "yellow")
@@ -305,7 +306,7 @@ class ServoPlayOptions(BusOptions):
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    file: Positional[Annotated[Path, arg(metavar="FILE.csv|FILE.json")]]
+    file: Positional[Annotated[Path, arg(metavar="FILE.csv")]]
     """A file of teach."""
     speed: float = 1.0
     """Share of the recorded speed, above 0 and up to 1."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -11,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from robot_ik.errors import ConfigError, HardwareError, TrajectoryError
+from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.execution import execute
-from robot_ik.files import write_atomically
 from robot_ik.hardware.arm import Arm
 from robot_ik.hardware.bus import shared_register
 from robot_ik.hardware.config import ArmConfig
@@ -22,10 +20,6 @@ from robot_ik.hardware.joint_map import JointMap
 from robot_ik.jobs.hand_calibration import require_limp
 from robot_ik.motion.trajectory import Trajectory, approach, playable
 from robot_ik.ports import JointSink
-from robot_ik.reading import read_json
-from robot_ik.tables import SchemaVersion, Several, Table, check_table
-
-SUFFIXES = (".csv", ".json")
 
 ALLOWED_OUTSIDE = math.radians(1.0)
 """rad by which a recording may pass a limit, as a soft stop gives; it is played at the limit."""
@@ -79,49 +73,13 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
 # ------------------------------------------------------------------------------------------ files
 
 
-class _MotionFile(Table):
-    version: SchemaVersion = 1
-    joints: Several[str]
-    time_s: Several[float]
-    q_rad: Several[Several[float]]
-
-
-def require_suffix(path: Path) -> None:
-    """Raises ``ConfigError`` unless the name says one of the two formats."""
-    if path.suffix not in SUFFIXES:
-        allowed = f"a name that ends in {' or '.join(SUFFIXES)}"
-        problem = f"the format is not clear from the name {path.name!r}"
-        raise ConfigError(problem, file="command line", key="FILE", allowed=allowed)
-
-
-def save_motion(path: Path, motion: Trajectory) -> None:
-    """CSV or JSON, by the name.
-
-    Raises:
-        OutputError: It cannot be written.
-    """
-    if path.suffix == ".csv":
-        motion.save_csv(path)
-        return
-    content = {"schema": 1, "joints": list(motion.joints), "time_s": motion.times.tolist()}
-    write_atomically(path, json.dumps({**content, "q_rad": motion.q.tolist()}) + "\n")
-
-
 def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
-    """Reads what ``save_motion`` has written, in the order of ``joints``.
+    """A motion in the order of ``joints``, as ``Trajectory.load_csv`` reads it.
 
     Raises:
         ConfigError: It cannot be read, its numbers are no motion, or it is of other joints.
     """
-    require_suffix(path)
-    if path.suffix == ".csv":
-        motion = Trajectory.load_csv(path)
-    else:
-        try:
-            content = check_table(_MotionFile, read_json(path, "the recording"), path)
-            motion = Trajectory(content.time_s, content.q_rad, content.joints)
-        except (TrajectoryError, ValueError) as error:  # ValueError: rows of different lengths
-            raise ConfigError(f"this is no motion: {error.args[0]}", file=path, key="q_rad") from error
+    motion = Trajectory.load_csv(path)
     if sorted(motion.joints) != sorted(joints):
         raise ConfigError(
             f"it is a motion of {', '.join(motion.joints)}", file=path, allowed=f"of {', '.join(joints)}",

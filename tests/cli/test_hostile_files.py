@@ -48,7 +48,6 @@ COMMANDS: list[tuple[str, str, dict[str, str]]] = [
     ("run take_a_block --arm FILE", "arm.toml", TOML),
     ("run FILE", "script.toml", TOML),
     ("sim-bus --faults FILE", "faults.toml", TOML),
-    ("servo play FILE --bus /dev/null", "motion.json", JSON),
     ("servo play FILE --bus /dev/null", "motion.csv", CSV),
     ("servo restore FILE --bus /dev/null", "backup.json", JSON),
     ("camera handeye --samples FILE", "samples.json", JSON),

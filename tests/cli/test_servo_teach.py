@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -62,7 +61,7 @@ def test_what_a_hand_shows_is_played_again(robot_ik: Any, desk: Any, tmp_path: P
 
 def record(path: Path, degrees: list[list[float]], seconds: float) -> Path:
     times = np.linspace(0.0, seconds, len(degrees))
-    teach.save_motion(path, Trajectory(times, np.radians(degrees), JOINTS))
+    Trajectory(times, np.radians(degrees), JOINTS).save_csv(path)
     return path
 
 
@@ -132,12 +131,10 @@ def test_a_recording_beyond_the_limits_says_so_at_once(robot_ik: Any, desk: Any,
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (("teach", "m.txt"), "not clear from the name 'm.txt'; allowed: a name that ends in .csv or .json"),
+        (("teach", "m.txt"), "m.txt; allowed: a name that ends in .csv"),
         (("teach", "m.csv", "--seconds", "nan"), "--seconds"),
         (("teach", "m.csv", "--rate", 0), "--rate"),
         (("play", "no.csv"), "no.csv"),
-        (("play", "no.json"), "no.json"),
-        (("play", "no.txt"), ".csv or .json"),
     ],
 )
 def test_wrong_input(
@@ -157,16 +154,15 @@ def test_wrong_input(
 @pytest.mark.parametrize(
     ("content", "named"),
     [
-        ("[]", "recording"),
-        ('{"joints": ["joint1"], "time_s": [0]}', "q_rad"),
-        ('{"joints": ["a"], "time_s": [0.0], "q_rad": [[0.0]]}', "joint1"),
-        ('{"joints": ["a"], "time_s": [0.0], "q_rad": [[0.0]]}', "ar --motion"),
-        ('{"joints": ["joint1"], "time_s": [0.0], "q_rad": [["x"]]}', "recording"),
-        ('{"joints": ["joint1"], "time_s": [0.0, 0.0], "q_rad": [[1.0], [1.0]]}', "increase"),
+        ("[]", "trajectory"),
+        ("time_s,joint1\n0.0,1.0\n", "joint1"),
+        ("time_s,a\n0.0,1.0\n", "ar --motion"),
+        ("time_s,joint1\n0.0,x\n", "line 2"),
+        ("time_s,joint1\n0.0,1.0\n0.0,1.0\n", "increase"),
     ],
 )
 def test_wrong_recordings(content: str, named: str, robot_ik: Any, desk: Any, tmp_path: Path) -> None:
-    file = tmp_path / "m.json"
+    file = tmp_path / "m.csv"
     file.write_text(content)
     run = robot_ik("servo", "play", file, *desk.at)
     assert run.code in (1, 2) and named in run.err and "Traceback" not in run.err
@@ -206,12 +202,12 @@ def test_where_nobody_can_press_enter_nothing_is_recorded(robot_ik_child: Any, t
 
 
 def test_in_process(robot_ik: Any, tmp_path: Path) -> None:
-    run = robot_ik("servo", "teach", tmp_path / "m.json", "--bus", "sim", "--seconds", 1)
+    run = robot_ik("servo", "teach", tmp_path / "m.csv", "--bus", "sim", "--seconds", 1)
     assert run.code == 0, run.err
-    assert len(json.loads((tmp_path / "m.json").read_text())["time_s"]) == 51
+    assert len((tmp_path / "m.csv").read_text().splitlines()) == 1 + 51
     kept = tmp_path / "kept.csv"
     kept.write_text("mine")
-    play = ("servo", "play", tmp_path / "m.json", "--bus", "sim", "--record", kept)
+    play = ("servo", "play", tmp_path / "m.csv", "--bus", "sim", "--record", kept)
     run = robot_ik(*play)
     assert run.code == 2 and "--overwrite" in run.err and kept.read_text() == "mine"
     assert robot_ik(*play, "--overwrite").code == 0 and kept.read_text().startswith("time_s")
