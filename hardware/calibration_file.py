@@ -15,7 +15,7 @@ from robot_ik.errors import ConfigError
 from robot_ik.files import timestamp, write_atomically
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import MULTI_TURN_TICKS, TICKS_PER_REVOLUTION, OperatingMode
-from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign
+from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap, ServoId, Sign, Twin
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.reading import WrongKey, read_json
 from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of, read_table
@@ -39,6 +39,9 @@ class JointCalibration:
         range_min, range_max: Present Position at the ends of the sweep, ticks.
         direction: +1 or -1; ``zero_ticks``: Present Position at q = 0.
         urdf_lower, urdf_upper: Limits of the model then, deg (mm of a slide).
+
+    Raises:
+        WrongKey: The range is empty.
     """
 
     name: str
@@ -52,6 +55,10 @@ class JointCalibration:
     zero_ticks: _Ticks
     urdf_lower: float
     urdf_upper: float
+
+    def __post_init__(self) -> None:
+        if self.range_min >= self.range_max:
+            raise WrongKey(f"the range of {self.name!r} is empty", "range_min", f"< {self.range_max}")
 
 
 @dataclass(frozen=True)
@@ -124,15 +131,6 @@ class _CalibrationFile(Table):
     bus: Any = None  # of older files, not read
     joints: Annotated[Several[_Row], Field(min_length=1)]
     twins: Several[_Row] = ()
-
-    @model_validator(mode="after")
-    def _some_range(self) -> _CalibrationFile:
-        for table, rows in (("joints", self.joints), ("twins", self.twins)):
-            for k, row in enumerate(rows):
-                if row.range_min >= row.range_max:
-                    key, allowed = f"{table}[{k}].range_min", f"< {row.range_max}"
-                    raise WrongKey(f"the range of {row.name!r} is empty", key, allowed)
-        return self
 
 
 # ------------------------------------------------------------------------------------------
@@ -267,10 +265,10 @@ def _require_usable(joint: JointMap, row: _LeRobotRow, path: Path) -> None:
 # ------------------------------------------------------------------------------------------
 # New joint zeros in an arm file: only these numbers change, comments and all else stay as they are.
 
-_JOINT = re.compile(r"^\s*\[\[\s*joints\s*\]\]")
-_TWIN = re.compile(r"^\s*\[\s*joints\s*\.\s*twin\s*\]")
-_TABLE = re.compile(r"^\s*\[")
-_ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)(.*)$", re.DOTALL)
+_TABLES = re.compile(r"^(?=[ \t]*\[)", re.MULTILINE)
+_JOINT = re.compile(r"\s*\[\[\s*joints\s*\]\]")
+_TWIN = re.compile(r"\s*\[\s*joints\s*\.\s*twin\s*\]")
+_ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)", re.MULTILINE)
 
 # Where an arm file says no zero.
 _MIDDLE = TICKS_PER_REVOLUTION // 2
@@ -347,25 +345,17 @@ def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
     """The text with the zeros of ``new``; checked by reading it again."""
     following = iter((*new.joints, *new.auxiliary))
-    lines: list[str] = []
     joint: JointMap | None = None
-    wanted: int | None = None  # of the table that we are in; None: it has no zero, or had it
-    for line in text.splitlines(keepends=True):
-        if _TABLE.match(line):
-            _complete(lines, wanted)
-            wanted = None
-            if _JOINT.match(line):
-                joint = next(following, None)
-                wanted = None if joint is None else joint.zero_ticks
-            elif _TWIN.match(line) and joint is not None and joint.twin is not None:
-                wanted = joint.twin.zero_ticks
-        elif wanted is not None and (found := _ZERO.match(line)):
-            if int(found[2]) != wanted:
-                line = f"{found[1]}{wanted}{found[3]}"
-            wanted = None
-        lines.append(line)
-    _complete(lines, wanted)
-    edited = "".join(lines)
+    parts = _TABLES.split(text)
+    for k, part in enumerate(parts):
+        servo: JointMap | Twin | None = None
+        if _JOINT.match(part):
+            servo = joint = next(following, None)
+        elif _TWIN.match(part) and joint is not None:
+            servo = joint.twin
+        if servo is not None:
+            parts[k] = _with_zero(part, servo.zero_ticks)
+    edited = "".join(parts)
     if ArmConfig.parse(edited, file) != replace(new, file=file):
         zeros = ", ".join(f"{one.name} {one.zero_ticks}" for one in new.servos)
         raise ConfigError(
@@ -375,16 +365,13 @@ def _edited(text: str, new: ArmConfig, file: Path) -> str:
     return edited
 
 
-def _complete(lines: list[str], wanted: int | None) -> None:
-    """Adds the zero to a table that ends and had none (its zero was the default)."""
-    if wanted is None or wanted == _MIDDLE:
-        return
-    at = len(lines)
-    while at > 0 and not lines[at - 1].strip():
-        at -= 1
-    if at > 0 and not lines[at - 1].endswith("\n"):
-        lines[at - 1] += "\n"
-    lines.insert(at, f"zero_ticks = {wanted}\n")
+def _with_zero(table: str, zero: int) -> str:
+    """The text of a table with this zero; one without (its zero was the default) gets it as first key."""
+    edited, found = _ZERO.subn(lambda m: m[0] if int(m[2]) == zero else f"{m[1]}{zero}", table, count=1)
+    if found or zero == _MIDDLE:
+        return edited
+    head, _, rest = table.partition("\n")
+    return f"{head}\nzero_ticks = {zero}\n{rest}"
 
 
 def _backup(file: Path, text: str) -> Path:
