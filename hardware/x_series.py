@@ -168,22 +168,18 @@ class ServoFamily:
     added: tuple[Row, ...] = ()
 
 
+# They came together.
+_LATEST = ("torque_by_goal", "startup_configuration", "backup_ready", "backup", "fast_read")
+
 # What the manual leaves open: Model Information has no value in it (0 here), External Port Data no initial
 # value and no range (0, 0..4095).  Velocity Limit began larger before firmware 42 (XM430-W350: 350 for 200).
 FAMILY_430 = ServoFamily(
     firmware=48,
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
     since={
-        "drive_mode": 38,
-        "bus_watchdog": 38,
-        "reverse": 38,
-        "time_based": 42,
-        "guarded_reset": 42,
-        "torque_by_goal": 45,
-        "startup_configuration": 45,
-        "backup_ready": 45,
-        "backup": 45,
-        "fast_read": 45,
+        **dict.fromkeys(("drive_mode", "bus_watchdog", "reverse"), 38),
+        **dict.fromkeys(("time_based", "guarded_reset"), 42),
+        **dict.fromkeys(_LATEST, 45),
     },
 )
 FAMILY_540 = replace(FAMILY_430, since={**FAMILY_430.since, "slave": 38}, added=EXTERNAL_PORTS)
@@ -193,14 +189,9 @@ FAMILY_330 = ServoFamily(
     # That there were 20 of them before firmware 52 is assumed.
     indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
     since={
-        "reverse": 0,
-        "time_based": 0,
+        **dict.fromkeys(("reverse", "time_based"), 0),
         "guarded_reset": 42,
-        "torque_by_goal": 46,
-        "startup_configuration": 46,
-        "backup_ready": 46,
-        "backup": 46,
-        "fast_read": 46,
+        **dict.fromkeys(_LATEST, 46),
     },
     fastest=2047,
     current_unit="1 mA",
