@@ -184,15 +184,6 @@ def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     )
 
 
-def torque_lost(servo: JointMap) -> MotorFaultError:
-    """The fault of a servo that has no torque and should."""
-    return MotorFaultError(
-        servo.name,
-        ("torque_lost",),
-        hint="the servo has probably restarted: check its supply; the other joints hold",
-    )
-
-
 def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
     """The fault of a servo whose position changed by more than it can have moved, in ticks.
 
@@ -219,7 +210,8 @@ def has_torque(bus: ServoBus, servo: JointMap) -> bool:
     except (BusTimeoutError, BusCorruptError):
         return False
     if not torque:
-        raise torque_lost(servo)
+        hint = "the servo has probably restarted: check its supply; the other joints hold"
+        raise MotorFaultError(servo.name, ("torque_lost",), hint=hint)
     return True
 
 
@@ -319,8 +311,10 @@ class Cycle:
         for servo in self._config.servos:
             if statuses[servo.id].alert:
                 raise shut_down(self._bus, servo)
-            if measured[servo.id].torque is False:
-                self._confirm_torque(servo)
+            # Not heard: if it stays so, it is a silent servo.
+            if measured[servo.id].torque is False and has_torque(self._bus, servo):
+                log.warning("servo %d has torque, which its feedback denies: read plainly now", servo.id)
+                self.feedback.read_plainly(servo.id)
             if servo.id in self.samples.jumped:
                 has_torque(self._bus, servo)
                 raise jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
@@ -445,13 +439,6 @@ class Cycle:
             return 0.0  # what has passed is left to the next command
         self._moved_until = max(self._moved_until + dt, here - JITTER * self.period)
         return dt
-
-    def _confirm_torque(self, servo: JointMap) -> None:
-        """The feedback of a servo says it has no torque."""
-        if not has_torque(self._bus, servo):
-            return  # not heard: if it stays so, it is a silent servo
-        log.warning("servo %d has torque and its feedback denies it: read plainly from here on", servo.id)
-        self.feedback.read_plainly(servo.id)
 
     def _confirm_silence(self, silent: list[JointMap], everyone: bool) -> None:
         """Who is about to be given up is asked once more, by itself and with all patience.

@@ -12,7 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 
 from robot_ik.errors import ArmStateError, ConfigError, HardwareError
-from robot_ik.hardware.bus import BROADCAST_ID, ServoBus
+from robot_ik.hardware.bus import BROADCAST_ID
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
@@ -227,28 +227,24 @@ def set_up(port: str, servo: FoundServo, id: int, baud: int) -> None:
         )
     with closing(DynamixelBus(port, servo.baud)) as bus:
         bus.open()
-        _write(bus, servo, table, id, baud)
+        at = servo.id
+        if bus.read(at, table["torque_enable"]).data:
+            raise ArmStateError(
+                f"torque of the servo (id {at}) is on, so its EEPROM is locked; nothing was written",
+                hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
+                f"{at} --baud {servo.baud}",
+            )
+        if bus.read(at, table["return_delay_time"]).data:
+            bus.write(at, table["return_delay_time"], 0)
+        # Id before rate: if the line breaks between, the servo is where it was, under its new id.
+        if at != id:
+            bus.write(at, table["id"], id)
+            bus.ping(id)
+        if servo.baud != baud:
+            bus.write(id, table["baud_rate"], BAUD_CODES[baud])
     with closing(DynamixelBus(port, baud)) as bus:
         bus.open()
         names = ("model_number", "id", "baud_rate", "return_delay_time")
         said = tuple(bus.read(id, table[name]).data for name in names)
     if said != (servo.number, id, BAUD_CODES[baud], 0):
         raise HardwareError(f"id {id} at {baud} baud reads back model, id, rate, delay = {said}")
-
-
-def _write(bus: ServoBus, servo: FoundServo, table: ControlTable, id: int, baud: int) -> None:
-    """Id before rate: if the line breaks between, the servo is where it was, under its new id."""
-    at = servo.id
-    if bus.read(at, table["torque_enable"]).data:
-        raise ArmStateError(
-            f"torque of the servo (id {at}) is on, so its EEPROM is locked; nothing was written",
-            hint="support what hangs on it and switch it off: robot-ik servo torque off --ids "
-            f"{at} --baud {servo.baud}",
-        )
-    if bus.read(at, table["return_delay_time"]).data:
-        bus.write(at, table["return_delay_time"], 0)
-    if at != id:
-        bus.write(at, table["id"], id)
-        bus.ping(id)
-    if servo.baud != baud:
-        bus.write(id, table["baud_rate"], BAUD_CODES[baud])

@@ -193,36 +193,24 @@ class VirtualBus:
             replies = [data] if self.echo else []
             for packet in self._parser.feed(data, self.clock.now()):
                 self.schedule.count()
-                listeners = self._listeners(baud)
+                listeners = [s for s in self.servos if not s.deaf and (baud is None or s.baud == baud)]
                 for servo in listeners:
                     servo.hear()
                 replies += self.wire.carry(self._execute_all(packet, listeners))
             return b"".join(replies), self._delay + (self.latency if replies else 0.0)
 
-    def _listeners(self, baud: int | None) -> list[VirtualServo]:
-        awake = [servo for servo in self.servos if not servo.deaf]
-        return awake if baud is None else [s for s in awake if s.baud == baud]
-
     def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """Status packets that a packet causes, in the order they go over the wire."""
-        params = packet.params
-        match packet.instruction if packet.valid else None:
-            case Instruction.SYNC_WRITE:
-                orders = instructions.sync_writes(params)
-            case Instruction.BULK_WRITE:
-                orders = instructions.bulk_writes(params)
-            case Instruction.SYNC_READ:
-                return self._read_many(instructions.sync_requests(params), listeners)
-            case Instruction.BULK_READ:
-                return self._read_many(instructions.bulk_requests(params), listeners)
-            case Instruction.FAST_SYNC_READ:
-                return self._read_fast(instructions.sync_requests(params), listeners)
-            case Instruction.FAST_BULK_READ:
-                return self._read_fast(instructions.bulk_requests(params), listeners)
-            case Instruction.STATUS:
-                return []
-            case _:
-                return self._execute(packet, listeners)
+        instruction = packet.instruction if packet.valid else None
+        if instruction == Instruction.STATUS:
+            return []
+        if instruction in instructions.READS:
+            requests = instructions.READS[instruction](packet.params)
+            fast = instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
+            return (self._read_fast if fast else self._read_many)(requests, listeners)
+        if instruction not in instructions.WRITES:
+            return self._execute(packet, listeners)
+        orders = instructions.WRITES[instruction](packet.params)
         for servo in listeners:
             heard = {servo.memory.values["id"], servo.memory.values["secondary_id"]}
             for id, address, data in orders:

@@ -67,6 +67,10 @@ class Memory:
         kept = (r for r in self.table if r.writable and (r.eeprom or r.name in CONTROLLER or _pointer(r)))
         return {r.name: self.values[r.name] for r in kept}
 
+    def drives(self, bit: int) -> bool:
+        """Whether a bit of Drive Mode is set."""
+        return bool(self.values.get("drive_mode", 0) & bit)
+
     def set(self, name: str, value: int) -> None:
         """Sets a register as the servo itself does: without any check but its size."""
         register = self._registers[name]
@@ -172,7 +176,7 @@ def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
         case "drive_mode":
             refused = bool(value & ~register.maximum)
         case "profile_acceleration":
-            refused = bool(values.get("drive_mode", 0) & TIME_BASED) and value > _LONGEST_RAMP
+            refused = memory.drives(TIME_BASED) and value > _LONGEST_RAMP
         case "goal_position" | "goal_velocity" | "goal_current" | "goal_pwm" if tripped:
             refused = True
         case "goal_position" if values["operating_mode"] == OperatingMode.POSITION:

@@ -254,7 +254,7 @@ def velocity_control(now: float, position: float, velocity: float, memory: Memor
     wanted = sign * memory.values["goal_velocity"] * VELOCITY_TICKS
     steepness = memory.values["profile_acceleration"]
     acceleration = steepness * ACCELERATION_TICKS
-    if memory.values.get("drive_mode", 0) & TIME_BASED:
+    if memory.drives(TIME_BASED):
         acceleration = abs(wanted - velocity) / (steepness / 1000.0) if steepness else 0.0
     return constant_velocity(
         now, position, velocity, wanted, min(acceleration or math.inf, PHYSICAL_ACCELERATION)
@@ -302,7 +302,7 @@ def position_control(
         return move(now, position, velocity, goal, physical_top, PHYSICAL_ACCELERATION, ProfileKind.STEP)
     kind = None if steepness else ProfileKind.RECTANGULAR
     top, acceleration = fastest * VELOCITY_TICKS, steepness * ACCELERATION_TICKS
-    if memory.values.get("drive_mode", 0) & TIME_BASED:
+    if memory.drives(TIME_BASED):
         total = fastest / 1000.0
         ramp = min(steepness / 1000.0, 0.5 * total)
         top = abs(goal - position) / (total - ramp)

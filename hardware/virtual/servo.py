@@ -447,15 +447,15 @@ class VirtualServo:
         elif not had_torque and not self.tripped:
             self._count_anew()
             self.heard = self._clock.now()
-            if not self._slave:
+            if not self.memory.drives(SLAVE):
                 self._torque_on()
                 shaft.go()
 
     def _goal_written(self, of_this_mode: bool) -> None:
-        if not of_this_mode or self._slave:
+        if not of_this_mode or self.memory.drives(SLAVE):
             return
         values = self._values
-        if not values["torque_enable"] and self._drive_mode & TORQUE_BY_GOAL and not self._shut_down():
+        if not values["torque_enable"] and self.memory.drives(TORQUE_BY_GOAL) and not self._shut_down():
             self._torque_on()
         if values["torque_enable"]:
             self.shaft.go()
@@ -463,14 +463,6 @@ class VirtualServo:
     def _count_anew(self) -> None:
         if self.memory.values["operating_mode"] == OperatingMode.POSITION:
             self.shaft.fold()
-
-    @property
-    def _drive_mode(self) -> int:
-        return self._values.get("drive_mode", 0)
-
-    @property
-    def _slave(self) -> bool:
-        return bool(self._drive_mode & SLAVE)
 
     def _shut_down(self) -> bool:
         return bool(self.memory.values["hardware_error_status"] & self.memory.values["shutdown"])
@@ -525,6 +517,19 @@ def bulk_writes(params: bytes) -> list[Order]:
             found.append((params[at], word(params, at + 1), data))
         at += 5 + length
     return found
+
+
+READS: Mapping[int, Callable[[bytes], list[Request]]] = {
+    Instruction.SYNC_READ: sync_requests,
+    Instruction.FAST_SYNC_READ: sync_requests,
+    Instruction.BULK_READ: bulk_requests,
+    Instruction.FAST_BULK_READ: bulk_requests,
+}
+WRITES: Mapping[int, Callable[[bytes], list[Order]]] = {
+    Instruction.SYNC_WRITE: sync_writes,
+    Instruction.BULK_WRITE: bulk_writes,
+}
+"""Instructions to many servos -> what is in their parameters."""
 
 
 def execute(

@@ -134,8 +134,8 @@ class Shaft:
             "moving_status": self.moving_status,
             "present_velocity": self.velocity_register,
             "present_position": self.position_register,
-            "velocity_trajectory": self.velocity_trajectory,
-            "position_trajectory": self.position_trajectory,
+            "velocity_trajectory": lambda: self.sign * round(self._planned()[1] / VELOCITY_TICKS),
+            "position_trajectory": lambda: round(self._to_reading(self._planned()[0])),
         }
 
     def position_register(self) -> int:
@@ -143,12 +143,6 @@ class Shaft:
 
     def velocity_register(self) -> int:
         return self.sign * round(self._actual()[1] / VELOCITY_TICKS)
-
-    def position_trajectory(self) -> int:
-        return round(self._to_reading(self._planned()[0]))
-
-    def velocity_trajectory(self) -> int:
-        return self.sign * round(self._planned()[1] / VELOCITY_TICKS)
 
     def moving_status(self) -> int:
         """Bit 0 in position, 1 profile going on, 3 following error, 4-5 kind of profile."""
@@ -229,7 +223,7 @@ class Shaft:
     @property
     def sign(self) -> int:
         """-1 where Drive Mode reverses."""
-        return -1 if self._values.get("drive_mode", 0) & REVERSE else 1
+        return -1 if self._memory.drives(REVERSE) else 1
 
     @property
     def _homing(self) -> int:
