@@ -147,13 +147,14 @@ def arm_on(options: BusOptions, config: ArmConfig, on_exit: str = "") -> Arm:
 
     Raises:
         BusNotOpenError: No port is named and there is not exactly one.
-        ConfigError: No such way to leave an arm.
+        ConfigError: No such way to leave an arm.  As ``require_model``.
     """
     from robot_ik.hardware import open_arm
     from robot_ik.hardware.torque import checked_policy
 
     if on_exit:
         checked_policy(on_exit, "command line", "--on-exit")
+    require_model(config)
     return open_arm(config, port_name(options.bus), on_exit=on_exit or None)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -18,8 +20,6 @@ from robot_ik.cli.connection import BusOptions, load_arm, opened, served_or_seri
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.bus import ServoBus
-    from robot_ik.hardware.config import ArmConfig
     from robot_ik.hardware.discovery import FoundServo
     from robot_ik.hardware.health import ServoState
 
@@ -269,44 +269,31 @@ class ServoMonitorOptions(BusOptions):
 
 def run_monitor(options: ServoMonitorOptions) -> int:
     """Prints samples; 1 when somebody was silent in the last one."""
+    from robot_ik.hardware.health import read_states
+
     rate, count = options.rate, options.count
     require(0.0 < rate <= FASTEST, "--rate", f"{rate:g} Hz", f"above 0, at most {FASTEST:g}")
     require(count is None or count >= 1, "--count", f"{count} samples", "1 and more")
     config = load_arm(options.arm)
-    with opened(options, config) as bus:
-        begin, screen = bus.clock.now(), console.out()
-
-        def line(states: Sequence[ServoState]) -> None:
-            servos = [asdict(state) for state in states]
-            console.print_json_line({"time": round(bus.clock.now() - begin, 6), "servos": servos})
-
-        if options.json or not screen.is_terminal:
-            return _watch(
-                bus, config, options, line if options.json else lambda s: screen.print(states_table(s))
-            )
-        with Live(console=screen, auto_refresh=False) as live:
-            return _watch(
-                bus, config, options, lambda states: live.update(states_table(states), refresh=True)
-            )
-
-
-def _watch(
-    bus: ServoBus,
-    config: ArmConfig,
-    options: ServoMonitorOptions,
-    show: Callable[[Sequence[ServoState]], object],
-) -> int:
-    from robot_ik.hardware.health import read_states
-
-    due, done = bus.clock.now(), 0
-    while True:
-        states = read_states(bus, config.servos)
-        show(states)
-        done += 1
-        if done == options.count:
-            return console.DONE if all(state.answered for state in states) else console.NOT_ACHIEVED
-        due = max(due + 1.0 / options.rate, bus.clock.now())
-        bus.clock.sleep_until(due)
+    with opened(options, config) as bus, ExitStack() as stack:
+        begin, screen, live = bus.clock.now(), console.out(), None
+        if screen.is_terminal and not options.json:
+            live = stack.enter_context(Live(console=screen, auto_refresh=False))
+        due = begin
+        for k in itertools.count(1):
+            states = read_states(bus, config.servos)
+            if options.json:
+                servos = [asdict(state) for state in states]
+                console.print_json_line({"time": round(bus.clock.now() - begin, 6), "servos": servos})
+            elif live is None:
+                screen.print(states_table(states))
+            else:
+                live.update(states_table(states), refresh=True)
+            if k == count:
+                break
+            due = max(due + 1.0 / rate, bus.clock.now())
+            bus.clock.sleep_until(due)
+    return console.DONE if all(state.answered for state in states) else console.NOT_ACHIEVED
 
 
 def states_table(states: Sequence[ServoState]) -> Table:

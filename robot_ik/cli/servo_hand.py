@@ -18,15 +18,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, RecordFile, require, require_share, several, single, wrong
-from robot_ik.cli.connection import (
-    BusOptions,
-    arm_on,
-    attempt,
-    driving,
-    load_arm,
-    model_limits,
-    require_model,
-)
+from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, model_limits
 from robot_ik.cli.servo_motion import parse_angles, shown_value
 from robot_ik.errors import HardwareError
 from robot_ik.files import claimed
@@ -270,7 +262,6 @@ def run_teach(options: ServoTeachOptions) -> int:
     _check_seconds(options.seconds)
     require(0.0 < options.rate <= 200.0, "--rate", f"{options.rate:g} Hz", "above 0, at most 200")
     config = load_arm(options.arm).whole
-    require_model(config)
     arm = arm_on(options, config)
     prompts = Prompts(arm.clock, options.seconds, 1.0 / options.rate)  # may refuse: before it is connected
     with claimed(options.file, overwrite=options.overwrite), arm:
@@ -321,7 +312,6 @@ def run_play(options: ServoPlayOptions) -> int:
     from robot_ik.jobs.teach import load_playable, play_motion
 
     config = load_arm(options.arm).whole
-    require_model(config)
     require_share("--speed", options.speed, "speed caps")
     motion, stretch = load_playable(options.file, config, options.speed)
     arm = arm_on(options, config, options.on_exit)

@@ -13,15 +13,7 @@ from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
 from robot_ik.cli.arguments import OnExit, require, require_share, several, single, wrong
-from robot_ik.cli.connection import (
-    BusOptions,
-    arm_on,
-    attempt,
-    driving,
-    load_arm,
-    opened,
-    require_model,
-)
+from robot_ik.cli.connection import BusOptions, arm_on, attempt, driving, load_arm, opened, require_model
 from robot_ik.cli.servo_bus import checked_rates
 from robot_ik.errors import apart
 
@@ -55,7 +47,6 @@ def run_move(options: ServoMoveOptions) -> int:
     """Goes there; 1 when a joint did not arrive."""
     require_share("--speed", options.speed, "speed caps")
     config = load_arm(options.arm).slowed(options.speed)
-    require_model(config)
     angles = parse_angles(options.to, config)
     if not options.by:
         require_inside(angles, config)
@@ -162,7 +153,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
     require(off or not options.ids, "--ids", only, "torque off --ids N …")
     config = load_arm(options.arm)
     if options.to == "on":
-        require_model(config)
+        require_model(config)  # of the joints that stay as they are, too
         arm = arm_on(options, config.only(options.joints), "hold")
         with driving(arm), attempt():
             arm.enable()
