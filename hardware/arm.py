@@ -378,9 +378,8 @@ class Arm(Closing):
             log.info("fault: %s", error)  # whoever asked for the step gets the error itself
             try:  # the others stay where they are; the one in fault cannot hear or will not obey
                 if self.bus.is_open:
-                    self._cycle.goals = self._cycle.holding_goals()
-                    self._cycle.held = True
-                    self.bus.sync_write(shared_register(self.config, "goal_position"), self._cycle.goals)
+                    goals = self._cycle.begin_hold()
+                    self.bus.sync_write(shared_register(self.config, "goal_position"), goals)
             except HardwareError as second:
                 log.warning("holding the other joints: %s", second)
             raise
@@ -567,12 +566,16 @@ class Arm(Closing):
         goals: dict[int, int] = {}
         try:
             if policy == "hold" and self._cycle.goals:
-                goals = self._cycle.goals = self._cycle.holding_goals()
-                self._cycle.held = True
+                goals = self._cycle.begin_hold()
         except Exception as error:
             log.error("the goals to hold are not known: %s", error)
-        self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked)
-        return self.exit_report
+        begin = self.clock.now()
+        report = self.exit_report = leave(self.bus, self.config, policy, goals, parked=parked)
+        if report.ok:
+            log.info("%s confirmed by all servos in %.3f s", report.done, self.clock.now() - begin)
+        else:
+            log.error("%s %s", report.done, report.doubt)
+        return report
 
     def _park(self, stop: Callable[[], bool]) -> bool:
         """Whether the arm is where it is to be left; False where it cannot go there."""

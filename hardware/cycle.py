@@ -250,11 +250,11 @@ class Cycle:
         self._moved_until = -math.inf  # time on our own clock that the commands so far have used
         self._last_traffic = -math.inf
 
-    def stand(self, goals: Mapping[int, int]) -> None:
+    def stand(self, goals: Mapping[int, int], *, held: bool = False) -> None:
         """The arm stands at these goals (servo id -> ticks): the next command starts from rest there."""
         self.goals = dict(goals)
         self.limits = LimiterState.at_rest([j.to_radians(goals[j.id]) for j in self._config.joints])
-        self._last_now, self.held = None, False
+        self._last_now, self.held = None, held
         self._last_traffic = self._moved_until = self._clock.now()
 
     def drive(self, q: ArrayLike | Mapping[str, float], now: float) -> None:
@@ -361,25 +361,24 @@ class Cycle:
             self._drive(tuple(command.tolist()), now)
 
     def hold(self) -> None:
-        """Holds every joint at its last goal, or yields where it was pushed away; see ``holding_goals``.
+        """Holds every joint at its last goal, or yields where it was pushed away; see ``begin_hold``.
 
         Of an arm that holds already nothing changes.
         """
         self.stay_alive()
-        goals = self.holding_goals()
+        goals = self.begin_hold()
         self._bus.sync_write(self._goal, goals)
-        self.stand(goals)
-        self.held = True
+        self.stand(goals, held=True)
 
-    def holding_goals(self) -> dict[int, int]:
-        """Servo id -> ticks where the arm is held: its last goals, or the shafts where these are far off.
+    def begin_hold(self) -> dict[int, int]:
+        """Servo id -> ticks where the arm is held from here on: its last goals, or the shafts far off them.
 
-        That is decided once, when holding begins: again and again of a loaded joint, each goal would be a
-        little lower than the last, and the arm would creep down.
+        Nothing is sent.  It is decided once, when holding begins: again and again of a loaded joint, each
+        goal would be a little lower than the last, and the arm would creep down.
         """
-        goals = dict(self.goals)
         if self.held:
-            return goals
+            return self.goals
+        goals = dict(self.goals)
         for joint in self._config.servos:
             presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
             if presses and joint.id not in self.samples.jumped:
@@ -387,6 +386,7 @@ class Cycle:
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
                 goals[joint.id] = present
+        self.goals, self.held = goals, True
         return goals
 
     def stay_alive(self) -> None:
@@ -409,11 +409,10 @@ class Cycle:
         log.info("a bus watchdog tripped in a pause of the commands; the arm is held")
         self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
         self.samples.take(dict(read_all(self._bus, self._config, "present_position")), self._clock.now())
-        goals = self.holding_goals()
+        goals = self.begin_hold()
         self._bus.sync_write(self._goal, goals)
         arm_watchdog(self._bus, self._config)
-        self.stand(goals)
-        self.held = True
+        self.stand(goals, held=True)
 
     def _tick(self, now: float) -> float:
         """Seconds by which this command may move the arm; 0: no time has passed.

@@ -195,139 +195,113 @@ def leave(
     goals: Mapping[int, int],
     *,
     parked: bool = False,
+    servos: Mapping[int, str] | None = None,
+    everyone: bool = False,
 ) -> ExitReport:
     """The only way out of an arm: torque off or hold, written to the arm's own servos only, and read back.
 
-    Never raises on what the bus does: what failed is in the report and in the log.  Servos that confirm have
-    no Bus Watchdog armed afterwards, so that the next program's goals are not refused.
+    Nothing is asked of a servo before it is written.  Never raises on what the bus does: what failed is in
+    the report and in the log.  Servos that confirm have no Bus Watchdog armed afterwards, so that the next
+    program's goals are not refused.
 
     Args:
         bus: If it is not open, the report says that no servo confirmed.
-        config: Of the arm; other servos on the wire are not touched.
+        config: Of the arm; what it says of limits and health does not matter.
         policy: One of ``ON_EXIT``; ``park`` is torque off here.
         goals: Servo id -> goal position, ticks, for ``hold``; without them torque goes off.
         parked: For the report.
+        servos: Servo id -> name of those that are left; the arm's.
+        everyone: Torque goes off of all servos on the wire at once first, which needs no reply.
     """
-    begin = bus.clock.now()
-    left = {servo.id: servo.name for servo in config.servos}
-    reported: set[str] = set()
-    limp: set[int] = set()
+    leaving = _Leaving(bus, config, servos or {servo.id: servo.name for servo in config.servos})
+    left, names = leaving.left, dict.fromkeys(leaving.left.values())
     done = "hold" if policy == "hold" and set(left) <= set(goals) else "torque_off"
     if done == "hold":
-        limp = _hold(bus, config, goals, left, reported)
+        leaving.hold(goals)
     else:
-        _torque_off(bus, config, left, reported)
-    names = dict.fromkeys(servo.name for servo in config.servos)
+        if everyone:
+            with leaving.step("torque off for everyone"):
+                bus.write(BROADCAST_ID, shared_register(config, "torque_enable"), 0)
+        leaving.torque_off()
     unverified = tuple(dict.fromkeys(left.values()))
     verified = tuple(name for name in names if name not in unverified)
-    limp_joints = tuple(dict.fromkeys(name for id, name in left.items() if id in limp))
-    report = ExitReport(done, verified, unverified, parked, limp_joints)
-    if left:
-        log.error("%s %s", done, report.doubt)
-    else:
-        log.info("%s confirmed by all %d servos in %.3f s", done, len(config.servos), bus.clock.now() - begin)
-    return report
+    limp = tuple(dict.fromkeys(name for id, name in left.items() if id in leaving.limp))
+    return ExitReport(done, verified, unverified, parked, limp)
 
 
-def force_torque_off(
-    bus: ServoBus, config: ArmConfig, servos: Mapping[int, str], *, everyone: bool
-) -> dict[int, str]:
-    """Torque off for an arm in any state: nothing is asked of a servo before it is written.
+class _Leaving:
+    """The servos that are left.
 
-    Never raises on what the bus does: what failed is in the log.
-
-    Args:
-        bus: Open.
-        config: Of the arm; what it says of limits and health does not matter.
-        servos: Servo id -> name for the log; each is read back.
-        everyone: All servos on the wire at once first, which needs no reply.
-
-    Returns:
-        Those that did not confirm it: their torque may still be on.
+    Attributes:
+        left: Servo id -> name of who has not confirmed; ``limp``: ids of those that say they have no torque.
     """
-    left, reported = dict(servos), set[str]()
-    if everyone:
-        with _tolerant("torque off for everyone", reported):
-            bus.write(BROADCAST_ID, shared_register(config, "torque_enable"), 0)
-    _torque_off(bus, config, left, reported)
-    return left
 
+    def __init__(self, bus: ServoBus, config: ArmConfig, servos: Mapping[int, str]) -> None:
+        self.left = dict(servos)
+        self.limp: set[int] = set()
+        self._bus, self._config = bus, config
+        self._end = bus.clock.now() + PATIENCE
+        self._reported: set[str] = set()
 
-def _torque_off(bus: ServoBus, config: ArmConfig, left: dict[int, str], reported: set[str]) -> None:
-    """All at once, then each by itself, until register 64 reads 0; takes who confirms out of ``left``."""
-    torque = shared_register(config, "torque_enable")
-    clock = bus.clock
-    end = clock.now() + PATIENCE
-    # Needs no reply, so it works even where no reply arrives.  Twice: a signal may have cut off a packet,
-    # and the torn head of that one can swallow the first.
-    for _ in range(2 if bus.is_open else 0):
-        with _tolerant("torque off for all", reported):
-            bus.sync_write(torque, dict.fromkeys(left, 0))
-    while left and bus.is_open:
-        with _tolerant("reading torque", reported):
-            off = [id for id, status in bus.sync_read(list(left), torque).items() if status.data == 0]
-            _disarm(bus, config, off, reported)
-            for id in off:
-                del left[id]
-        for id, name in left.items():
-            if clock.now() > end:
-                return
-            with _tolerant(f"torque off for {name}", reported):
-                bus.write(id, torque, 0)
-        if left:
-            clock.sleep_until(clock.now() + _PAUSE)
-
-
-def _disarm(bus: ServoBus, config: ArmConfig, ids: list[int], reported: set[str]) -> None:
-    """Clears the Bus Watchdogs of servos that confirmed; one that has tripped refuses goals until then."""
-    for _ in range(_ATTEMPTS if config.watchdog_ms else 0):
-        if not ids:
-            return
-        with _tolerant("bus watchdog", reported):
-            watchdog = shared_register(config, "bus_watchdog")
-            bus.sync_write(watchdog, dict.fromkeys(ids, 0))
-            ids = [id for id, status in bus.sync_read(ids, watchdog).items() if status.data != 0]
-
-
-def _hold(
-    bus: ServoBus,
-    config: ArmConfig,
-    goals: Mapping[int, int],
-    left: dict[int, str],
-    reported: set[str],
-) -> set[int]:
-    """Goals as they are, and no Bus Watchdog: another program may take over.
-
-    Takes who confirms its goal and its torque out of ``left``; returns who says that it has no torque.
-    """
-    torque, goal = (shared_register(config, name) for name in ("torque_enable", "goal_position"))
-    watchdog = shared_register(config, "bus_watchdog")
-    clock = bus.clock
-    end = clock.now() + PATIENCE
-    limp: set[int] = set()
-    while left and bus.is_open and clock.now() < end:
-        with _tolerant("hold", reported):
-            bus.sync_write(watchdog, dict.fromkeys(left, 0))
-            bus.sync_write(goal, {id: goals[id] for id in left})
-            there = bus.sync_read(list(left), goal)
-            powered = bus.sync_read(list(left), torque)
-            limp = {id for id in left if powered[id].data == 0}
-            for id in list(left):
-                if there[id].data == goals[id] and powered[id].data == 1:
+    def torque_off(self) -> None:
+        """All at once, then each by itself, until register 64 reads 0."""
+        bus, left = self._bus, self.left
+        torque = shared_register(self._config, "torque_enable")
+        # Needs no reply, so it works even where no reply arrives.  Twice: a signal may have cut off a packet,
+        # and the torn head of that one can swallow the first.
+        for _ in range(2 if bus.is_open else 0):
+            with self.step("torque off for all"):
+                bus.sync_write(torque, dict.fromkeys(left, 0))
+        while left and bus.is_open:
+            with self.step("reading torque"):
+                off = [id for id, status in bus.sync_read(list(left), torque).items() if status.data == 0]
+                self._disarm(off)
+                for id in off:
                     del left[id]
-        if left and limp.issuperset(left):
-            break  # nothing that is written here gives them torque
-        if left:
-            clock.sleep_until(clock.now() + _PAUSE)
-    return limp
+            for id, name in left.items():
+                if bus.clock.now() > self._end:
+                    return
+                with self.step(f"torque off for {name}"):
+                    bus.write(id, torque, 0)
+            if left:
+                bus.clock.sleep_until(bus.clock.now() + _PAUSE)
 
+    def _disarm(self, ids: list[int]) -> None:
+        """Clears the Bus Watchdogs of who confirmed; where one has tripped, goals are refused until then."""
+        for _ in range(_ATTEMPTS if self._config.watchdog_ms else 0):
+            if not ids:
+                return
+            with self.step("bus watchdog"):
+                watchdog = shared_register(self._config, "bus_watchdog")
+                self._bus.sync_write(watchdog, dict.fromkeys(ids, 0))
+                ids = [id for id, status in self._bus.sync_read(ids, watchdog).items() if status.data != 0]
 
-@contextmanager
-def _tolerant(what: str, reported: set[str]) -> Iterator[None]:
-    """One step of leaving must not prevent the next.  What fails again and again is logged once."""
-    try:
-        yield
-    except Exception as error:
-        reason = error.args[0] if error.args else error  # the hint is the same for every servo
-        log.log(logging.DEBUG if what in reported else logging.WARNING, "%s: %s", what, reason)
-        reported.add(what)
+    def hold(self, goals: Mapping[int, int]) -> None:
+        """Goals as they are, and no Bus Watchdog: another program may take over."""
+        bus, left = self._bus, self.left
+        names = ("torque_enable", "goal_position", "bus_watchdog")
+        torque, goal, watchdog = (shared_register(self._config, name) for name in names)
+        while left and bus.is_open and bus.clock.now() < self._end:
+            with self.step("hold"):
+                bus.sync_write(watchdog, dict.fromkeys(left, 0))
+                bus.sync_write(goal, {id: goals[id] for id in left})
+                there = bus.sync_read(list(left), goal)
+                powered = bus.sync_read(list(left), torque)
+                self.limp = {id for id in left if powered[id].data == 0}
+                for id in list(left):
+                    if there[id].data == goals[id] and powered[id].data == 1:
+                        del left[id]
+            if left and self.limp.issuperset(left):
+                break  # nothing that is written here gives them torque
+            if left:
+                bus.clock.sleep_until(bus.clock.now() + _PAUSE)
+
+    @contextmanager
+    def step(self, what: str) -> Iterator[None]:
+        """One step of leaving must not prevent the next.  What fails again and again is logged once."""
+        try:
+            yield
+        except Exception as error:
+            reason = error.args[0] if error.args else error  # the hint is the same for every servo
+            log.log(logging.DEBUG if what in self._reported else logging.WARNING, "%s: %s", what, reason)
+            self._reported.add(what)

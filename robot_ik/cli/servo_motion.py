@@ -159,7 +159,7 @@ def run_torque(options: ServoTorqueOptions) -> int:
             arm.enable()
         return console.DONE if arm.exit_report is not None and arm.exit_report.ok else console.NOT_ACHIEVED
     from robot_ik.hardware.control_table import require_id
-    from robot_ik.hardware.torque import ExitReport, force_torque_off
+    from robot_ik.hardware.torque import leave
 
     servos = {servo.id: servo.name for servo in config.only(options.joints).servos}
     if options.ids:
@@ -169,13 +169,13 @@ def run_torque(options: ServoTorqueOptions) -> int:
         if options.baud is not None:
             config = replace(config, baud=checked_rates([options.baud])[0])
     with opened(options, config) as bus:
-        left = force_torque_off(bus, config, servos, everyone=not options.ids and not options.joints)
-    if left:
-        report = ExitReport("torque_off", unverified=tuple(dict.fromkeys(left.values())))
+        everyone = not options.ids and not options.joints
+        report = leave(bus, config, "torque_off", {}, servos=servos, everyone=everyone)
+    if not report.ok:
         console.say(f"error: {report.doubt}", "bold red")
-    if limp := [name for id, name in servos.items() if id not in left]:
-        console.result(f"torque off, read back: {', '.join(limp)}")
-    return console.NOT_ACHIEVED if left else console.DONE
+    if report.verified:
+        console.result(f"torque off, read back: {', '.join(report.verified)}")
+    return console.DONE if report.ok else console.NOT_ACHIEVED
 
 
 # ------------------------------------------------------------------------------------ reset-fault
