@@ -72,8 +72,7 @@ class Fingers:
 
     def at_rest(self, now: float, cycle: Cycle) -> bool:
         """Asked once a cycle: whether the fingers stand, their goals having come to where they were sent."""
-        at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
-        sent = dict(zip(self._names, cycle.limits.q, strict=True))
+        at, sent = self._at(cycle), dict(zip(self._names, cycle.limits.q, strict=True))
         pairs = ((at, self._last), (sent, self.goals))
         if any(j.ticks_between(a[j.name], b[j.name]) > STILL_TICKS for a, b in pairs for j in self._joints):
             self._last, self._since = at, now
@@ -81,17 +80,15 @@ class Fingers:
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
         """How each of them came to rest."""
-        at = dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
-        return tuple(
-            Grip(
-                joint.name,
-                asked,
-                at[joint.name],
-                joint.ticks_between(at[joint.name], asked) > HELD_TICKS,
-                _current(bus, joint),
-            )
-            for joint, asked in zip(self._joints, self.goals.values(), strict=True)
-        )
+        grips, at = [], self._at(cycle)
+        for joint in self._joints:
+            asked, q = self.goals[joint.name], at[joint.name]
+            held = joint.ticks_between(q, asked) > HELD_TICKS
+            grips.append(Grip(joint.name, asked, q, held, _current(bus, joint)))
+        return tuple(grips)
+
+    def _at(self, cycle: Cycle) -> dict[str, float]:
+        return dict(zip(self._names, cycle.samples.q.tolist(), strict=True))
 
 
 def _current(bus: ServoBus, joint: JointMap) -> float | None:

@@ -187,16 +187,13 @@ def _joint_row(servo: JointMap, found: Sequence[FoundServo], config: ArmConfig) 
     if len(found) > 1 or found[0].shared:
         do = "connect one of them alone and give it another id: robot-ik servo setup --id N"
         return CheckRow(what, PROBLEM, "replies collide: two servos with this id", do)
-    one = found[0]
-    for status, problem, do in _findings(servo, one, config):
-        return CheckRow(what, status, f"{_about(one)}: {problem}", do)
-    return CheckRow(what, OK, _about(one))
-
-
-def _about(f: FoundServo) -> str:
+    f = found[0]
     supply = "" if f.voltage is None else f", {f.voltage:.1f} V"
     warm = "" if f.temperature is None else f", {f.temperature} C"
-    return f"{f.model}, firmware {f.firmware}{supply}{warm}"
+    about = f"{f.model}, firmware {f.firmware}{supply}{warm}"
+    for status, problem, do in _findings(servo, f, config):
+        return CheckRow(what, status, f"{about}: {problem}", do)
+    return CheckRow(what, OK, about)
 
 
 def _findings(servo: JointMap, f: FoundServo, config: ArmConfig) -> Iterator[tuple[str, str, str]]:

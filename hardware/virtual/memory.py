@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from robot_ik.hardware.control_table import ControlTable, OperatingMode, Register
 from robot_ik.hardware.virtual.protocol import ErrorCode
 from robot_ik.hardware.x_series import TIME_BASED
-
-Checker = Callable[[Register, int], ErrorCode]
-"""A servo's own rule for a register and a value."""
 
 CONTROLLER = (
     "velocity_i_gain",
@@ -24,6 +19,11 @@ CONTROLLER = (
 )
 """Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
 "Control Table Backup"; the indirect addresses come on top)."""
+
+TRIPPED = -1
+"""What Bus Watchdog reads once it has tripped."""
+
+_LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
 
 
 def _pointer(register: Register) -> bool:
@@ -103,16 +103,11 @@ class Memory:
                 found.append((real, real + 1))
         return found
 
-    def parse_write(
-        self, address: int, data: bytes, *, locked: bool, check: Checker
-    ) -> tuple[list[tuple[Register, int]], ErrorCode]:
-        """What a write would set, after every check; all of it is good or none is done.
-
-        ``locked``: EEPROM is (torque is on).
-        """
+    def parse_write(self, address: int, data: bytes) -> tuple[list[tuple[Register, int]], ErrorCode]:
+        """What a write would set, after every check; all of it is good or none is done."""
         register = self._at.get(address)
         if register is not None and register.size == len(data) and address not in self._pointers:
-            error = self._refusal(register, value := register.decode(data), locked, check)
+            error = self._refusal(register, value := register.decode(data))
             return ([], error) if error else ([(register, value)], ErrorCode.NONE)
         values: list[tuple[Register, int]] = []
         if not data:
@@ -129,21 +124,40 @@ class Memory:
                 if register.end > end:
                     return [], ErrorCode.DATA_LENGTH
                 value = register.decode(data[done : done + register.size])
-                error = self._refusal(register, value, locked, check)
+                error = self._refusal(register, value)
                 if error:
                     return [], error
                 values.append((register, value))
                 at, done = register.end, done + register.size
         return values, ErrorCode.NONE
 
-    @staticmethod
-    def _refusal(register: Register, value: int, locked: bool, check: Checker) -> ErrorCode:
-        """Why a register does not take a value."""
-        if not register.writable or (register.eeprom and locked):
+    def _refusal(self, register: Register, value: int) -> ErrorCode:
+        """Why a register does not take a value: its own access and range, then the other registers."""
+        values, name = self.values, register.name
+        if not register.writable or (register.eeprom and values["torque_enable"]):
             return ErrorCode.ACCESS
         if not register.minimum <= value <= register.maximum:
             return ErrorCode.DATA_RANGE
-        return check(register, value)
+        tripped = values.get("bus_watchdog") == TRIPPED
+        error, refused = ErrorCode.DATA_RANGE, False
+        match name:
+            case "bus_watchdog":
+                refused = tripped and value != 0
+            case "operating_mode":
+                refused = value not in self.table.modes
+            case "drive_mode":
+                refused = bool(value & ~register.maximum)
+            case "profile_acceleration":
+                refused = self.drives(TIME_BASED) and value > _LONGEST_RAMP
+            case "goal_position" | "goal_velocity" | "goal_current" | "goal_pwm" if tripped:
+                refused = True
+            case "goal_position" if values["operating_mode"] == OperatingMode.POSITION:
+                error = ErrorCode.DATA_LIMIT
+                refused = not values["min_position_limit"] <= value <= values["max_position_limit"]
+            case "goal_velocity" | "goal_current" | "goal_pwm":
+                error = ErrorCode.DATA_LIMIT
+                refused = abs(value) > values[name.removeprefix("goal_") + "_limit"]
+        return error if refused else ErrorCode.NONE
 
     def _resolve(self, address: int) -> int:
         """Where the byte at an address really lives; a pointer out of the table is as good as none."""
@@ -152,37 +166,3 @@ class Memory:
             return address
         target = self.values[pointer.name]
         return target if target < len(self._bytes) else address
-
-
-TRIPPED = -1
-"""What Bus Watchdog reads once it has tripped."""
-
-_LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
-
-
-def check_write(memory: Memory, register: Register, value: int) -> ErrorCode:
-    """Why a servo refuses ``value`` because of its other registers.
-
-    Sizes, access and the register's own range are checked before.
-    """
-    values, name = memory.values, register.name
-    tripped = values.get("bus_watchdog") == TRIPPED
-    error, refused = ErrorCode.DATA_RANGE, False
-    match name:
-        case "bus_watchdog":
-            refused = tripped and value != 0
-        case "operating_mode":
-            refused = value not in memory.table.modes
-        case "drive_mode":
-            refused = bool(value & ~register.maximum)
-        case "profile_acceleration":
-            refused = memory.drives(TIME_BASED) and value > _LONGEST_RAMP
-        case "goal_position" | "goal_velocity" | "goal_current" | "goal_pwm" if tripped:
-            refused = True
-        case "goal_position" if values["operating_mode"] == OperatingMode.POSITION:
-            error = ErrorCode.DATA_LIMIT
-            refused = not values["min_position_limit"] <= value <= values["max_position_limit"]
-        case "goal_velocity" | "goal_current" | "goal_pwm":
-            error = ErrorCode.DATA_LIMIT
-            refused = abs(value) > values[name.removeprefix("goal_") + "_limit"]
-    return error if refused else ErrorCode.NONE

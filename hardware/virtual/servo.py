@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 from robot_ik.hardware.control_table import (
     BAUD_CODES,
@@ -21,7 +20,7 @@ from robot_ik.hardware.control_table import (
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory, check_write
+from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, Electrics, Load
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
@@ -93,7 +92,6 @@ class VirtualServo:
             self.memory.set("secondary_id", shadow_of)
         encoder = -float(position_ticks) if reverse else float(position_ticks)
         self.shaft = Shaft(self.memory, clock, encoder, load or Load.light(self.table.motor))
-        self._check = partial(check_write, self.memory)
         self.electrics = Electrics(self.table.motor, clock.now())
         self._clock = clock
         self._values = self.memory.values
@@ -210,18 +208,17 @@ class VirtualServo:
     def write(self, address: int, data: bytes) -> ErrorCode:
         """Sets registers if all of them may be set; then does what they say."""
         self.update()
-        locked = bool(self.memory.values["torque_enable"])
-        values, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
+        had_torque = bool(self.memory.values["torque_enable"])
+        values, error = self.memory.parse_write(address, data)
         for register, value in values:
             self.memory.set(register.name, value)
-            self._written(register.name, locked)
+            self._written(register.name, had_torque)
         return error
 
     def reg_write(self, address: int, data: bytes) -> ErrorCode:
         """Checks a write and keeps it for ``action``."""
         self.update()
-        locked = bool(self.memory.values["torque_enable"])
-        _, error = self.memory.parse_write(address, data, locked=locked, check=self._check)
+        _, error = self.memory.parse_write(address, data)
         if not error:
             self._registered = (address, data)
             self.memory.set("registered_instruction", 1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode
 from robot_ik.hardware.joint_map import POSITION_MODE_HOMING
@@ -23,21 +23,13 @@ from robot_ik.hardware.virtual.motor import (
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
 
+if TYPE_CHECKING:
+    from robot_ik.hardware.virtual.world import JointMotor
+
 _IN_POSITION_TICKS = 2.0
 _FOLLOWING_ERROR_TICKS = 50.0
 # PWM counts of 885 that a tick of error gives, for each count of Position P Gain.
 _EFFORT_OF_GAIN = 1.0 / 128.0
-
-
-class Body(Protocol):
-    """The shaft as an external model has it: encoder ticks, ticks/s and N m at the shaft."""
-
-    position: float
-    velocity: float
-    torque: float
-
-    def rotate_by(self, ticks: float) -> None:
-        """Is rotated from outside."""
 
 
 class Shaft:
@@ -64,7 +56,7 @@ class Shaft:
         self.motion: MotorMotion = rest(clock.now(), position)
         self.stuck_at: float | None = None
         self.stops = (-math.inf, math.inf)
-        self.body: Body | None = None
+        self.body: JointMotor | None = None
         self.load = load
         self.powered = False
         self._memory = memory

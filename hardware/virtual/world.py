@@ -36,7 +36,7 @@ DAMPING = 1.0
 
 
 class JointMotor:
-    """One servo on a joint of the world; the ``Body`` of its shaft.
+    """One servo on a joint of the world; the ``body`` of its shaft.
 
     Args:
         joint: The joint.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -134,15 +134,11 @@ class PlayReport:
             )
 
 
-def _unshown(what: str, seconds: float) -> AbstractContextManager[None]:
-    return nullcontext()
-
-
 def play_motion(
     arm: Arm,
     motion: Trajectory,
-    sinks: Sequence[JointSink] = (),
-    busy: Callable[[str, float], AbstractContextManager[None]] = _unshown,
+    sinks: Sequence[JointSink],
+    busy: Callable[[str, float], AbstractContextManager[None]],
 ) -> PlayReport:
     """Goes slowly to where a motion of ``load_playable`` begins, then plays it; torque is switched on.
 

@@ -109,7 +109,7 @@ def test_memory_is_bytes_with_rules(model: str, writes: list[tuple[int, bytes]])
     memory = Memory(table)
     plain = {r.name: r.initial or 0 for r in table}
     for address, data in writes:
-        values, error = memory.parse_write(address, data, locked=False, check=lambda r, v: ErrorCode.NONE)
+        values, error = memory.parse_write(address, data)
         assert bool(values) == (not error)
         for register, value in values:
             assert register.writable and register.minimum <= value <= register.maximum
