@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,45 +27,30 @@ def serial_ports() -> list[Any]:
     return sorted(ports, key=lambda port: (len(port.device), str(port.device)))  # COM3 before COM10
 
 
-@dataclass(frozen=True)
-class PortRow:
-    """One serial port.
+def port_row(port: Any) -> dict[str, Any]:
+    """What is known of a port as pyserial lists it, without opening it.
 
-    Attributes:
-        port: Name to open; ``stable``: a name that survives replugging, empty where there is none.
-        adapter: Its description; ``usb``: vendor:product, hexadecimal; ``serial``: number of the adapter.
-        latency_ms: Latency timer, None where the driver has none; ``used_by``: programs that have it open.
-        status: ok or note; ``do``: what to do about it.
+    Returns:
+        ``port``: name to open; ``stable``: a name that survives replugging, empty where there is none;
+        ``adapter``: its description; ``usb``: vendor:product, hexadecimal; ``serial``: number of the adapter;
+        ``latency_ms``: latency timer, None where the driver has none; ``used_by``: programs that
+        have it open; ``status``: ok or note; ``do``: what to do about it.
     """
-
-    port: str
-    stable: str
-    adapter: str
-    usb: str
-    serial: str
-    latency_ms: int | None
-    used_by: list[str]
-    status: str
-    do: str
-
-
-def port_row(port: Any) -> PortRow:
-    """What is known of a port as pyserial lists it, without opening it."""
     vendor, product = getattr(port, "vid", None), getattr(port, "pid", None)
     row = serial_row(port.device, port.description or "serial port", vendor)
     real = os.path.realpath(port.device)
     names = (str(name) for name in sorted(BY_ID.glob("*")) if os.path.realpath(name) == real)
-    return PortRow(
-        port.device,
-        next(names, ""),
-        port.description or "",
-        f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
-        getattr(port, "serial_number", None) or "",
-        latency_ms(port.device),
-        named_users_of(port.device),
-        row.status,
-        row.do,
-    )
+    return {
+        "port": port.device,
+        "stable": next(names, ""),
+        "adapter": port.description or "",
+        "usb": f"{vendor:04x}:{product:04x}" if vendor is not None and product is not None else "",
+        "serial": getattr(port, "serial_number", None) or "",
+        "latency_ms": latency_ms(port.device),
+        "used_by": named_users_of(port.device),
+        "status": row.status,
+        "do": row.do,
+    }
 
 
 def _latency_timer(path: str) -> Path:

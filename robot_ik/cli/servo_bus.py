@@ -40,13 +40,14 @@ def run_ports(options: ServoPortsOptions) -> int:
 
     rows = [port_row(port) for port in serial_ports()]
     if options.json:
-        console.print_json({"schema": 1, "ports": [asdict(row) for row in rows]})
+        console.print_json({"schema": 1, "ports": rows})
     elif rows:
         cells = []
         for row in rows:
-            late = "-" if row.latency_ms is None else f"{row.latency_ms} ms"
-            state = f"used by {', '.join(row.used_by)}" if row.used_by else row.status
-            cells.append((row.stable or row.port, row.adapter, row.usb or "-", late, state, row.do))
+            late = "-" if row["latency_ms"] is None else f"{row['latency_ms']} ms"
+            state = f"used by {', '.join(row['used_by'])}" if row["used_by"] else row["status"]
+            name = row["stable"] or row["port"]
+            cells.append((name, row["adapter"], row["usb"] or "-", late, state, row["do"]))
         console.show(console.table("port", "adapter", "USB", "latency", "state", "what to do", rows=cells))
     else:
         console.refused(
@@ -54,10 +55,6 @@ def run_ports(options: ServoPortsOptions) -> int:
             "plug the adapter in; without servos: robot-ik sim-bus --link PATH",
         )
     return console.DONE if rows else console.NOT_ACHIEVED
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo scan``: who is on the wire, at every rate and under every id.
 
 
 @dataclass(frozen=True)
@@ -130,10 +127,6 @@ def print_found(found: Sequence[FoundServo]) -> None:
     console.show(console.table(*names, rows=rows))
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo setup``: id and baud rate of one servo, alone on the wire.
-
-
 @dataclass(frozen=True)
 class ServoSetupOptions(BusOptions):
     """Gives one servo its id and baud rate. Exactly one servo may be connected; it is found at any rate.
@@ -180,10 +173,6 @@ def run_setup(options: ServoSetupOptions) -> int:
     print_found([servo])
     console.result(f"id {servo.id} -> {id}, {servo.baud} -> {baud} baud, return delay 0: read back, done")
     return console.DONE
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo backup`` and ``restore``: control tables as files.
 
 
 @dataclass(frozen=True)
@@ -242,10 +231,6 @@ def run_restore(options: ServoRestoreOptions) -> int:
     shown = console.table("joint", "id", "register", "was", verb, rows=rows)
     console.show(shown if rows else "nothing differs")
     return console.DONE
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo monitor``: what every servo says of itself, again and again.
 
 
 FASTEST = 200.0

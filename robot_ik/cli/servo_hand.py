@@ -232,10 +232,6 @@ def _show(before: ArmConfig, after: ArmConfig, found: Calibration) -> None:
     console.show(console.table(*columns, rows=rows))
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo teach`` and ``play``: a hand shows a motion, the arm repeats it within its limits.
-
-
 @dataclass(frozen=True)
 class ServoTeachOptions(BusOptions):
     """Records the arm while a hand guides it, torque off, until Enter or for --seconds.
@@ -284,9 +280,6 @@ def _keep(path: Path, motion: Trajectory | None, config: ArmConfig) -> None:
     console.result(f"{path}: {len(motion)} samples, {motion.duration:.2f} s")
     for joint, most in outside(motion, config):
         console.say(f"{joint.name} was {joint.text(most)} beyond its limits: play refuses that", "yellow")
-
-
-# ------------------------------------------------------------------------------------------- play
 
 
 @dataclass(frozen=True)

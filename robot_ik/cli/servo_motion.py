@@ -124,10 +124,6 @@ def shown_value(joint: JointMap, q: float) -> str:
     return f"{round(math.degrees(q), 2) + 0.0:.2f}°"  # + 0.0: no "-0.00"
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik servo torque`` and ``reset-fault``: give and take torque, restart what has shut down.
-
-
 @dataclass(frozen=True)
 class ServoTorqueOptions(BusOptions):
     """Switches torque on (every joint holds where it stands) or off (support the arm: it may fall).
@@ -178,9 +174,6 @@ def run_torque(options: ServoTorqueOptions) -> int:
     return console.DONE if report.ok else console.NOT_ACHIEVED
 
 
-# ------------------------------------------------------------------------------------ reset-fault
-
-
 @dataclass(frozen=True)
 class ServoResetFaultOptions(BusOptions):
     """Restarts servos that have shut down (overload, heat, voltage …) and looks at them again.
@@ -217,10 +210,6 @@ def _advice(row: ServoReset) -> str:
     if row.after:
         return "the cause is still there: load, heat, supply?"
     return f"its reading changed by {row.turned} ticks: it forgot whole revolutions; turn the joint by hand"
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik stop``: makes an arm that another program of this user drives stop, and waits until it has.
 
 
 @dataclass(frozen=True)

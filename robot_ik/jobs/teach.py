@@ -27,8 +27,6 @@ ALLOWED_OUTSIDE = math.radians(1.0)
 ARRIVED = math.radians(2.0)
 """rad between the end of a recording and the arm, up to which it counts as played."""
 
-# ------------------------------------------------------------------------------------------ teach
-
 
 class TaughtMotion:
     """Positions of an arm that a hand guides, sample by sample; what was read stays after Ctrl-C.
@@ -70,9 +68,6 @@ def outside(motion: Trajectory, config: ArmConfig) -> list[tuple[JointMap, float
     return [(joint, excess) for joint, excess in pairs if excess > ALLOWED_OUTSIDE * joint.lever]
 
 
-# ------------------------------------------------------------------------------------------ files
-
-
 def load_motion(path: Path, joints: Sequence[str]) -> Trajectory:
     """A motion in the order of ``joints``, as ``Trajectory.load_csv`` reads it.
 
@@ -107,9 +102,6 @@ def load_playable(path: Path, config: ArmConfig, speed: float) -> tuple[Trajecto
             allowed=f"{low / joint.per_unit:.1f} to {joint.text(high)}",
         )
     return playable(motion, config, speed)
-
-
-# ------------------------------------------------------------------------------------------- play
 
 
 @dataclass(frozen=True)

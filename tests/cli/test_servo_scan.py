@@ -74,7 +74,7 @@ def test_a_name_that_survives_replugging(tmp_path: Any, monkeypatch: pytest.Monk
     (names / "usb-FTDI-if00").symlink_to("../ttyUSB0")
     monkeypatch.setattr(ports, "BY_ID", names)
     listed = [SimpleNamespace(device=str(tmp_path / f"ttyUSB{k}"), description="U2D2") for k in (0, 1)]
-    assert [ports.port_row(port).stable for port in listed] == [str(names / "usb-FTDI-if00"), ""]
+    assert [ports.port_row(port)["stable"] for port in listed] == [str(names / "usb-FTDI-if00"), ""]
 
 
 def test_the_only_port_needs_no_name(robot_ik: Any, ports: Any, desk: Any) -> None:

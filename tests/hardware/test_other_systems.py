@@ -51,10 +51,11 @@ def test_a_windows_port_is_no_file_and_its_latency_is_set_in_the_device_manager(
 ) -> None:
     monkeypatch.setattr(sys, "platform", WINDOWS)
     row = port_row(listed("COM3"))
-    assert (row.usb, row.serial, row.stable, row.latency_ms) == ("0403:6014", "FT1", "", None)
-    assert row.status == "note" and "Device Manager" in row.do and "permission" not in row.do
+    known = {"usb": "0403:6014", "serial": "FT1", "stable": "", "latency_ms": None, "status": "note"}
+    assert row.items() >= known.items()
+    assert "Device Manager" in row["do"] and "permission" not in row["do"]
     quiet = port_row(listed("COM4", vid=0x1A86))
-    assert quiet.status == "ok" and quiet.do == ""
+    assert quiet["status"] == "ok" and quiet["do"] == ""
 
 
 def test_a_mac_port_may_be_forbidden_and_its_latency_is_the_drivers(
