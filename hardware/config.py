@@ -18,12 +18,12 @@ from robot_ik.errors import ConfigError, UnknownJointError, UnknownRobotError
 from robot_ik.files import write_atomically
 from robot_ik.hardware.control_table import (
     BAUD_RATES,
+    CONTROL_TABLES,
     IDS,
     MULTI_TURN_TICKS,
     TICKS_PER_REVOLUTION,
     ControlTable,
     OperatingMode,
-    control_table,
 )
 from robot_ik.hardware.joint_map import ARM, MODES, Gains, JointMap, ServoId, Sign, StopAt, Twin
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS, least_watchdog_ms
@@ -432,7 +432,9 @@ def _check_arm(config: ArmConfig) -> None:
         ids: dict[int, str] = {}
         for k, joint in enumerate(config.joints + config.auxiliary):
             at = f"joints[{k}]"
-            table = _known_table(joint)
+            if joint.model not in CONTROL_TABLES:
+                raise WrongKey.unknown("servo model", joint.model, CONTROL_TABLES, "model")
+            table = joint.table
             if joint.mode not in table.modes:
                 modes = ", ".join(mode.name.lower() for mode in table.modes)
                 raise WrongKey(f"{joint.model} has no mode {joint.mode.name.lower()}", "mode", modes)
@@ -471,13 +473,6 @@ def _check_watchdogs(config: ArmConfig) -> None:
             "bus.watchdog_ms",
             f"{least} or more, or a shorter stale_ms; 0: no bus watchdog",
         )
-
-
-def _known_table(joint: JointMap) -> ControlTable:
-    try:
-        return control_table(joint.model)
-    except ConfigError as error:
-        raise WrongKey(f"unknown servo model {joint.model!r}", "model", error.allowed, error.hint) from None
 
 
 def _check_currents(joint: JointMap, table: ControlTable) -> None:

@@ -27,6 +27,7 @@ from robot_ik.hardware.x_series import (
     Motor,
     Row,
 )
+from robot_ik.reading import WrongKey
 
 TICKS_PER_REVOLUTION = 4096
 RADIANS_PER_TICK = 2.0 * math.pi / TICKS_PER_REVOLUTION
@@ -271,14 +272,7 @@ def control_table(model: str, firmware: int | None = None) -> ControlTable:
         ConfigError: No such model here, or no such firmware.
     """
     if model not in CONTROL_TABLES:
-        close = close_matches(model, CONTROL_TABLES)
-        hint = f"did you mean {' or '.join(close)}?" if close else ""
-        raise ConfigError(
-            f"unknown servo model {model!r}",
-            file="control_table",
-            allowed=", ".join(CONTROL_TABLES),
-            hint=hint,
-        )
+        raise WrongKey.unknown("servo model", model, CONTROL_TABLES).in_file("control_table")
     if firmware is None:
         return CONTROL_TABLES[model]
     if not 1 <= firmware <= 255:
