@@ -19,7 +19,7 @@ from robot_ik.hardware.calibration import (
     measured_calibration,
 )
 from robot_ik.hardware.calibration_file import Calibration
-from robot_ik.hardware.joint_map import JointMap, Sign
+from robot_ik.hardware.joint_map import Sign
 
 STILL_SAMPLES = 10
 """At 20 Hz: a hand that only passes through the pose is noticed."""
@@ -73,12 +73,7 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     def sample() -> None:
         sweep.take({id: status.data for id, status in bus.sync_read(config.servo_ids, present).items()})
 
-    def swept() -> None:
-        check_sweep(config, sweep)
-
-    def directions_of(joint: JointMap, before: Mapping[int, int]) -> dict[int, Sign]:
-        return counting_directions(config, joint, before, sweep.now)
-
+    swept = functools.partial(check_sweep, config, sweep)
     _step(person, "1. sweep: move every joint from one stop to the other", sample, swept)
     for servo in config.servos:
         ticks = f"ticks {sweep.low[servo.id]} to {sweep.high[servo.id]}"
@@ -91,7 +86,8 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
     for k, joint in enumerate(config.joints, 1):
         about = joint.text(ASKED_WIGGLE * joint.lever, 0)
         text = f"3.{k} direction: move {joint.name} alone by about {about} in its positive direction"
-        directions |= _step(person, text, sample, functools.partial(directions_of, joint, dict(sweep.now)))
+        judge = functools.partial(counting_directions, config, joint, dict(sweep.now), sweep.now)
+        directions |= _step(person, text, sample, judge)
     return measured_calibration(bus, config, sweep, zero, pose, directions, limits)
 
 
