@@ -8,7 +8,7 @@ requests to the SDK's own.  Protocol 2.0 manual: "Packet", "Sync Read" and those
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -72,12 +72,6 @@ def build(id: int, instruction: int, params: bytes) -> bytes:
     return head + crc(head).to_bytes(2, "little")
 
 
-def _same_address(registers: Iterable[Register]) -> bool:
-    rows = iter(registers)
-    first = next(rows)
-    return all(r is first or (r.address, r.size) == (first.address, first.size) for r in rows)
-
-
 def _where(register: Register) -> bytes:
     return register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
 
@@ -94,8 +88,8 @@ def write_request(register: Register, values: Mapping[int, int]) -> bytes:
 
 def read_request(registers: Mapping[int, Register], *, fast: bool) -> bytes:
     """Sync read if all registers have one address, else bulk read; fast: one status packet for all."""
-    if _same_address(registers.values()):
-        first = next(iter(registers.values()))
+    first = next(iter(registers.values()))
+    if all((r.address, r.size) == (first.address, first.size) for r in registers.values()):
         return build(BROADCAST_ID, FAST_SYNC_READ if fast else SYNC_READ, _where(first) + bytes(registers))
     body = b"".join(bytes((id,)) + _where(register) for id, register in registers.items())
     return build(BROADCAST_ID, FAST_BULK_READ if fast else BULK_READ, body)

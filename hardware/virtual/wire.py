@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import heapq
+import itertools
 import random
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -72,18 +73,12 @@ def collide(packets: Sequence[bytes], rng: random.Random) -> bytes:
     """The bytes received when ``packets`` are on the wire at once, each a little late by chance."""
     starts = [0, *(rng.randrange(1, _SPREAD_BITS) for _ in packets[1:])]
     rng.shuffle(starts)
-    lines = [[1] * start + _bits(packet) for start, packet in zip(starts, packets, strict=True)]
-    length = max(map(len, lines))
-    wire = [min(line[k] if k < len(line) else 1 for line in lines) for k in range(length)]
-    return _received(wire)
-
-
-def _bits(data: bytes) -> list[int]:
-    return [bit for byte in data for bit in (0, *(byte >> k & 1 for k in range(8)), 1)]
-
-
-def _received(wire: list[int]) -> bytes:
-    """A start bit, then the eight bits after it, whatever the stop bit says."""
+    lines = [
+        [1] * start + [bit for byte in packet for bit in (0, *(byte >> k & 1 for k in range(8)), 1)]
+        for start, packet in zip(starts, packets, strict=True)
+    ]
+    wire = [min(bits) for bits in itertools.zip_longest(*lines, fillvalue=1)]
+    # A start bit, then the eight bits after it, whatever the stop bit says.
     found, at = bytearray(), 0
     while at < len(wire):
         if wire[at]:
@@ -110,6 +105,7 @@ class VirtualWire:
     """The transmission of status packets to the host.
 
     Attributes:
+        chances: Row of ``SPOILS`` -> its probability per status packet.
         rng: Random generator of all faults; equal seeds and equal traffic give equal faults.
         foreign: Ids that no servo has: none of those ``taken``.
         held: Packets that come before the replies to the next request.
@@ -119,8 +115,7 @@ class VirtualWire:
     def __init__(self, taken: Iterable[int], seed: int) -> None:
         self.foreign = sorted(set(IDS).difference(taken)) or [BROADCAST]
         self.reseed(seed)
-        self._chances = dict.fromkeys(SPOILS, 0.0)
-        self._clean = True
+        self.chances = dict.fromkeys(SPOILS, 0.0)
 
     def reseed(self, seed: int) -> None:
         """A new random generator, and nothing on its way."""
@@ -128,18 +123,9 @@ class VirtualWire:
         self.held: list[bytes] = []
         self.behind = b""
 
-    def chance(self, name: str) -> float:
-        """Probability per status packet of a row of ``SPOILS``."""
-        return self._chances[name]
-
-    def set_chance(self, name: str, probability: float) -> None:
-        """Another probability from here on; the random generator goes on."""
-        self._chances[name] = probability
-        self._clean = not any(self._chances.values())
-
     def carry(self, packets: list[bytes]) -> list[bytes]:
         """What of the replies to one request arrives at the host, in the order in which it does."""
-        if self._clean and not self.held:
+        if not self.held and not any(self.chances.values()):
             return packets
         arriving, self.held = self.held, []
         for packet in packets:
@@ -150,7 +136,7 @@ class VirtualWire:
 
     def _spoil(self, packet: bytes) -> bytes:
         """One packet, as it arrives."""
-        for name, probability in self._chances.items():
+        for name, probability in self.chances.items():
             if packet and probability > 0.0 and self.rng.random() < probability:
                 packet = SPOILS[name].apply(self, packet)
         return packet

@@ -77,7 +77,7 @@ def test_each_servo_gets_its_own_supply_back_whichever_fault_of_it_ends_first(
 @pytest.mark.parametrize(
     ("kind", "id", "low", "high", "read"),
     [
-        ("drop", None, 0.2, 0.5, lambda bus: bus.wire.chance("drop")),
+        ("drop", None, 0.2, 0.5, lambda bus: bus.wire.chances["drop"]),
         ("latency", None, 2.0, 5.0, lambda bus: bus.latency),
         ("zero_offset", 1, 2.0, 5.0, lambda bus: bus.servo(1).zero_offset_ticks),
         ("return_delay", 1, 2, 5, lambda bus: bus.servo(1).return_delay),
