@@ -8,7 +8,7 @@ X series plus the few differences of each model and firmware; a new model is one
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property, lru_cache
@@ -114,6 +114,11 @@ class Register:
             raise ValueError(f"{self.name} has {self.size} bytes, not {len(data)}")
         return int.from_bytes(data, "little", signed=self.signed)
 
+    def take_apart(self, value: int, registers: Iterable[Register]) -> dict[str, int]:
+        """Name -> value of registers that lie within this block, from its value."""
+        data = value.to_bytes(self.size, "little", signed=self.signed)
+        return {r.name: r.decode(data[r.address - self.address : r.end - self.address]) for r in registers}
+
     def encode(self, value: int) -> bytes:
         """``size`` little-endian bytes of a value.
 
@@ -180,12 +185,7 @@ class ControlTable:
 
     def values(self, block: Register, value: int) -> dict[str, int]:
         """Name -> value of the registers that lie within a block, from the value of the block."""
-        data = value.to_bytes(block.size, "little", signed=block.signed)
-        return {
-            r.name: r.decode(data[r.address - block.address : r.end - block.address])
-            for r in self
-            if block.address <= r.address and r.end <= block.end
-        }
+        return block.take_apart(value, (r for r in self if block.address <= r.address and r.end <= block.end))
 
 
 def _register(row: Row) -> Register:

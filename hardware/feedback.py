@@ -16,6 +16,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 from robot_ik.errors import ConfigError, HardwareError, MotorFaultError
@@ -47,18 +48,8 @@ class Measurement(NamedTuple):
     torque: bool | None  # whether it has torque; None where it did not answer
 
 
-class _FeedbackBlock(NamedTuple):
-    """Contiguous registers of one servo, read at once."""
-
-    register: Register
-    offsets: Mapping[str, int]  # name -> offset of its first byte in the block
-
-    def values(self, table: ControlTable, value: int) -> dict[str, int]:
-        """Name -> value of each register in what was read."""
-        data = value.to_bytes(self.register.size, "little", signed=self.register.signed)
-        return {
-            name: table[name].decode(data[at : at + table[name].size]) for name, at in self.offsets.items()
-        }
+_Block = tuple[Register, list[Register]]
+"""Bytes of one servo that are read at once, and what lies in them."""
 
 
 class Feedback:
@@ -72,7 +63,7 @@ class Feedback:
         self._servos = {servo.id: servo for servo in config.servos}
         self.registers: dict[int, Register] = {}
         self._tables = {id: servo.table for id, servo in self._servos.items()}
-        self._blocks: dict[int, _FeedbackBlock] = {}  # those longer than torque and position
+        self._blocks: dict[int, _Block] = {}  # those longer than torque and position
         self._thresholds = {
             servo.id: Thresholds(servo) for servo in config.servos if servo.stop_at != StopAt()
         }
@@ -98,7 +89,7 @@ class Feedback:
                 parts = _PARTS + (_health_of(table) if id in self._thresholds else ())
                 block = _indirect_block(bus, id, table, parts)
                 size = sum(table[name].size for name in _PARTS)  # at the head of the block
-                self.registers[id] = Register(_BLOCK, block.register.address, size, signed=True)
+                self.registers[id] = Register(_BLOCK, block[0].address, size, signed=True)
                 if id in self._thresholds:
                     self._blocks[id] = block
             except (HardwareError, KeyError) as error:
@@ -111,7 +102,7 @@ class Feedback:
     def read_plainly(self, id: int) -> None:
         """This servo without its indirect addresses from here on: more bytes, and the same is seen."""
         self._blocks[id] = _plain_block(self._tables[id])
-        self.registers[id] = self._blocks[id].register
+        self.registers[id] = self._blocks[id][0]
 
     def asked(self) -> Mapping[int, Register]:
         """Servo id -> register of the next cycle: ``registers``, with more of the servo whose turn it is."""
@@ -120,7 +111,7 @@ class Feedback:
         ids = tuple(self._thresholds)
         self._health_index = (self._health_index + 1) % len(ids)
         turn = ids[self._health_index]
-        self._asked = {**self.registers, turn: self._blocks[turn].register}
+        self._asked = {**self.registers, turn: self._blocks[turn][0]}
         return self._asked
 
     def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
@@ -131,7 +122,8 @@ class Feedback:
         if self._asked[id].name == _BLOCK:
             torque = bool(value & 0xFF)
             return Measurement(value >> 8 if torque else None, torque)
-        values = self._blocks[id].values(self._tables[id], value)
+        block, parts = self._blocks[id]
+        values = block.take_apart(value, parts)
         if not values["torque_enable"]:
             return Measurement(None, False)
         if id in self._thresholds:
@@ -192,7 +184,7 @@ def _health_of(table: ControlTable) -> tuple[str, ...]:
     return (effort, "present_temperature", "present_input_voltage")
 
 
-def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _FeedbackBlock:
+def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[str, ...]) -> _Block:
     """The block of a servo, after its indirect addresses point at the parts.
 
     Raises:
@@ -207,15 +199,13 @@ def _indirect_block(bus: ServoBus, id: int, table: ControlTable, parts: tuple[st
         bus.write(id, pointers, wanted)
         if bus.read(id, pointers).data != wanted:
             raise HardwareError("they read back otherwise")
-    offsets = {name: addresses.index(table[name].address) for name in parts}
-    return _FeedbackBlock(
-        Register("torque, position and health", data.address, len(addresses), signed=True), offsets
-    )
+    block = Register("torque, position and health", data.address, len(addresses), signed=True)
+    registers = [table[name] for name in parts]
+    return block, [replace(r, address=data.address + addresses.index(r.address)) for r in registers]
 
 
-def _plain_block(table: ControlTable) -> _FeedbackBlock:
+def _plain_block(table: ControlTable) -> _Block:
     """From torque to temperature, as they lie: the same 83 bytes in all models."""
     first = table["torque_enable"].address
     register = Register("torque to temperature", first, table["present_temperature"].end - first)
-    names = (*_PARTS, *_health_of(table))
-    return _FeedbackBlock(register, {name: table[name].address - first for name in names})
+    return register, [table[name] for name in (*_PARTS, *_health_of(table))]
