@@ -201,15 +201,15 @@ class VirtualBus:
 
     def _execute_all(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
         """Status packets that a packet causes, in the order they go over the wire."""
-        instruction = packet.instruction if packet.valid else None
-        if instruction == Instruction.STATUS:
-            return []
+        instruction = packet.instruction
+        if not packet.valid:
+            return self._execute(packet, listeners)
         if instruction in instructions.READS:
             requests = instructions.READS[instruction](packet.params)
             fast = instruction in (Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ)
             return (self._read_fast if fast else self._read_many)(requests, listeners)
         if instruction not in instructions.WRITES:
-            return self._execute(packet, listeners)
+            return [] if instruction == Instruction.STATUS else self._execute(packet, listeners)
         orders = instructions.WRITES[instruction](packet.params)
         for servo in listeners:
             heard = {servo.memory.values["id"], servo.memory.values["secondary_id"]}
