@@ -30,7 +30,6 @@ ADDRESS = ("id", "baud_rate", "protocol_type")
 """EEPROM registers that decide how a servo is reached."""
 
 _BLOCK = 64  # bytes read at once
-_PASSES = 2  # a limit may be refused until the one at the other end is written
 
 
 @dataclass(frozen=True)
@@ -183,7 +182,7 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
             )
     # The operating mode first: changing it resets gains and limits that depend on it.
     left = sorted(changes, key=lambda change: change.register != "operating_mode")
-    for last in [False] * (_PASSES - 1) + [True]:
+    for last in (False, True):  # a limit may be refused until the one at the other end is written
         changing, left = left, []
         for change in changing:
             try:

@@ -21,7 +21,7 @@ from robot_ik.hardware.control_table import (
     control_table,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory
-from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, Electrics, Load
+from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics, Load
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
@@ -237,7 +237,7 @@ class VirtualServo:
         self.update()
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
-        if not self.shaft.standing:
+        if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # it can be seen to move
             return ErrorCode.RESULT_FAIL
         self.shaft.fold()
         self.memory.set("goal_position", self.shaft.position_register())
@@ -292,11 +292,6 @@ class VirtualServo:
         self.reboot()
         return ErrorCode.NONE
 
-    def inject_error(self, name: str) -> None:
-        """Makes a hardware error happen, e.g. ``"overload"``; Shutdown says whether torque goes off."""
-        self.update()
-        self.fail(name)
-
     def set_supply(self, volts: float) -> None:
         """Another supply voltage; outside the limits of the servo it is an input voltage error.
 
@@ -306,7 +301,7 @@ class VirtualServo:
         self.memory.set("present_input_voltage", max(0, round(10.0 * volts)))
         low, high = self.memory.values["min_voltage_limit"], self.memory.values["max_voltage_limit"]
         if not low <= 10.0 * volts <= high:
-            self.fail("input_voltage")
+            self.inject_error("input_voltage")
         starved = volts < BROWN_OUT * self.table.supply
         if starved != self.off:
             self.switch(not starved)
@@ -367,12 +362,13 @@ class VirtualServo:
         electrics.advance(now, self.shaft.torque(), self.shaft.volts)
         memory.set("present_temperature", min(255, round(electrics.temperature)))
         if electrics.strain >= 1.0:
-            self.fail("overload")
+            self.inject_error("overload")
         if electrics.temperature > memory.values["temperature_limit"]:
-            self.fail("overheating")
+            self.inject_error("overheating")
 
-    def fail(self, name: str) -> None:
-        """A hardware error: Shutdown says whether torque goes off; either way it is kept until a reboot."""
+    def inject_error(self, name: str) -> None:
+        """A hardware error, kept until a reboot: ``overload``, …  Shutdown says whether torque goes off."""
+        self.update()
         memory = self.memory
         memory.set("hardware_error_status", memory.values["hardware_error_status"] | _ERROR_BITS[name])
         if self._shut_down():

@@ -78,11 +78,6 @@ class Shaft:
         return self._to_reading(self.encoder)
 
     @property
-    def standing(self) -> bool:
-        """It does not move at all, or too slowly to be seen."""
-        return abs(self._actual()[1]) < 0.5 * VELOCITY_TICKS
-
-    @property
     def speed(self) -> float:
         """Ticks/s in encoder direction."""
         return self._actual()[1]
