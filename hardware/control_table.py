@@ -18,7 +18,6 @@ from robot_ik.errors import ConfigError, close_matches
 from robot_ik.hardware.x_series import (
     MODELS,
     REVERSE,
-    SHARED,
     SLAVE,
     TIME_BASED,
     TORQUE_BY_GOAL,
@@ -211,8 +210,7 @@ def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:
     family = row.family
     firmware = family.firmware if firmware is None else firmware
     missing = {name for name, since in family.since.items() if firmware < since}
-    absent = missing.union(row.removed)
-    registers = {r.name: r for r in map(_register, (*SHARED, *row.added)) if r.name not in absent}
+    registers = {r.name: r for r in map(_register, row.rows) if r.name not in missing}
     bits = sum(bit for name, bit in _DRIVE_BITS.items() if name in family.since and name not in missing)
     own: dict[str, Mapping[str, object]] = {
         "model_number": {"initial": row.number},

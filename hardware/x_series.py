@@ -204,6 +204,7 @@ FAMILY_330 = ServoFamily(
 )
 FAMILY_330_12V = replace(FAMILY_330, added=(("pwm_slope", 62, 1, "", "3.955 mV/ms", 255, 1, 255),))
 
+_CURRENT = ("current_limit", "goal_current", "present_current")
 _LOAD: Row = ("present_load", 126, 2, "rs", "0.1 %", None, -1000, 1000)
 
 
@@ -239,14 +240,11 @@ class Model:
         return (1, 3, 4, 16) if self.current is None else (0, 1, 3, 4, 5, 16)
 
     @property
-    def added(self) -> tuple[Row, ...]:
-        """Registers beyond the shared table."""
-        return (*self.family.added, _LOAD) if self.current is None else self.family.added
-
-    @property
-    def removed(self) -> tuple[str, ...]:
-        """Registers of the shared table that it has not."""
-        return ("current_limit", "goal_current", "present_current") if self.current is None else ()
+    def rows(self) -> tuple[Row, ...]:
+        """Its registers, before what is changed in them."""
+        if self.current is not None:
+            return (*SHARED, *self.family.added)
+        return (*(row for row in SHARED if row[0] not in _CURRENT), _LOAD, *self.family.added)
 
     @property
     def changed(self) -> Changes:
