@@ -92,6 +92,7 @@ class SafetyLimiter:
         velocity: ArrayLike,
         acceleration: ArrayLike,
         *,
+        margin: float = 0.0,
         joints: Sequence[str] | None = None,
         commanded: int | None = None,
     ) -> None:
@@ -102,21 +103,22 @@ class SafetyLimiter:
             upper: (n,) rad.
             velocity: (n,) or one cap, rad/s, positive.
             acceleration: (n,) or one cap, rad/s², positive.
+            margin: rad kept free at both ends of the range.
             joints: n names for reports and named commands; "joint1" … by default.
             commanded: Arrays of angles are of so many joints, the first ones; the others move by name.
 
         Raises:
             ValueError: Shapes, signs or an empty range.
         """
-        low = np.array(lower, dtype=float).ravel()
-        high = np.array(upper, dtype=float).ravel()
+        low = np.array(lower, dtype=float).ravel() + margin
+        high = np.array(upper, dtype=float).ravel() - margin
         size = low.size
         fast = np.broadcast_to(np.asarray(velocity, dtype=float), (size,))
         brisk = np.broadcast_to(np.asarray(acceleration, dtype=float), (size,))
         if high.shape != low.shape or not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError("lower and upper must be finite and of one length")
-        if (low > high).any():
-            raise ValueError(f"nothing is left between lower {low} and upper {high}")
+        if (low > high).any() or margin < 0.0:
+            raise ValueError(f"nothing is left between lower {low} and upper {high} (margin {margin} rad)")
         if not all(np.isfinite(caps).all() and (caps > 0.0).all() for caps in (fast, brisk)):
             raise ValueError("velocity and acceleration caps must be positive and finite")
         self.joints = tuple(joints) if joints is not None else tuple(f"joint{i + 1}" for i in range(size))

@@ -191,6 +191,12 @@ def test_clipped_and_capped_joints_are_named():
     assert not limiter.step(state, [0.005, 1.0, 0.0], DT)[2]
 
 
+def test_a_margin_keeps_clear_of_the_limits():
+    limiter = SafetyLimiter([-1], [1], 50.0, 1e5, margin=0.1)
+    _, q, report = limiter.step(LimiterState.at_rest([0.85]), [1.0], DT)
+    assert q[0] == pytest.approx(0.9) and report.clipped == ("joint1",)
+
+
 @pytest.mark.parametrize(
     "bad",
     [
