@@ -131,11 +131,21 @@ def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 @contextmanager
 def _as_model_error(path: Path) -> Iterator[None]:
-    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of: no goal asks for dynamics."""
+    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of.
+
+    What it would write to stderr and to a file MUJOCO_LOG.TXT in the user's folder says what of the model was
+    not taken; the rest is about dynamics, for which no goal asks.
+    """
+    ignored: list[str] = []
     try:
         with _NOTING, warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter("always")
-            yield
+            before = mujoco.get_mju_user_warning()
+            mujoco.set_mju_user_warning(ignored.append)
+            try:
+                yield
+            finally:
+                mujoco.set_mju_user_warning(before)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise ModelError(
@@ -144,6 +154,8 @@ def _as_model_error(path: Path) -> Iterator[None]:
             reason=reason,
             hint="MJCF and URDF files are read; meshes must lie where the file says",
         ) from error
+    for text in ignored:
+        _log.warning("%s: %s", path, " ".join(text.split()))
     for warning in noted:
         _log.info("%s: %s", path, warning.message)
 

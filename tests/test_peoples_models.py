@@ -215,3 +215,21 @@ def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
 def test_an_unknown_description_names_the_close_ones(cache: Path) -> None:
     with pytest.raises(UnknownRobotError, match="panda_mj_description"):
         rik.load_robot("robot_descriptions:panda_mj_descripton")
+
+
+def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = rik.load_robot(URDF.replace('lower="-2" upper="2" velocity="0.7"', 'lower="0" upper="0"'))
+    assert robot.upper[0] == np.inf
+    assert [record.levelno for record in caplog.records if "limit ignored" in record.message] == [
+        logging.WARNING
+    ]
+    (tmp_path / "no_extension").write_text(NAMELESS)
+    with pytest.raises(ModelError):
+        rik.load_robot(tmp_path / "no_extension")
+    assert capfd.readouterr().err == "" and [file.name for file in tmp_path.iterdir()] == ["no_extension"]
