@@ -117,15 +117,16 @@ def _text_of(path: Path) -> str:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """MuJoCo's model, also of moving bodies without mass."""
+    """MuJoCo's model, also of moving bodies without mass, or of an inertia that no body can have."""
     try:
         return spec.compile()
     except ValueError as error:
-        if "mjMINVAL" not in str(error):  # a moving body without mass
+        if not any(word in str(error) for word in ("mjMINVAL", "balanceinertia")):
             raise
-    # Kinematics asks for no mass; what has one keeps it.
+    # Kinematics asks for no mass; what has a right one keeps it.  Impossible inertias become those of a ball.
     spec.compiler.boundmass = max(spec.compiler.boundmass, _WEIGHTLESS)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, _WEIGHTLESS_INERTIA)
+    spec.compiler.balanceinertia = True
     return spec.compile()
 
 

@@ -233,3 +233,9 @@ def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
     with pytest.raises(ModelError):
         rik.load_robot(tmp_path / "no_extension")
     assert capfd.readouterr().err == "" and [file.name for file in tmp_path.iterdir()] == ["no_extension"]
+
+
+def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
+    wrong = INERTIAL.replace('iyy="1" izz="1"', 'iyy="0.1" izz="0.1"')
+    robot = rik.load_robot(URDF.replace('<link name="fore">', f'<link name="fore">{wrong}'))
+    assert robot.joints == ("turn", "bend")
