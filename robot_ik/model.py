@@ -94,6 +94,9 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
     if isinstance(source, mujoco.MjSpec):
         return source.copy(), None
     urdf = _urdf_of(_text_of(source), source.parent) if isinstance(source, Path) else _urdf_of(source)
+    if urdf is not None and urdf.problem[0]:
+        reason, hint = urdf.problem
+        raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
     with _as_model_error(path):
         if urdf is None and isinstance(source, Path):
             return mujoco.MjSpec.from_file(str(source)), None
@@ -149,11 +152,14 @@ def _as_model_error(path: Path) -> Iterator[None]:
                 mujoco.set_mju_user_warning(before)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
+        hint = "MJCF and URDF files are read; meshes must lie where the file says"
+        if "find decoder" in reason:
+            hint = "MuJoCo knows a model by the end of its name, .xml or .urdf; an arm file is one for --arm"
         raise ModelError(
             f"{path} is not a model that MuJoCo can read: {reason}",
             path=path,
             reason=reason,
-            hint="MJCF and URDF files are read; meshes must lie where the file says",
+            hint=hint,
         ) from error
     for text in ignored:
         _log.warning("%s: %s", path, " ".join(text.split()))

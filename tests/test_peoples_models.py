@@ -239,3 +239,31 @@ def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
     wrong = INERTIAL.replace('iyy="1" izz="1"', 'iyy="0.1" izz="0.1"')
     robot = rik.load_robot(URDF.replace('<link name="fore">', f'<link name="fore">{wrong}'))
     assert robot.joints == ("turn", "bend")
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "says"),
+    [
+        ('xyz="0 0 .3"', 'xyz="0 0 ${length}"', "xacro file"),
+        (
+            '<robot name="two">',
+            '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:a/>',
+            "xacro file",
+        ),
+        ('"bend"', '"turn"', "two joints are called 'turn'"),
+    ],
+)
+def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        rik.load_robot(URDF.replace(was, becomes))
+    namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
+    assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
+
+
+def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
+    for name in ("arm.mjcf", "arm.toml", "arm"):
+        path = tmp_path / name
+        path.write_text(NAMELESS)
+        with pytest.raises(ModelError) as told:
+            rik.load_robot(path)
+        assert "end of its name, .xml or .urdf" in told.value.hint
