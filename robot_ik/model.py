@@ -55,6 +55,9 @@ class ModelFrame:
     local: Pose
 
 
+# kg, kg m²: a model in millimetres is a billion times as heavy as it should be, and moves all the same.
+_LARGEST_MASS = 1e100
+
 # Arrays of MuJoCo's model, one row a body, joint, …
 _NUMBERS = (
     "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
@@ -188,7 +191,8 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
     for name in _NUMBERS:
         rows = np.asarray(getattr(model, name))
         rows = rows[:, None] if rows.ndim == 1 else rows
-        wrong = ~(np.abs(rows) <= LARGEST_NUMBER).all(axis=1)
+        most = _LARGEST_MASS if name in ("body_mass", "body_inertia") else LARGEST_NUMBER
+        wrong = ~(np.abs(rows) <= most).all(axis=1)
         if name.endswith(("axis", "quat")):
             wrong |= ~(np.linalg.norm(rows, axis=1) > 0.5)  # MuJoCo makes them 1 long; 1e308 becomes 0
         if wrong.any():
@@ -197,7 +201,7 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
             owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
             whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
             reason = f"{whose} is {rows[number].tolist()}: not finite, too large or of no length"
-            hint = f"finite numbers up to {LARGEST_NUMBER:g} are read"
+            hint = f"finite numbers up to {most:g} are read"
             raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
 
 

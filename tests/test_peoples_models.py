@@ -267,3 +267,10 @@ def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
         with pytest.raises(ModelError) as told:
             rik.load_robot(path)
         assert "end of its name, .xml or .urdf" in told.value.hint
+
+
+def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:
+    robot = rik.load_robot(NAMELESS.replace('size=".1 .1 .1"', 'size="400 400 400"').replace(".3", "300"))
+    assert robot.model.body_inertia.max() > 1e15
+    goal = rik.PositionGoal("tip", robot.forward(robot.clip(robot.home + 0.2)).position)
+    assert rik.solve(robot, goal, tolerance=rik.Tolerance(0.1)).converged
