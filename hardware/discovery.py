@@ -31,6 +31,7 @@ from robot_ik.hardware.serial_port import RESPONSE_TIME
 LIKELY = (1_000_000, 57_600, 2_000_000, 3_000_000, 4_000_000, 115_200, 4_500_000, 9_600)
 """Rates in the order in which servos are likely to be found: set up, as bought, the rest."""
 
+_MANY = 3  # rates at which no servos are all found again, but where a port has no rate
 _READS = 4  # reads of changing registers that two servos with one id would have to answer alike
 
 
@@ -124,7 +125,12 @@ def scan_notes(found: Sequence[FoundServo]) -> list[str]:
     rates: dict[int, list[str]] = {}
     for servo in found:
         rates.setdefault(servo.baud, []).append(str(servo.id))
-    if len(rates) > 1:
+    if len(rates) >= _MANY and len(set(map(tuple, rates.values()))) == 1:
+        notes.append(
+            "they answer at every rate: the port has none of its own, as a pseudo terminal "
+            "(robot-ik sim-bus --match-baud serves servos that hear one rate only)"
+        )
+    elif len(rates) > 1:
         listed = "; ".join(f"{baud}: id {', '.join(ids)}" for baud, ids in rates.items())
         notes.append(
             f"they talk at different rates ({listed}). "

@@ -21,6 +21,9 @@ from robot_ik.solvers.analytic import Analytic
 _SAME = 1e-6
 # rad, m: so far beyond a limit a joint still counts as inside.
 _SLACK = 1e-9
+# rad, m: so far beyond, it is brought back.  At a singular pose (an arm stretched out, whose elbow has its
+# limit there) rounding moves a joint by its own square root, and far less what the joint carries.
+_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +115,11 @@ def _branches(
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
     inside = _inside(robot, qs)
-    found = [(far[k], Branch(*branches[k], inside=inside[k])) for k in first]
+    if not all(inside):
+        ends = np.array([robot.clip(q) for q in qs])
+        qs = np.where(np.abs(ends - qs) <= _ROUNDING, ends, qs)
+        inside = _inside(robot, qs)
+    found = [(far[k], Branch(branches[k][0], qs[k], inside=inside[k])) for k in first]
     ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
     return tuple(branch for _, branch in ordered if branch.inside or not limits)
 

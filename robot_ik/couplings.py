@@ -95,13 +95,16 @@ def _resolved(found: list[Coupling], names: Sequence[str]) -> list[Coupling]:
     return done
 
 
-def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, addresses: Array) -> Tree:
+def with_couplings(
+    tree: Tree, couplings: Sequence[Coupling], frozen: Array, addresses: Array, names: Sequence[str]
+) -> Tree:
     """The tree with its coupled joints, limits of the leaders narrowed so that all stay inside theirs.
 
     A coupled joint whose leader is frozen stands still.  A frozen joint whose leader moves is not in the
     tree; ``Problem`` refuses to move such a leader.
 
-    ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it.
+    ``frozen`` (model.nq,) is where frozen joints stand, ``addresses`` (model.njnt,) where in it, ``names``
+    are those of all joints.
 
     Raises:
         ModelError: A leader has no range left.
@@ -120,11 +123,14 @@ def with_couplings(tree: Tree, couplings: Sequence[Coupling], frozen: Array, add
         law.append([0.0, 0.0, *np.pad(polynomial.coef, (0, _DEGREE + 1 - len(polynomial.coef)))])
     if not coupled:
         return tree
-    return narrowed(replace(tree, coupled=np.array(coupled, dtype=np.int64), law=np.array(law)))
+    coupled_tree = replace(tree, coupled=np.array(coupled, dtype=np.int64), law=np.array(law))
+    return narrowed(coupled_tree, [names[joint] for joint in tree.joint_ids])
 
 
-def narrowed(tree: Tree) -> Tree:
+def narrowed(tree: Tree, joints: Sequence[str]) -> Tree:
     """The tree with each leader's limits narrowed to where its followers are inside theirs.
+
+    ``joints`` are the names of the tree's.
 
     Raises:
         ModelError: There is no such position.
@@ -141,8 +147,9 @@ def narrowed(tree: Tree) -> Tree:
         interval = _admissible_interval(polynomial, (lower[v], upper[v]), (lower[w], upper[w]))
         if interval is None:
             raise ModelError(
-                f"a coupled joint has no position inside its limits {lower[v]:.4f} … {upper[v]:.4f} "
-                f"while its leader is inside {lower[w]:.4f} … {upper[w]:.4f}",
+                f"coupled joint {joints[node]!r} has no position inside its limits "
+                f"{lower[v]:.4f} … {upper[v]:.4f} while its leader {joints[leader]!r} is inside "
+                f"{lower[w]:.4f} … {upper[w]:.4f}",
                 hint="check ratio and offset of the coupling, and both joints' limits",
             )
         lower[w], upper[w] = interval

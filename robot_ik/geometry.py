@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 # Below this angle the series of sin(x)/x is exact to double precision.
 _SMALL_ANGLE = 1e-8
+# How far a matrix may be from a rotation: what six written digits leave.
+_ROUNDING = 1e-5
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
@@ -153,6 +155,11 @@ class Pose:
         m = np.asarray(matrix, dtype=float)
         if m.shape != (4, 4):
             raise InvalidPoseError(f"a homogeneous matrix is (4, 4), not {m.shape}")
+        off = np.abs(m[:3, :3] @ m[:3, :3].T - np.eye(3)).max()
+        if off > _ROUNDING or np.linalg.det(m[:3, :3]) < 0.0:  # of NaN, the pose complains
+            raise InvalidPoseError(f"the matrix {m.tolist()} is no rotation and shift: it scales or mirrors")
+        if not np.allclose(m[3], (0.0, 0.0, 0.0, 1.0)):
+            raise InvalidPoseError(f"the last row of a homogeneous matrix is 0 0 0 1, not {m[3].tolist()}")
         return cls.from_rotation(m[:3, :3], m[:3, 3])
 
     @property

@@ -55,6 +55,9 @@ class ModelFrame:
     local: Pose
 
 
+# kg, kg m²: a model in millimetres is a billion times as heavy as it should be, and moves all the same.
+_LARGEST_MASS = 1e100
+
 # Arrays of MuJoCo's model, one row a body, joint, …
 _NUMBERS = (
     "body_pos", "body_quat", "body_mass", "body_inertia", "body_ipos", "body_iquat", "jnt_pos", "jnt_axis",
@@ -94,6 +97,9 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
     if isinstance(source, mujoco.MjSpec):
         return source.copy(), None
     urdf = _urdf_of(_text_of(source), source.parent) if isinstance(source, Path) else _urdf_of(source)
+    if urdf is not None and urdf.problem[0]:
+        reason, hint = urdf.problem
+        raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
     with _as_model_error(path):
         if urdf is None and isinstance(source, Path):
             return mujoco.MjSpec.from_file(str(source)), None
@@ -117,33 +123,49 @@ def _text_of(path: Path) -> str:
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """MuJoCo's model, also of moving bodies without mass."""
+    """MuJoCo's model, also of moving bodies without mass, or of an inertia that no body can have."""
     try:
         return spec.compile()
     except ValueError as error:
-        if "mjMINVAL" not in str(error):  # a moving body without mass
+        if not any(word in str(error) for word in ("mjMINVAL", "balanceinertia")):
             raise
-    # Kinematics asks for no mass; what has one keeps it.
+    # Kinematics asks for no mass; what has a right one keeps it.  Impossible inertias become those of a ball.
     spec.compiler.boundmass = max(spec.compiler.boundmass, _WEIGHTLESS)
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, _WEIGHTLESS_INERTIA)
+    spec.compiler.balanceinertia = True
     return spec.compile()
 
 
 @contextmanager
 def _as_model_error(path: Path) -> Iterator[None]:
-    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of: no goal asks for dynamics."""
+    """Makes a ``ModelError`` of what MuJoCo refuses; logs what it warns of.
+
+    What it would write to stderr and to a file MUJOCO_LOG.TXT in the user's folder says what of the model was
+    not taken; the rest is about dynamics, for which no goal asks.
+    """
+    ignored: list[str] = []
     try:
         with _NOTING, warnings.catch_warnings(record=True) as noted:
             warnings.simplefilter("always")
-            yield
+            before = mujoco.get_mju_user_warning()
+            mujoco.set_mju_user_warning(ignored.append)
+            try:
+                yield
+            finally:
+                mujoco.set_mju_user_warning(before)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
+        hint = "MJCF and URDF files are read; meshes must lie where the file says"
+        if "find decoder" in reason:
+            hint = "MuJoCo knows a model by the end of its name, .xml or .urdf; an arm file is one for --arm"
         raise ModelError(
             f"{path} is not a model that MuJoCo can read: {reason}",
             path=path,
             reason=reason,
-            hint="MJCF and URDF files are read; meshes must lie where the file says",
+            hint=hint,
         ) from error
+    for text in ignored:
+        _log.warning("%s: %s", path, " ".join(text.split()))
     for warning in noted:
         _log.info("%s: %s", path, warning.message)
 
@@ -169,7 +191,8 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
     for name in _NUMBERS:
         rows = np.asarray(getattr(model, name))
         rows = rows[:, None] if rows.ndim == 1 else rows
-        wrong = ~(np.abs(rows) <= LARGEST_NUMBER).all(axis=1)
+        most = _LARGEST_MASS if name in ("body_mass", "body_inertia") else LARGEST_NUMBER
+        wrong = ~(np.abs(rows) <= most).all(axis=1)
         if name.endswith(("axis", "quat")):
             wrong |= ~(np.linalg.norm(rows, axis=1) > 0.5)  # MuJoCo makes them 1 long; 1e308 becomes 0
         if wrong.any():
@@ -178,7 +201,7 @@ def _refuse_numbers(model: mujoco.MjModel, path: Path) -> None:
             owner = {"body": model.body, "jnt": model.joint, "site": model.site, "geom": model.geom}.get(kind)
             whose = f"{what} of {kind} {owner(number).name or number!r}" if owner else name
             reason = f"{whose} is {rows[number].tolist()}: not finite, too large or of no length"
-            hint = f"finite numbers up to {LARGEST_NUMBER:g} are read"
+            hint = f"finite numbers up to {most:g} are read"
             raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
 
 

@@ -6,6 +6,7 @@ What a parser says of text that is none, of nesting without end or of numbers wi
 
 from __future__ import annotations
 
+import codecs
 import csv
 import json
 import re
@@ -43,6 +44,7 @@ def read_text(path: Path, what: str, hint: str = "", *, errors: str = "strict") 
         with path.open("rb") as stream:
             data = stream.read(LARGEST_FILE + 1)
         if len(data) <= LARGEST_FILE:
+            data = data.removeprefix(codecs.BOM_UTF8)  # Windows' Notepad may put it there
             return data.decode("utf-8", errors).replace("\r\n", "\n").replace("\r", "\n")
         reason = f"it has more than {LARGEST_FILE >> 20} MiB"
     except UnicodeDecodeError:

@@ -272,7 +272,7 @@ class Robot:
         if len(tree.coupled):
             from robot_ik.couplings import narrowed  # which few arms have
 
-            tree = narrowed(tree)
+            tree = narrowed(tree, self.joints)
         return dataclasses.replace(self, tree=tree)._with_home_inside()
 
     def reach(self, frame: str | None = None) -> tuple[Array, float] | None:
@@ -347,7 +347,7 @@ def _make_robot(
         from robot_ik.couplings import declared_couplings, with_couplings  # which few arms have
 
         couplings = declared_couplings(model, file, names)
-        tree = with_couplings(tree, couplings, rest, model.jnt_qposadr)
+        tree = with_couplings(tree, couplings, rest, model.jnt_qposadr, names)
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
     frames = mjcf.model_frames(model, file)

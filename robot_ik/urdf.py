@@ -38,6 +38,21 @@ class Urdf:
         return cls(root, folder) if root.tag == "robot" else None
 
     @property
+    def problem(self) -> tuple[str, str]:
+        """What MuJoCo would not say, or not in words of a URDF, and what to try; empty: nothing."""
+        texts = [text for element in self._root.iter() for text in (element.tag, *element.attrib.values())]
+        if any("xacro}" in text or "${" in text or "$(" in text for text in texts):
+            return (
+                "it is a xacro file, from which a URDF is yet to be made",
+                "xacro arm.urdf.xacro > arm.urdf",
+            )
+        names = [joint.get("name", "") for joint in self._root.findall("joint")]
+        doubled = next((name for name in names if names.count(name) > 1), None)
+        return (
+            ("", "") if doubled is None else (f"two joints are called {doubled!r}", "each needs its own name")
+        )
+
+    @property
     def velocity(self) -> dict[str, float]:
         """Joint -> rad/s or m/s, where the file limits it."""
         found = {}

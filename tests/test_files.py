@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import codecs
 import contextlib
 import json
 import os
@@ -619,3 +620,9 @@ def test_integers_are_no_booleans_and_text_is_no_number(folder: Path) -> None:
         file.write_text(text.replace(old, new, 1))
         with pytest.raises(ConfigError, match=old.partition(" ")[0]):
             ROWS[name].read(file)
+
+
+def test_a_byte_order_mark_is_no_part_of_a_text(folder: Path) -> None:
+    path = folder / "from_windows.toml"
+    path.write_bytes(codecs.BOM_UTF8 + b"key = 1\r\n")
+    assert reading.read_toml(path, "the file") == {"key": 1}

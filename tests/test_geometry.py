@@ -147,3 +147,24 @@ def test_what_is_not_finite_is_no_pose(bad):
     with pytest.raises(ValueError, match="finite"):
         Pose(wxyz=(*bad, 1.0))
     assert Pose((1e200, -1e200, 1e308)).position[0] == 1e200
+
+
+@pytest.mark.parametrize(
+    ("rotation", "last_row", "says"),
+    [
+        (2.0 * np.eye(3), (0, 0, 0, 1), "scales or mirrors"),
+        (np.zeros((3, 3)), (0, 0, 0, 1), "scales or mirrors"),
+        (np.diag([1.0, 1.0, -1.0]), (0, 0, 0, 1), "scales or mirrors"),
+        (np.eye(3), (1, 0, 0, 1), "last row"),
+    ],
+)
+def test_a_matrix_that_is_no_rotation_and_shift_is_no_pose(rotation, last_row, says):
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[3] = rotation, last_row
+    with pytest.raises(ValueError, match=says):
+        Pose.from_matrix(matrix)
+
+
+def test_a_matrix_of_six_digits_is_a_pose():
+    matrix = Pose((1.0, 2.0, 3.0), (0.5, 0.1, -0.7, 0.2)).matrix
+    assert Pose.from_matrix(np.round(matrix, 6)).distance(Pose.from_matrix(matrix))[1] < 1e-5

@@ -215,3 +215,62 @@ def test_a_description_that_git_cannot_get_says_how_to(cache: Path) -> None:
 def test_an_unknown_description_names_the_close_ones(cache: Path) -> None:
     with pytest.raises(UnknownRobotError, match="panda_mj_description"):
         rik.load_robot("robot_descriptions:panda_mj_descripton")
+
+
+def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    robot = rik.load_robot(URDF.replace('lower="-2" upper="2" velocity="0.7"', 'lower="0" upper="0"'))
+    assert robot.upper[0] == np.inf
+    assert [record.levelno for record in caplog.records if "limit ignored" in record.message] == [
+        logging.WARNING
+    ]
+    (tmp_path / "no_extension").write_text(NAMELESS)
+    with pytest.raises(ModelError):
+        rik.load_robot(tmp_path / "no_extension")
+    assert capfd.readouterr().err == "" and [file.name for file in tmp_path.iterdir()] == ["no_extension"]
+
+
+def test_an_inertia_that_no_body_can_have_does_not_matter() -> None:
+    wrong = INERTIAL.replace('iyy="1" izz="1"', 'iyy="0.1" izz="0.1"')
+    robot = rik.load_robot(URDF.replace('<link name="fore">', f'<link name="fore">{wrong}'))
+    assert robot.joints == ("turn", "bend")
+
+
+@pytest.mark.parametrize(
+    ("was", "becomes", "says"),
+    [
+        ('xyz="0 0 .3"', 'xyz="0 0 ${length}"', "xacro file"),
+        (
+            '<robot name="two">',
+            '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro"><xacro:a/>',
+            "xacro file",
+        ),
+        ('"bend"', '"turn"', "two joints are called 'turn'"),
+    ],
+)
+def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
+    with pytest.raises(ModelError, match=says):
+        rik.load_robot(URDF.replace(was, becomes))
+    namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
+    assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
+
+
+def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:
+    for name in ("arm.mjcf", "arm.toml", "arm"):
+        path = tmp_path / name
+        path.write_text(NAMELESS)
+        with pytest.raises(ModelError) as told:
+            rik.load_robot(path)
+        assert "end of its name, .xml or .urdf" in told.value.hint
+
+
+def test_a_model_in_millimetres_is_a_robot_however_heavy() -> None:
+    robot = rik.load_robot(NAMELESS.replace('size=".1 .1 .1"', 'size="400 400 400"').replace(".3", "300"))
+    assert robot.model.body_inertia.max() > 1e15
+    goal = rik.PositionGoal("tip", robot.forward(robot.clip(robot.home + 0.2)).position)
+    assert rik.solve(robot, goal, tolerance=rik.Tolerance(0.1)).converged

@@ -12,8 +12,12 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from robot_ik.cli import console
-from robot_ik.errors import OutputError, RobotIkError, close_matches, unknown_name_text
+try:
+    from robot_ik.cli import console
+    from robot_ik.errors import OutputError, RobotIkError, close_matches, unknown_name_text
+except KeyboardInterrupt:  # most of the first half second is spent here
+    sys.stderr.write("interrupted\n")
+    raise SystemExit(130) from None
 
 # ------------------------------------------------------------------------------------------
 # The table of commands and of their subcommands: names, where each lives, one line about it.
@@ -164,8 +168,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.say("terminated", "yellow")
         return console.TERMINATED
     except Exception as error:  # the last place where an error can become an exit code
+        if _was_interrupted(error):
+            console.say("interrupted", "yellow")
+            return console.INTERRUPTED
         console.show_error(error, debug=debug)
         return console.exit_code(error)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C came while a package was loaded: pybind11 makes an ``ImportError`` of it."""
+    while error is not None:
+        if isinstance(error, ImportError) and isinstance(error.__cause__, KeyboardInterrupt):
+            return True
+        error = error.__cause__
+    return False
 
 
 def _dispatch(arguments: list[str], *, debug: bool) -> int:

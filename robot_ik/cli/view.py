@@ -150,10 +150,11 @@ def _view(options: ViewOptions, viewer: str) -> int:
         if viewer == "recorder":
             from robot_ik.jobs.testbed import film
 
-            out = Path("testbed.mp4")
+            out, log = Path("testbed.mp4"), CommandLog(start, ())
             with console.kept(out):
-                film(CommandLog(start, ()), out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
+                view = film(log, out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
             console.say(f"filmed: {out}")
+            _save(replace(log, ticks=view.tick, digest=view.digest()), options.log)
             return console.DONE
         return _run(start, options, viewer, server)
 
@@ -187,10 +188,10 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
         link = arm_link(start.robot, options.arm, options.bus, options.on_exit)
     try:
         with Session(start, arm=link) as session, _opened(viewer, session, options, server) as draw:
-            _loop(session, draw, options)
-            if options.log is not None:
-                session.log().save(options.log)
-                console.say(f"command log: {options.log}")
+            try:
+                _loop(session, draw, options)
+            finally:  # what went wrong, or was ended from outside, is what a log is read for
+                _save(session.log(), options.log)
     finally:
         if link is not None:
             try:
@@ -198,6 +199,12 @@ def _run(start: Start, options: ViewOptions, viewer: str, server: PageServer | N
             finally:  # a signal that has waited comes out of it
                 console.say(link.left, "dim")
     return console.DONE
+
+
+def _save(log: CommandLog, file: Path | None) -> None:
+    if file is not None:
+        log.save(file)
+        console.say(f"command log: {file}")
 
 
 @contextlib.contextmanager

@@ -28,6 +28,8 @@ from robot_ik.robot import Robot
 
 # A goal that a solver put onto a limit may miss it by rounding: rad or m.
 _LIMIT_ROUNDING = 1e-9
+# Of a move: a day at 100 Hz.
+_MOST_SAMPLES = 10_000_000
 
 
 def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
@@ -42,7 +44,10 @@ def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
             f"robot {robot.name!r} has ball or free joints; moves are planned for hinges and slides",
             hint="keep only hinge and slide joints: load_robot(…, joints=[…])",
         )
-    vector = np.array(q, dtype=float)
+    try:
+        vector = np.array(q, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(f"the {what} is to be {robot.nq} numbers, not {shown(q)}") from error
     if vector.shape != (robot.nq,):
         raise TrajectoryError(
             f"the {what} has shape {vector.shape}; {robot.name!r} has {robot.nq} joints",
@@ -77,7 +82,7 @@ def motion_limits(
     ``speed`` times the lower of the robot's own limits and the given caps.
 
     Raises:
-        TrajectoryError: ``speed`` outside (0, 1], or a limit that is missing, zero or infinite.
+        TrajectoryError: ``speed`` outside (0, 1], or a limit that is missing, zero, infinite or no number.
     """
     if not 0.0 < speed <= 1.0:
         raise TrajectoryError(f"asked for speed {speed}", hint="a part of the limits: above 0, at most 1")
@@ -86,7 +91,10 @@ def motion_limits(
         ("velocity", robot.velocity, velocity),
         ("acceleration", robot.acceleration, acceleration),
     ):
-        lowest = np.minimum(own, np.inf if cap is None else np.asarray(cap, dtype=float))
+        try:
+            lowest = np.minimum(own, np.inf if cap is None else np.asarray(cap, dtype=float))
+        except (TypeError, ValueError) as error:
+            raise TrajectoryError(f"{what} is to be {robot.nv} numbers, or one, not {shown(cap)}") from error
         if lowest.shape != (robot.nv,) or not (np.isfinite(lowest) & (lowest > 0.0)).all():
             raise TrajectoryError(
                 f"the {what} limits of {robot.name!r} are {np.asarray(lowest).tolist()}",
@@ -321,7 +329,13 @@ def joint_move(
         bounds = np.min(top[moving] / distance[moving]), np.min(push[moving] / distance[moving])
     if np.isfinite(bounds[1]):
         plan = PROFILES[profile](float(bounds[0]), float(bounds[1]))
-        count = max(1, int(np.ceil(plan.duration * rate * (1.0 - 1e-12))))
+        samples = np.ceil(plan.duration * rate * (1.0 - 1e-12))
+        if samples > _MOST_SAMPLES:
+            raise TrajectoryError(
+                f"the move takes {plan.duration:.3g} s, which are {samples:.3g} samples at {rate:g} Hz",
+                hint="a higher speed or velocity, or a lower rate",
+            )
+        count = max(1, int(samples))
         progress = plan.progress(np.arange(count + 1) / count)[:, None]
         q = first * (1.0 - progress) + last * progress
     else:

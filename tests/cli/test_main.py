@@ -278,6 +278,33 @@ def test_interrupt_is_one_line(trial: Any) -> None:
     assert (run.code, run.out, run.err) == (130, "", "interrupted\n")
 
 
+def test_an_interrupt_while_a_package_loads_is_no_missing_package(trial: Any) -> None:
+    def load() -> int:
+        try:
+            raise ImportError("initialization failed") from KeyboardInterrupt()
+        except ImportError as reason:
+            raise errors.RobotIkError("MuJoCo cannot be imported") from reason
+
+    result = trial(load)
+    assert (result.code, result.err.strip()) == (130, "interrupted")
+
+
+def test_an_interrupt_while_the_program_itself_loads_is_one_line() -> None:
+    code = """
+import sys
+
+class Interrupting:
+    def find_spec(self, name, *rest):
+        if name == "rich.table":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, Interrupting())
+from robot_ik.cli.main import main
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
 def test_sigterm_unwinds_the_stack(trial: Any) -> None:
     closed = []
     before = signal.getsignal(signal.SIGTERM)

@@ -231,6 +231,11 @@ def test_setup_without_a_servo(robot_ik: Any, desk: Any) -> None:
         ([FoundServo(1, 1_000_000), FoundServo(2, 1_000_000)], []),
         ([FoundServo(1, 57_600), FoundServo(2, 1_000_000)], ["different rates (57600: id 1; 1000000: id 2)"]),
         (
+            [FoundServo(id, rate) for rate in (1_000_000, 57_600, 2_000_000) for id in (1, 2)],
+            ["answer at every rate: the port has none"],
+        ),
+        ([FoundServo(1, 57_600), FoundServo(1, 1_000_000)], ["different rates"]),  # both as bought
+        (
             [FoundServo(1, 57_600, shared=True), FoundServo(2, 57_600)],
             ["id 1 at 57600: damaged replies. Two"],
         ),

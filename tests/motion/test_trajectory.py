@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from robot_ik.errors import ConfigError, OutputError, TrajectoryError, UnsupportedJointError
 from robot_ik.motion import PROFILES, Trajectory, joint_move
+from robot_ik.robot import load_robot
 
 SLACK = 1.0 + 1e-9  # rounding of differences of samples, relative
 
@@ -301,3 +302,17 @@ def test_a_broken_csv_names_the_line(tmp_path, text, said):
         Trajectory.load_csv(tmp_path / "t.csv")
     with pytest.raises(ConfigError, match="cannot be read"):
         Trajectory.load_csv(tmp_path / "none.csv")
+
+
+def test_what_is_no_number_of_each_joint_and_a_move_without_end_are_refused_in_words():
+    robot = load_robot("puma560")
+    end = robot.home + 0.1
+    for asked, says in (
+        ({"velocity": np.ones(5)}, "velocity is to be 6 numbers"),
+        ({"acceleration": "fast"}, "acceleration is to be 6 numbers"),
+        ({"velocity": 1e-300}, "samples at 100 Hz"),
+    ):
+        with pytest.raises(TrajectoryError, match=says):
+            joint_move(robot, robot.home, end, **asked)
+    with pytest.raises(TrajectoryError, match="start is to be 6 numbers"):
+        joint_move(robot, "home", end)

@@ -177,8 +177,26 @@ def test_a_film_of_the_recorder_is_overwritten_only_when_asked(
     arguments = ["view", "--robot", "tabletop_puma", "--viewer", "recorder", "--seconds", "0.02"]
     assert main(arguments) == 2
     assert "--overwrite" in capsys.readouterr().err and (tmp_path / "testbed.mp4").read_text() == "mine"
-    assert main([*arguments, "--overwrite"]) == 0
+    assert main([*arguments, "--overwrite", "--log", "log.jsonl"]) == 0
     assert (tmp_path / "testbed.mp4").stat().st_size > 1000
+    assert main(["view", "--replay", "log.jsonl"]) == 0 and "the same bits" in capsys.readouterr().err
+
+
+def test_view_that_is_ended_from_outside_writes_its_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("viser", reason="needs the extra web")
+    from robot_ik.cli import view
+    from robot_ik.cli.main import Terminated
+
+    def ended(*_: object) -> None:
+        raise Terminated
+
+    monkeypatch.setattr(view, "_loop", ended)
+    log = tmp_path / "log.jsonl"
+    words = "view --robot tabletop_puma --no-open --no-camera --port 8730 --viewer browser"
+    assert main([*words.split(), "--log", str(log)]) == 143
+    assert CommandLog.load(log).start.robot == "tabletop_puma"
 
 
 @pytest.mark.parametrize("suffix", [".gif", ""])

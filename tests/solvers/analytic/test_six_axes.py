@@ -155,6 +155,23 @@ def test_a_stretched_elbow_is_solved():
         assert solution.converged, (q, solution)
 
 
+@pytest.mark.parametrize(("name", "elbow"), [("ur5e", 2), ("srs_arm", 3)])
+def test_an_arm_stretched_to_the_limit_of_its_elbow_has_a_branch(name, elbow):
+    rng = np.random.default_rng(5)
+    free = load_robot(name)
+    lower = free.lower.copy()
+    lower[elbow] = 0.0
+    robot = free.with_limits(lower, free.upper)
+    for _ in range(60):
+        q = robot.sample(rng)
+        q[elbow] = 0.0
+        goal = PoseGoal.at(None, robot.forward(q))
+        branches = solve_all(robot, goal, start=q)
+        assert branches and not any(robot.outside(branch.q, 0.0) for branch in branches)
+        misses = [goal.miss(robot, branch.q, goal.target) for branch in branches]
+        assert np.max(misses) < 2e-6
+
+
 def test_a_goal_whose_branches_are_all_far_outside_the_limits_is_proven_and_approached(tmp_path):
     rng = np.random.default_rng(6)
     robot = random_arm(rng, tmp_path, "spherical", limit=0.4)
