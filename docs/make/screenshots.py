@@ -23,6 +23,7 @@ from playwright.sync_api import sync_playwright
 from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.session import Session, View, run
 
 IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
@@ -82,7 +83,7 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
         camera = CameraTab(session) if shot.camera else None
-        with Page(session, port=8650, dark=shot.dark, camera=camera) as page:
+        with Page(session, PageServer(port=8650, dark=shot.dark), camera=camera) as page:
             loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
             loop.start()
             try:

@@ -45,6 +45,7 @@ def _opened() -> Iterator[Bed]:
     """A session with its page, whose loop does not run yet."""
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
     with Session(Start()) as session:
         bed = Bed(session, None)
@@ -55,7 +56,7 @@ def _opened() -> Iterator[Bed]:
             real(command)
 
         session.send = send  # type: ignore[method-assign]
-        with Page(session, port=8610, shadows=False) as page:
+        with Page(session, PageServer(port=8610, shadows=False)) as page:
             bed.page = page
             yield bed
 
@@ -79,8 +80,9 @@ def bed(_opened: Bed) -> Iterator[Bed]:
 def guarded(_opened: Bed) -> Iterator[Any]:
     """Another page of the same session, which asks for its token."""
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
-    with Page(_opened.session, port=8611, shadows=False, token=True) as page:
+    with Page(_opened.session, PageServer(port=8611, shadows=False, token=True)) as page:
         yield page
 
 

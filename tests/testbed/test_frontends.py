@@ -57,8 +57,9 @@ def test_the_same_script_gives_the_same_view_in_the_recorder(wanted: str) -> Non
 def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
-    assert drawn(lambda session: Page(session, port=8710)) == wanted
+    assert drawn(lambda session: Page(session, PageServer(port=8710))) == wanted
 
 
 def test_no_key_means_two_things() -> None:

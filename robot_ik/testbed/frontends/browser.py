@@ -13,7 +13,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,9 +21,9 @@ from viser import _messages as vm
 
 from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Closing, Image
-from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
+from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
-from robot_ik.testbed.frontends.page_server import PageServer, open_icons
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
     Control,
@@ -53,39 +52,35 @@ class Page(Closing):
 
     Args:
         session: What is shown and driven.
-        page_server: What listens for browsers, where it is open already; the page closes it.
+        page_server: What listens for browsers; the page closes it.
         camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
-        options: Without ``page_server``: as ``PageServer`` takes them.
 
     Attributes:
         url: Where a browser finds the page, with its token if it needs one.
-
-    Raises:
-        ViewerError: As ``PageServer``.
     """
 
     def __init__(
         self,
         session: Session,
-        page_server: PageServer | None = None,
+        page_server: PageServer,
         *,
         camera: Callable[[], tuple[Image, str] | None] | None = None,
-        **options: Any,
     ) -> None:
         self.session, self._view = session, session.view()
-        self._page_server = opened = page_server or PageServer(**options)
-        self.server, self.gate, self.url = opened.server, opened.gate, opened.url
+        self._page_server = page_server
+        self.server, self.gate, self.url = page_server.server, page_server.gate, page_server.url
         self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
         self._camera = None if camera is None else _CameraThread(camera)
         gui = self.server.gui
-        with self.server.atomic(), open_icons():
+        with self.server.atomic():
             self._controls(gui)
             self._readings(gui)
             self._keys(gui)
             self._add_gizmo()
-            self._refreshes = self._all_refreshes()
+            self._periods = self._panel_periods()
+            self._due = dict.fromkeys(self._periods, 0.0)  # when each is shown again
             self.draw(self._view)
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
@@ -228,8 +223,8 @@ class Page(Closing):
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
             self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
-        for refresh in self._refreshes:
-            refresh.show(view, scene)
+        for show in self._periods:
+            show(view, scene)
         return scene
 
     async def _drag_ball(self, event: Any) -> None:
@@ -278,8 +273,9 @@ class Page(Closing):
         scene, aspect = self._scene, client.camera.aspect
         if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
             return
-        points = corners(scene.robot, scene.arrangement, self.session.ball_path())
-        position, target = fitted_camera(points, scene.arrangement, aspect, phone=aspect < _PHONE_ASPECT)
+        position, target = scene.arrangement.camera(
+            self.session.ball_path(), aspect, phone=aspect < _PHONE_ASPECT
+        )
         with client.atomic():
             client.camera.position = position
             client.camera.look_at = target
@@ -327,12 +323,14 @@ class Page(Closing):
             if view.motion != "hand":
                 self._gizmo.wxyz = view.ball.wxyz
             # One panel at most, so that no frame pays for all of them.
-            now, refresh = time.monotonic(), min(self._refreshes, key=lambda one: one.due)
-            if now >= refresh.due:
-                refresh.due = now + refresh.period
-                refresh.show(view, scene)
+            now, show = time.monotonic(), min(self._due, key=self._due.__getitem__)
+            if now >= self._due[show]:
+                self._due[show] = now + self._periods[show]
+                show(view, scene)
 
-    def _all_refreshes(self) -> tuple[_Refresh, ...]:
+    def _panel_periods(self) -> dict[Callable[[View, BrowserScene], None], float]:
+        """What is shown on the panels, and how often, seconds."""
+
         def run(view: View, scene: BrowserScene) -> None:
             self._run.show(view)
             self._figure.show(view)
@@ -342,22 +340,13 @@ class Page(Closing):
             self._arm.show(view)
             scene.name_instances(view)
 
-        return (
-            _Refresh(_PANEL_PERIOD, run),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
-            _Refresh(_TABLE_PERIOD, tables),
-        )
-
-
-@dataclass
-class _Refresh:
-    """Something on the page that is renewed every ``period`` seconds, next when the clock is at ``due``."""
-
-    period: float
-    show: Callable[[View, BrowserScene], None]
-    due: float = 0.0
+        return {
+            run: _PANEL_PERIOD,
+            lambda view, scene: self._methods.show(view): _PANEL_PERIOD,
+            lambda view, scene: self._goals.show(view): _PANEL_PERIOD,
+            lambda view, scene: self._measured.draw(view, scene.robot): _PANEL_PERIOD,
+            tables: _TABLE_PERIOD,
+        }
 
 
 class _CameraThread:
