@@ -6,6 +6,7 @@ GPU, after the session has run for some seconds; the colours are reduced to keep
 
 from __future__ import annotations
 
+import functools
 import sys
 import threading
 import time
@@ -82,7 +83,7 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
-        camera = CameraTab(session) if shot.camera else None
+        camera = functools.partial(CameraTab, session) if shot.camera else None
         with Page(session, PageServer(port=8650, dark=shot.dark), camera=camera) as page:
             loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
             loop.start()

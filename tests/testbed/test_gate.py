@@ -285,7 +285,7 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
             raise seen[0]
         return seen[0]
 
-    with Page(bed.session, PageServer(port=8612, shadows=False), camera=read) as page:
+    with Page(bed.session, PageServer(port=8612, shadows=False), camera=lambda: read) as page:
         page._camera.switch(True)
         for text in texts:
             wait_for(lambda text=text: text in page._camera._text.content, f"{text!r} is not said")

@@ -40,6 +40,7 @@ from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.session import Session, View
 
 LOG = logging.getLogger(__name__)
+ReadPicture = Callable[[], tuple[Image, str] | None]
 
 _LEFT, _RIGHT = 300, 350  # px
 _PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
@@ -53,7 +54,8 @@ class Page(Closing):
     Args:
         session: What is shown and driven.
         page_server: What listens for browsers; the page closes it.
-        camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
+        camera: Opens a camera once pictures are asked for: what is called for each, (h, w, 3) RGB and a
+            line about it; None: there is none.
 
     Attributes:
         url: Where a browser finds the page, with its token if it needs one.
@@ -64,7 +66,7 @@ class Page(Closing):
         session: Session,
         page_server: PageServer,
         *,
-        camera: Callable[[], tuple[Image, str] | None] | None = None,
+        camera: Callable[[], ReadPicture] | None = None,
     ) -> None:
         self.session, self._view = session, session.view()
         self._page_server = page_server
@@ -355,8 +357,8 @@ class _CameraThread:
     _NOTHING = "<small>this robot has no scene with a camera: choose tabletop_puma under Robot</small>"
     _OFF = page("<small>no pictures: switch them on under Show, on the left</small>")
 
-    def __init__(self, read: Callable[[], tuple[Image, str] | None]) -> None:
-        self._read, self._shown = read, threading.Event()
+    def __init__(self, open_camera: Callable[[], ReadPicture]) -> None:
+        self._open, self._shown = functools.cache(open_camera), threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, name="testbed-camera", daemon=True)
 
@@ -388,7 +390,7 @@ class _CameraThread:
     def _next_picture(self) -> tuple[Image | None, str]:
         """The next picture, and what is said of it."""
         try:
-            return self._read() or (None, self._NOTHING)
+            return self._open()() or (None, self._NOTHING)
         except Exception as error:  # on a thread it is seen nowhere else, and the picture stands still
             LOG.debug("no picture", exc_info=True)
             return None, f'<span class="no">no picture: {html.escape(str(error).splitlines()[0])}</span>'
