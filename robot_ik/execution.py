@@ -59,8 +59,6 @@ class Execution:
         measured: (n, nq) what the source read after each, or None without a source.
         measured_times: (n,) seconds since the first tick at which those were sampled.
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
-        samples: How many ticks belong to the trajectory; the rest is settling.
     """
 
     joints: tuple[str, ...]
@@ -69,8 +67,6 @@ class Execution:
     measured: Array | None
     measured_times: Array | None
     overruns: int
-    slipped: float
-    samples: int
 
     def __repr__(self) -> str:
         error = self.tracking_error
@@ -146,7 +142,6 @@ class FollowReport:
         statuses: How often each `Status` came out, by its name.
         duration: Seconds from the first tick to the last.
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
         q: (nq,) last command.
         last: Last solution, None when there never was a goal.
         largest_step: (nq,) largest change of a command from one tick to the next, rad or m.
@@ -162,7 +157,6 @@ class FollowReport:
     statuses: Counter[str] = field(default_factory=Counter)
     duration: float = 0.0
     overruns: int = 0
-    slipped: float = 0.0
     last: Solution | None = None
     tracking_error: Array | None = None
 
@@ -189,14 +183,12 @@ class Schedule:
 
     Attributes:
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
     """
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.origin = clock.now()
         self.overruns = 0
-        self.slipped = 0.0
 
     def wait(self, due: float, period: float) -> float:
         """Sleeps until ``due`` seconds after the origin; the time on the clock then."""
@@ -205,7 +197,6 @@ class Schedule:
         late = now - (self.origin + due)
         if period > 0.0 and late >= period:
             self.overruns += 1
-            self.slipped += late
             self.origin += late
         return now
 
@@ -235,7 +226,6 @@ def execute(
     source: JointSource | None = None,
     clock: Clock | None = None,
     on_tick: Callable[[Tick], None] | None = None,
-    start_tolerance: float = START_TOLERANCE,
     settle: float = 0.0,
 ) -> Execution:
     """Sends every sample of ``trajectory`` at its time to every sink.
@@ -246,7 +236,6 @@ def execute(
         source: Usually the arm: read once before the start, and after every tick.
         clock: None takes the one that an arm among ``source`` and ``sinks`` runs on, else the machine's.
         on_tick: Called after each tick; must be quick.
-        start_tolerance: How far the measured arm may be from the first sample, rad or m.
         settle: Seconds for which the last sample is repeated, so that servos can arrive.
 
     Raises:
@@ -254,7 +243,7 @@ def execute(
     """
     clock = clock_of(clock, source, sinks)
     if source is not None:
-        _require_start(trajectory, source.read().q, start_tolerance)
+        _require_start(trajectory, source.read().q)
     due, commanded = _with_settling(trajectory, settle)
     schedule = Schedule(clock)
     times, measured, measured_times = np.zeros(len(due)), np.zeros(commanded.shape), np.zeros(len(due))
@@ -277,8 +266,6 @@ def execute(
         measured=None if source is None else measured,
         measured_times=None if source is None else measured_times,
         overruns=schedule.overruns,
-        slipped=schedule.slipped,
-        samples=len(trajectory),
     )
 
 
@@ -296,7 +283,7 @@ def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]
     return due, commanded
 
 
-def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
+def _require_start(trajectory: Trajectory, q: Array) -> None:
     """Raises `TrajectoryError` unless the measured ``q`` (nq,) is where ``trajectory`` begins."""
     first = trajectory.q[0]
     if np.shape(q) != first.shape or not np.isfinite(q).all():
@@ -306,11 +293,11 @@ def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
         )
     away = np.abs(q - first)
     k = int(np.argmax(away))
-    if away[k] > tolerance:
+    if away[k] > START_TOLERANCE:
         planned, measured = apart(first[k], q[k], digits=4)
         raise TrajectoryError(
             f"the trajectory begins with {planned} of joint {trajectory.joints[k]!r}, but the arm "
-            f"measures {measured}; at most {tolerance:g} apart is allowed; nothing was sent",
+            f"measures {measured}; at most {START_TOLERANCE:g} apart is allowed; nothing was sent",
             hint="plan from where the arm is: joint_move(robot, arm.read().q, …)",
         )
 
@@ -377,7 +364,7 @@ def follow(
         for sink in sinks:
             sink.send(report.q, now)
         measured = None if source is None else following.compare(source.read().q)
-        report.duration, report.overruns, report.slipped = now - begin, schedule.overruns, schedule.slipped
+        report.duration, report.overruns = now - begin, schedule.overruns
         tick = FollowTick(report.ticks - 1, now - begin, goal, solution, report.q, capped, measured)
         if on_tick is not None:
             on_tick(tick)
