@@ -26,6 +26,22 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]
     return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
 
 
+def extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float, float]:
+    """Lowest and highest point of a geom, exactly."""
+    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
+    kind = model.geom_type[geom]
+    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        half = float(np.linalg.norm(up * size))
+    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        half = float(size[0] + abs(up[2]) * size[1])
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        half = float(np.abs(up) @ size)
+    else:
+        assert kind == mujoco.mjtGeom.mjGEOM_SPHERE
+        half = float(size[0])
+    return data.geom_xpos[geom][2] - half, data.geom_xpos[geom][2] + half
+
+
 def quarter(count: int) -> tuple[int, int]:
     """Cosine and sine of so many right angles, exact."""
     return ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
