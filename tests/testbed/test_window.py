@@ -98,32 +98,29 @@ def test_the_arm_is_seen_to_move(screen: Screen, windows: Windows) -> None:
     assert windows.line() == "=== done"
 
 
-def test_without_a_display_it_says_what_to_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+@pytest.fixture
+def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     if not sys.platform.startswith("linux"):
         pytest.skip("only X11 and Wayland announce themselves in the environment")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+
+
+def test_without_a_display_it_says_what_to_run(no_display: None) -> None:
     with pytest.raises(ViewerError) as caught:
         WindowSink(load_robot("puma560"))
     assert "DISPLAY" in str(caught.value) and "--view" in caught.value.hint
     with pytest.raises(ViewerError) as caught:
         WindowSink(load_robot("puma560"), instead="run something else")
     assert caught.value.hint.startswith("run something else\n")
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11")
-def test_without_a_display_the_testbed_names_its_own_options(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    # The testbed names its own options.
     with Session(Start(), beside=False) as session, pytest.raises(ViewerError) as caught:
         SessionWindow(session)
     assert "--viewer browser" in caught.value.hint and "--view:" not in caught.value.hint
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="X11")
-def test_a_display_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_display_that_does_not_answer(no_display: None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", ":987654")
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ViewerError, match="no window can be opened"):
         WindowSink(load_robot("puma560"))
 
