@@ -19,7 +19,6 @@ import numpy as np
 import viser
 from viser import _messages as vm
 
-from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Closing, Image
 from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
@@ -71,7 +70,6 @@ class Page(Closing):
         self.session, self._view = session, session.view()
         self._page_server = page_server
         self.server, self.gate, self.url = page_server.server, page_server.gate, page_server.url
-        self._scene: BrowserScene | None = None
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
         self._camera = None if camera is None else _CameraThread(camera)
@@ -83,6 +81,7 @@ class Page(Closing):
             self._add_gizmo()
             self._periods = self._panel_periods()
             self._due = dict.fromkeys(self._periods, 0.0)  # when each is shown again
+            self._scene = self._new_scene(self._view)
             self.draw(self._view)
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
@@ -108,7 +107,7 @@ class Page(Closing):
         with tabs.add_tab("Goals"):
             self._goals = GoalsPanel(gui, send)
         with tabs.add_tab("Arm"):
-            self._arm = ArmPanel(gui, send, self._view, self._recording)
+            self._arm = ArmPanel(gui, send, self.session.arm)
         with tabs.add_tab("Figure"):
             self._figure = FigurePanel(gui, send, self._view)
         with tabs.add_tab("Record"):
@@ -117,9 +116,6 @@ class Page(Closing):
             self._show(gui)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_html(key_table())
-
-    def _recording(self) -> Trajectory | None:
-        return None if self.session.arm is None else self.session.arm.recording
 
     def _record(self, gui: viser.GuiApi) -> None:
         gui.add_html(
@@ -186,17 +182,13 @@ class Page(Closing):
     def _show_overlay(self, shown: bool) -> None:
         self._overlay = shown
         self._trails.handle.value = shown
-        if self._scene is not None:
-            self._scene.show_overlay(shown)
+        self._scene.show_overlay(shown)
 
     def _show_axes(self, shown: bool) -> None:
-        if self._scene is not None:
-            self._scene.show_axes(shown)
+        self._scene.show_axes(shown)
 
     def _show_reach(self, shown: bool) -> None:
-        scene = self._scene
-        if scene is not None:
-            scene.show_cloud(reach_cloud(scene.robot) if shown else None)
+        self._scene.show_cloud(reach_cloud(self._scene.robot) if shown else None)
 
     def _add_gizmo(self) -> None:
         self._gizmo = self.server.scene.add_transform_controls(
@@ -205,40 +197,35 @@ class Page(Closing):
 
         @self._gizmo.on_update
         async def _(event: Any) -> None:
-            if event.client is not None and self._scene is not None:
+            if event.client is not None:
                 position = np.array(self._gizmo.position) - self._scene.offsets[0]
                 w, *xyz = (float(value) for value in self._gizmo.wxyz)
                 self.session.send(MoveGoal(_floats(position), (w, *_floats(xyz))))
 
-    def _rebuild(self, view: View) -> BrowserScene:
-        """Robot or number of instances have changed."""
-        if self._scene is not None:
-            self._scene.remove()
+    def _new_scene(self, view: View) -> BrowserScene:
+        """The scene of the session's robot and its number of instances."""
         self._grab = None
-        self._scene = scene = BrowserScene(self.server, self.session.robot, view.count)
+        scene = BrowserScene(self.server, self.session.robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
         scene.show_axes(self._axes.value)
         if self._reach.value:
-            self._show_reach(True)
+            scene.show_cloud(reach_cloud(scene.robot))
         self._gizmo.scale = _GIZMO * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
-            self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
+            self.server._event_loop.call_soon_threadsafe(self._fit_camera, scene, client)
         for show in self._periods:
             show(view, scene)
         return scene
 
     async def _drag_ball(self, event: Any) -> None:
-        if self._scene is not None:
-            position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
-            self.session.send(MoveGoal(_floats(position)))
+        position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
+        self.session.send(MoveGoal(_floats(position)))
 
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
         scene, k = self._scene, self._index(event)
-        if scene is None:
-            return
         if self._grab is None:
             name = scene.name_of(event.target)
             one = self._view.instances[k]
@@ -263,17 +250,17 @@ class Page(Closing):
         ``async``: on the server's thread, because a browser's own messages have no lock.
         """
         shape = [client.camera.aspect]
-        self._fit_camera(client)
+        self._fit_camera(self._scene, client)
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
             if abs(camera.aspect - shape[0]) > 0.02:
                 shape[0] = camera.aspect
-                self._fit_camera(client)
+                self._fit_camera(self._scene, client)
 
-    def _fit_camera(self, client: viser.ClientHandle) -> None:
-        scene, aspect = self._scene, client.camera.aspect
-        if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
+    def _fit_camera(self, scene: BrowserScene, client: viser.ClientHandle) -> None:
+        aspect = client.camera.aspect
+        if not (math.isfinite(aspect) and aspect > 0.05):
             return
         position, target = scene.arrangement.camera(
             self.session.ball_path(), aspect, phone=aspect < _PHONE_ASPECT
@@ -318,8 +305,9 @@ class Page(Closing):
         self._view = view
         with self.server.atomic():
             scene = self._scene
-            if scene is None or (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
-                scene = self._rebuild(view)
+            if (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
+                scene.remove()
+                self._scene = scene = self._new_scene(view)
             scene.draw(view)
             self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
             if view.motion != "hand":

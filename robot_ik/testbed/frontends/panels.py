@@ -12,7 +12,7 @@ import html
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -26,6 +26,9 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.arm import ArmLink
 
 Send = Callable[[commands.Command], None]
 
@@ -396,10 +399,8 @@ class FigurePanel:
 class ArmPanel:
     """The servo arm that the first instance drives."""
 
-    def __init__(
-        self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
-    ) -> None:
-        self._text, there = gui.add_html(""), view.arm is not None
+    def __init__(self, gui: viser.GuiApi, send: Send, arm: ArmLink | None) -> None:
+        self._text, there = gui.add_html(""), arm is not None
         labels = tuple(_ARM_LABELS)
         for label, buttons, hint in (
             ("Arm", labels[:3], "Follow robot 1; hold; torque off: an arm that is not supported falls"),
@@ -411,7 +412,7 @@ class ArmPanel:
             "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
             hint="As CSV: robot-ik servo play repeats it, too",
         )  # fmt: skip
-        pressed(save, lambda event: self._save(event, recording()))
+        pressed(save, lambda event: self._save(event, None if arm is None else arm.recording))
         self._table = gui.add_html("", visible=there)
 
     @staticmethod

@@ -214,7 +214,11 @@ class WindowSink(_ViewerWindow):
             for solid in solids:
                 box, half = mujoco.mjtGeom.mjGEOM_BOX, np.array(solid.half)
                 _add_geom(self._viewer.user_scn, box, solid.rgba, half, solid.pose)
-            self._ball = self._add_ball(ball) if ball > 0.0 else None
+            self._ball = None
+            if ball > 0.0:
+                sphere, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, ball)
+                colour = _rgba(GOAL_COLOUR)
+                self._ball = _add_geom(self._viewer.user_scn, sphere, colour, size, Pose(_NOWHERE))
         self._viewer.sync()
 
     def _aim_camera(self, see: Array | None, viewpoint: Array | None) -> None:
@@ -233,10 +237,6 @@ class WindowSink(_ViewerWindow):
             _point_camera(camera, viewpoint, middle)
         camera.lookat[:] = middle
         camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
-
-    def _add_ball(self, radius: float) -> Any | None:
-        sphere, colour = mujoco.mjtGeom.mjGEOM_SPHERE, _rgba(GOAL_COLOUR)
-        return _add_geom(self._viewer.user_scn, sphere, colour, np.full(3, radius), Pose(_NOWHERE))
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
