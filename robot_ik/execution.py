@@ -59,8 +59,6 @@ class Execution:
         measured: (n, nq) what the source read after each, or None without a source.
         measured_times: (n,) seconds since the first tick at which those were sampled.
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
-        samples: How many ticks belong to the trajectory; the rest is settling.
     """
 
     joints: tuple[str, ...]
@@ -69,8 +67,6 @@ class Execution:
     measured: Array | None
     measured_times: Array | None
     overruns: int
-    slipped: float
-    samples: int
 
     def __repr__(self) -> str:
         error = self.tracking_error
@@ -146,7 +142,6 @@ class FollowReport:
         statuses: How often each `Status` came out, by its name.
         duration: Seconds from the first tick to the last.
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
         q: (nq,) last command.
         last: Last solution, None when there never was a goal.
         largest_step: (nq,) largest change of a command from one tick to the next, rad or m.
@@ -162,7 +157,6 @@ class FollowReport:
     statuses: Counter[str] = field(default_factory=Counter)
     duration: float = 0.0
     overruns: int = 0
-    slipped: float = 0.0
     last: Solution | None = None
     tracking_error: Array | None = None
 
@@ -189,14 +183,12 @@ class Schedule:
 
     Attributes:
         overruns: Ticks that came a whole period late or more.
-        slipped: Seconds by which the schedule was moved because of them.
     """
 
     def __init__(self, clock: Clock) -> None:
         self.clock = clock
         self.origin = clock.now()
         self.overruns = 0
-        self.slipped = 0.0
 
     def wait(self, due: float, period: float) -> float:
         """Sleeps until ``due`` seconds after the origin; the time on the clock then."""
@@ -205,7 +197,6 @@ class Schedule:
         late = now - (self.origin + due)
         if period > 0.0 and late >= period:
             self.overruns += 1
-            self.slipped += late
             self.origin += late
         return now
 
@@ -277,8 +268,6 @@ def execute(
         measured=None if source is None else measured,
         measured_times=None if source is None else measured_times,
         overruns=schedule.overruns,
-        slipped=schedule.slipped,
-        samples=len(trajectory),
     )
 
 
@@ -377,7 +366,7 @@ def follow(
         for sink in sinks:
             sink.send(report.q, now)
         measured = None if source is None else following.compare(source.read().q)
-        report.duration, report.overruns, report.slipped = now - begin, schedule.overruns, schedule.slipped
+        report.duration, report.overruns = now - begin, schedule.overruns
         tick = FollowTick(report.ticks - 1, now - begin, goal, solution, report.q, capped, measured)
         if on_tick is not None:
             on_tick(tick)

@@ -46,7 +46,7 @@ def test_every_sample_goes_to_every_sink_at_its_time():
         np.testing.assert_allclose(sink.trajectory().times, path.times, atol=1e-12)
     assert clock.now() == pytest.approx(6.0)
     assert done.rate == pytest.approx(100.0) and done.duration == pytest.approx(1.0)
-    assert done.overruns == 0 and done.slipped == 0.0 and done.samples == 101
+    assert done.overruns == 0 and len(done.times) == 101
     assert done.measured is None and done.tracking_error is None and done.final_error is None
     assert done.measured_trajectory is None
 
@@ -66,7 +66,7 @@ def test_settling_repeats_the_last_sample_until_the_arm_arrives():
     clock, path = VirtualClock(), ramp()
     arm = LaggingArm(clock, path.q[0])
     done = execute(path, [arm], source=arm, clock=clock, settle=0.1)
-    assert len(done.times) == 111 and done.samples == 101
+    assert len(done.times) == 111
     np.testing.assert_allclose(np.diff(done.times), 0.01)
     np.testing.assert_allclose(done.final_error, 0.0)
     assert done.tracking_error[1] == pytest.approx(0.01)
@@ -119,7 +119,7 @@ def test_a_stall_is_counted_and_never_caught_up_in_a_hurry():
             clock.sleep_until(clock.now() + 0.2)
 
     done = execute(path, [RecorderSink(JOINTS)], clock=clock, on_tick=stall)
-    assert done.overruns == 1 and done.slipped == pytest.approx(0.19)
+    assert done.overruns == 1
     assert np.diff(done.times).min() == pytest.approx(0.01)
     assert done.duration == pytest.approx(1.19)
     assert (done.commanded == path.q).all()

@@ -39,6 +39,7 @@ from robot_ik.bench.quantity import Quantity
 from robot_ik.cli import console
 from robot_ik.testbed.commands import Count, Start
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.session import Session, View, run
 
 COUNT: Count = 4
@@ -91,7 +92,7 @@ def _running(session: Session, seconds: float, say: Callable[[str], None]) -> It
     """Costs with one client and with two; the delay of a ball that is dragged."""
     draws: list[float] = []
     stop = threading.Event()
-    with Page(session, port=_PORT) as page, Watcher(page.url) as first:
+    with Page(session, PageServer(port=_PORT)) as page, Watcher(page.url) as first:
 
         def draw(view: View) -> None:
             begin = time.perf_counter()

@@ -6,6 +6,7 @@ GPU, after the session has run for some seconds; the colours are reduced to keep
 
 from __future__ import annotations
 
+import functools
 import sys
 import threading
 import time
@@ -23,6 +24,7 @@ from playwright.sync_api import sync_playwright
 from robot_ik.jobs.testbed import CameraTab, arm_link
 from robot_ik.testbed.commands import Command, MoveGoal, SetArm, SetFigure, ShowBranches, Start
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.session import Session, View, run
 
 IMAGES = Path(__file__).resolve().parents[1] / "images" / "testbed"
@@ -55,7 +57,7 @@ SHOTS = (
     Shot(
         "figure", Start("humanoid"), tab="Figure",
         commands=(SetFigure("active"), MoveGoal((0.5, -0.2, 1.3))),
-        until=lambda view: view.figure and view.figure.decision == "reach" and view.instances[0].miss < 0.1,
+        until=lambda view: view.figure and view.figure.action == "reach" and view.instances[0].miss < 0.1,
     ),
     Shot(
         "camera", Start("tabletop_puma"), tab="Camera", camera=True, text="marker seen",
@@ -81,8 +83,8 @@ def served(shot: Shot) -> Iterator[tuple[Session, Page, threading.Event]]:
     link = arm_link(shot.start.robot, None, shot.bus) if shot.bus else None
     stop = threading.Event()
     with Session(shot.start, arm=link) as session:
-        camera = CameraTab(session) if shot.camera else None
-        with Page(session, port=8650, dark=shot.dark, camera=camera) as page:
+        camera = functools.partial(CameraTab, session) if shot.camera else None
+        with Page(session, PageServer(port=8650, dark=shot.dark), camera=camera) as page:
             loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 6})
             loop.start()
             try:

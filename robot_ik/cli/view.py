@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,9 +22,6 @@ from robot_ik.files import claimed
 from robot_ik.robot_file import SERVO_ROBOT, SHOWN_ROBOT, catalogue, find_robot
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from robot_ik.jobs.testbed import CameraTab
     from robot_ik.testbed.commands import CommandLog, Start
     from robot_ik.testbed.frontends.page_server import PageServer
@@ -84,14 +80,12 @@ class ViewOptions:
 
 def run(options: ViewOptions) -> int:
     """Opens the testbed; 0 done, 1 a replay that differs."""
-    from robot_ik.testbed.commands import COUNTS
-
     if options.replay is not None:
         for name in ("robot", "count", "method", "bus", "arm", "log", "seed"):
             same = getattr(options, name) == getattr(ViewOptions, name, ())
             require(same, f"--{name}", "given with --replay", "one of both: the log says what happens")
         return _replay(options.replay)
-    require(options.count in COUNTS, "--count", f"{options.count} robots", "1, 2 or 4")
+    _check_methods(options.method, options.count)
     _check_seconds(options.seconds, "until Ctrl-C")
     for option, given in (("--arm", options.arm), ("--on-exit", options.on_exit)):
         alone = f"{given} is for servos, and no bus is named"
@@ -129,8 +123,11 @@ def choose_viewer(asked: str) -> str:
     return "recorder"
 
 
-def require_methods_fit(methods: tuple[str, ...], count: int) -> None:
-    """Raises ``ConfigError`` for a method that no robot would have."""
+def _check_methods(methods: tuple[str, ...], count: int) -> None:
+    """Raises ``ConfigError`` for a count that there is not, or a method that no robot would have."""
+    from robot_ik.testbed.commands import COUNTS
+
+    require(count in COUNTS, "--count", f"{count} robots", "1, 2 or 4")
     many = f"{len(methods)} methods for {console.count_of(count, 'robot')}"
     require(len(methods) <= count, "--method", many, "--count 2 or 4, or fewer methods")
 
@@ -141,21 +138,19 @@ def _view(options: ViewOptions, viewer: str) -> int:
     of_arm = resolved_robot(options.arm, options.bus) if options.arm else ""
     robot = options.robot or of_arm or (SHOWN_ROBOT if options.bus == NONE else SERVO_ROBOT)
     find_robot(robot)
-    require_methods_fit(options.method, options.count)
     start = checked_start(Start(robot, options.count, options.method, options.seed))  # type: ignore[arg-type]
-    with contextlib.ExitStack() as stack:
-        server = None
-        if viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue():
-            server = stack.enter_context(_open_server(options))  # nothing that is asked for can be wrong
-        if viewer == "recorder":
-            from robot_ik.jobs.testbed import film
+    if viewer == "recorder":
+        from robot_ik.jobs.testbed import film
 
-            out, log = Path("testbed.mp4"), CommandLog(start, ())
-            with console.kept(out):
-                view = film(log, out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
-            console.say(f"filmed: {out}")
-            _save(replace(log, ticks=view.tick, digest=view.digest()), options.log)
-            return console.DONE
+        out, log = Path("testbed.mp4"), CommandLog(start, ())
+        with console.kept(out):
+            view = film(log, out, seconds=options.seconds or 10.0, overwrite=options.overwrite)
+        console.say(f"filmed: {out}")
+        _save(replace(log, ticks=view.tick, digest=view.digest()), options.log)
+        return console.DONE
+    # Before all is loaded, where nothing that is asked for can be wrong.
+    early = viewer == "browser" and options.bus == NONE and not options.method and robot in catalogue()
+    with _open_server(options) if early else contextlib.nullcontext() as server:
         return _run(start, options, viewer, server)
 
 
@@ -210,8 +205,8 @@ def _save(log: CommandLog, file: Path | None) -> None:
 @contextlib.contextmanager
 def _opened(
     viewer: str, session: Session, options: ViewOptions, server: PageServer | None
-) -> Iterator[Callable[[View], bool]]:
-    """A front end's ``draw``; it says False once it is closed."""
+) -> Iterator[Callable[[View], object]]:
+    """A front end's ``draw``."""
     if viewer == "window":
         from robot_ik.testbed.frontends.window import SessionWindow
 
@@ -221,45 +216,26 @@ def _opened(
         return
     from robot_ik.testbed.frontends.browser import Page
 
-    camera = _camera(session) if options.camera else None
-    with Page(session, server or _open_server(options), camera=camera) as page:
-
-        def draw(view: View) -> bool:
-            page.draw(view)
-            return True
-
-        yield draw
-
-
-def _camera(session: Session) -> Callable[[], tuple[NDArray[np.uint8], str] | None]:
-    """The camera's tab, which loads what it needs with the first picture that is asked for."""
-
-    @functools.cache
-    def tab() -> CameraTab:
+    def open_camera() -> CameraTab:
         from robot_ik.jobs.testbed import CameraTab
 
         return CameraTab(session)
 
-    return lambda: tab()()
+    camera = open_camera if options.camera else None
+    with Page(session, server or _open_server(options), camera=camera) as page:
+        yield page.draw
 
 
-def _loop(session: Session, draw: Callable[[View], bool], options: ViewOptions) -> None:
+def _loop(session: Session, draw: Callable[[View], object], options: ViewOptions) -> None:
     from robot_ik.testbed.session import run as run_session
 
     stop = threading.Event()
-
-    def show(view: View) -> None:
-        if not draw(view):
-            stop.set()
-
-    timer = None if options.seconds is None else threading.Timer(options.seconds, stop.set)
-    if timer is not None:
-        timer.daemon = True
-        timer.start()
+    timer = threading.Timer(options.seconds or threading.TIMEOUT_MAX, stop.set)
+    timer.daemon = True
+    timer.start()
     with contextlib.suppress(KeyboardInterrupt):
-        run_session(session, show, stop)
-    if timer is not None:
-        timer.cancel()
+        run_session(session, draw, stop)
+    timer.cancel()
 
 
 def _replay(path: Path) -> int:
@@ -352,7 +328,7 @@ def run_video(options: VideoOptions) -> int:
 
 
 def _log(options: VideoOptions) -> CommandLog:
-    from robot_ik.testbed.commands import COUNTS, CommandLog, Start
+    from robot_ik.testbed.commands import CommandLog, Start
 
     if len(options.files) == 2:
         if options.robot or options.count != 1 or options.method:
@@ -361,8 +337,6 @@ def _log(options: VideoOptions) -> CommandLog:
     if options.files[0].suffix == ".jsonl":
         raise wrong("OUT", f"{options.files[0]} is a command log and there is no film", "LOG.jsonl OUT.mp4")
     require(options.seconds is not None, "--seconds", "no log and no length", "--seconds N, above 0")
-    if options.count not in COUNTS:
-        raise wrong("--count", f"{options.count} robots", "1, 2 or 4")
-    require_methods_fit(options.method, options.count)
-    start = Start(options.robot or SHOWN_ROBOT, methods=options.method)
-    return CommandLog(replace(start, count=options.count), ())
+    _check_methods(options.method, options.count)
+    start = Start(options.robot or SHOWN_ROBOT, options.count, options.method)  # type: ignore[arg-type]
+    return CommandLog(start, ())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -32,13 +33,48 @@ _SHEET = 0.56, 0.42  # on a phone the panel covers the lower half: part that is 
 
 @dataclass(frozen=True, eq=False)
 class Arrangement:
-    """Where instances and their labels stand."""
+    """Where instances of a robot and their labels stand."""
 
+    robot: Robot
     offsets: Array  # (n, 3) of each instance from the world's origin, metres
     labels: Array  # (n, 3) on the floor in front of each instance
     forward: Array  # (2,) unit vectors on the floor as the first view sees them
     right: Array
     extent: float  # of the model, metres
+
+    def camera(self, path: Array, aspect: float, *, phone: bool = False) -> Array:
+        """(2, 3) position and look-at of a camera that sees all, from the front and a little above.
+
+        Args:
+            path: (m, 3) where the ball will be.
+            aspect: Width of the picture over its height.
+            phone: Keep the lower half of the picture free.
+        """
+        forward = np.array((*self.forward, -_DOWN)) / math.hypot(1.0, _DOWN)
+        right = np.array((*self.right, 0.0))
+        up = np.cross(right, forward)
+        points = self._corners(path)
+        x, y, z = points @ right, points @ up, points @ forward
+        wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
+        tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
+        middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
+        away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
+        depth = float(z.mean())
+        drop = _SHEET[1] * math.tan(FIELD_OF_VIEW / 2.0) * (away + depth) if phone else 0.0
+        target = middle[0] * right + (middle[1] - drop) * up + depth * forward
+        return np.array([target - (away + depth) * forward, target])
+
+    def _corners(self, path: Array) -> Array:
+        """(n, 3) what has to be seen: boxes round the robots at home and round the path (m, 3)."""
+        model, data = self.robot.model, self.robot.data_at(self.robot.home)
+        solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
+        # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
+        reach, positions = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
+        low = np.vstack([positions - reach, path]).min(axis=0)
+        high = np.vstack([positions + reach, path]).max(axis=0)
+        low[2] = max(low[2], min(0.0, float(path[:, 2].min())))
+        box = np.array(list(itertools.product(*zip(low, high, strict=True))))
+        return (self.offsets[:, None] + box).reshape(-1, 3)
 
 
 def arranged(robot: Robot, count: int) -> Arrangement:
@@ -56,47 +92,7 @@ def arranged(robot: Robot, count: int) -> Arrangement:
     flat = np.array([0.5 * extent * (x * right + y * forward) for x, y in grid])
     offsets = np.column_stack([flat, np.zeros(count)])
     labels = offsets - np.array((*(_PLATE_DISTANCE * extent * forward), 0.0))
-    return Arrangement(offsets, labels, forward, right, extent)
-
-
-def corners(robot: Robot, arrangement: Arrangement, path: Array) -> Array:
-    """(n, 3) what a camera should see: boxes round the instances at home and round the ball's path (m, 3)."""
-    model, data = robot.model, robot.data_at(robot.home)
-    solid = [g for g in range(model.ngeom) if model.geom_type[g] != mujoco.mjtGeom.mjGEOM_PLANE]
-    # A ball round a long geom is much larger than the geom: 0.7 of it holds the robots that ship.
-    reach, positions = 0.7 * model.geom_rbound[solid][:, None], data.geom_xpos[solid]
-    low = np.vstack([positions - reach, path]).min(axis=0)
-    high = np.vstack([positions + reach, path]).max(axis=0)
-    low[2] = max(low[2], min(0.0, float(path[:, 2].min())))
-    box = np.array(
-        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
-    return (arrangement.offsets[:, None] + box).reshape(-1, 3)
-
-
-def fitted_camera(
-    points: Array, arrangement: Arrangement, aspect: float, *, phone: bool = False
-) -> tuple[Array, Array]:
-    """Position (3,) and look-at (3,) of a camera that sees all points, from the front and a little above.
-
-    Args:
-        points: (n, 3) what has to be seen.
-        arrangement: Says where forward is.
-        aspect: Width of the picture over its height.
-        phone: Keep the lower half of the picture free.
-    """
-    forward = np.array((*arrangement.forward, -_DOWN)) / math.hypot(1.0, _DOWN)
-    right = np.array((*arrangement.right, 0.0))
-    up = np.cross(right, forward)
-    x, y, z = points @ right, points @ up, points @ forward
-    wide = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * aspect
-    tall = _MARGIN * math.tan(FIELD_OF_VIEW / 2.0) * (_SHEET[0] if phone else 1.0)
-    middle = np.array(((x.min() + x.max()) / 2.0, (y.min() + y.max()) / 2.0))
-    away = float(max((np.abs(x - middle[0]) / wide - z).max(), (np.abs(y - middle[1]) / tall - z).max()))
-    depth = float(z.mean())
-    drop = _SHEET[1] * math.tan(FIELD_OF_VIEW / 2.0) * (away + depth) if phone else 0.0
-    target = middle[0] * right + (middle[1] - drop) * up + depth * forward
-    return target - (away + depth) * forward, target
+    return Arrangement(robot, offsets, labels, forward, right, extent)
 
 
 def hexadecimal(colour: Colour) -> str:

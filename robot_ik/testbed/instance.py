@@ -54,38 +54,14 @@ class Statistics:
         return cls(len(solves), mean, float(np.percentile(solves[:, 0], 99)), iterations, solved)
 
 
-class History:
-    """The last rows of a series, oldest first.
-
-    Args:
-        length: How many rows are kept.
-        width: Numbers in a row.
-    """
-
-    def __init__(self, length: int, width: int) -> None:
-        # Twice as long, so that a full one is moved once in ``length`` rows and not in each.
-        self._rows, self._length, self._end = np.zeros((2 * length, width)), length, 0
-
-    def add(self, row: ArrayLike) -> None:
-        """One row (width,) more."""
-        if self._end == len(self._rows):
-            self._rows[: self._length] = self._rows[self._length :]
-            self._end = self._length
-        self._rows[self._end] = row
-        self._end += 1
-
-    def clear(self) -> None:
-        """Forgets all."""
-        self._end = 0
-
-    def rows(self) -> Array:
-        """(n, width) a copy."""
-        return self._rows[max(0, self._end - self._length) : self._end].copy()
+def appended(rows: Array, row: ArrayLike, length: int) -> Array:
+    """The last ``length`` of rows (n, width) and one more; a new array."""
+    return np.concatenate([rows, [row]])[-length:]
 
 
 @dataclass(frozen=True, eq=False)
 class InstanceView:
-    """What is seen of an instance; arrays are copies."""
+    """What is seen of an instance; arrays change no more."""
 
     method: str  # its name
     options: tuple[tuple[str, Any], ...]  # (name, value) of each of the method's options
@@ -118,9 +94,6 @@ class Instance:
         self._rate, self.data = rate, mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
         self._body, self._local = frame.body, frame.local
-        self._solves, self._statistics = History(WINDOW, 3), Statistics()
-        self._trail, self._errors = History(TRAIL, 3), History(round(HISTORY_SECONDS * rate), 2)
-        self.q = robot.home.copy()
         self.refused = self.note = ""
         self.reset()
 
@@ -132,17 +105,17 @@ class Instance:
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
         self.miss = self.angle = self.manipulability = 0.0
-        self._solves.clear()
-        self._trail.clear()
-        self._errors.clear()
-        self._statistics = Statistics()
+        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 2))
+        self._begin_statistics()
         self._goals: tuple[tuple[str, float, float], ...] = ()
+
+    def _begin_statistics(self) -> None:
+        self._solves, self._statistics = np.empty((0, 3)), Statistics()
 
     def take(self, robot: Robot, solver: Solver, refused: str, note: str) -> None:
         """Goes on with another method, options or limits; a method that changed begins new statistics."""
         if self.solver != solver or self.robot is not robot:
-            self._solves.clear()
-            self._statistics = Statistics()
+            self._begin_statistics()
         self.robot, self.solver, self.refused, self.note = robot, solver, refused, note
         self._problem = self._drag = None
         if robot.outside(self.q):
@@ -178,7 +151,7 @@ class Instance:
         self._measure(goals, ball)
         if solution is not None:
             met = self.miss <= _TOLERANCE.position and self.angle <= _TOLERANCE.angle
-            self._solves.add((self._seconds, solution.iterations, met))
+            self._solves = appended(self._solves, (self._seconds, solution.iterations, met), WINDOW)
 
     def stand(self, q: Array, doing: str, goals: RobotGoals, ball: Pose) -> None:
         """Stands at ``q`` (nq,), as a figure that decides by itself does; nothing is solved."""
@@ -221,8 +194,9 @@ class Instance:
         """Miss, trail and histories."""
         rotation, position = self._tool()
         self.miss, self.angle = off(goals, rotation, position, ball)
-        self._trail.add(position)
-        self._errors.add((self.miss, self.manipulability))
+        self._trail = appended(self._trail, position, TRAIL)
+        kept = round(HISTORY_SECONDS * self._rate)
+        self._errors = appended(self._errors, (self.miss, self.manipulability), kept)
 
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""
@@ -231,7 +205,7 @@ class Instance:
 
     def measure_statistics(self, goals: RobotGoals, ball: Pose) -> None:
         """Of the window as it is now, and of each goal: 50 µs each, so once a second."""
-        self._statistics = Statistics.of(self._solves.rows())
+        self._statistics = Statistics.of(self._solves)
         self._goals = tuple(
             (name, *goal.miss(self.robot, self.q, goal.target)) for name, goal in goals.named(ball)
         )
@@ -243,8 +217,7 @@ class Instance:
         return InstanceView(
             "" if self.solver is None else self.solver.name, options, self.q.copy(), self.data.xpos.copy(),
             self.data.xquat.copy(), self._status, not self.refused, self.note, self.miss, self.angle,
-            self._iterations, self._statistics, self._goals, self._trail.rows(),
-            self._errors.rows(),
+            self._iterations, self._statistics, self._goals, self._trail, self._errors,
         )  # fmt: skip
 
 

@@ -4,9 +4,8 @@ Python compiles one thing at a time, and holds up all other threads of its proce
 stutter for half a minute.  What these processes have compiled the session takes from the cache; should one
 fail, the session compiles it.
 
-    python -m robot_ik.testbed.preparing setup < JSON       all of a setup
-    python -m robot_ik.testbed.preparing steps dls lm       the steps of methods, without their loops
-    python -m robot_ik.testbed.preparing drag puma560       what dragging a part needs
+    python -m robot_ik.testbed.preparing < JSON        all of a setup
+    python -m robot_ik.testbed.preparing puma560       what dragging a part needs
 
 Each writes a line for every function that it has compiled.
 """
@@ -14,7 +13,7 @@ Each writes a line for every function that it has compiled.
 from __future__ import annotations
 
 import contextlib
-import inspect
+import itertools
 import logging
 import os
 import queue
@@ -25,7 +24,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import IO, Any
 
-from numba import types
 from numba.core import event
 from pydantic import TypeAdapter
 
@@ -33,22 +31,24 @@ from robot_ik.errors import RobotIkError
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit
 from robot_ik.kernels.priorities import lm_levels
-from robot_ik.kernels.residuals import open_goals
-from robot_ik.kernels.tree import open_tree
-from robot_ik.kernels.workspace import open_work
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
-from robot_ik.solvers import SOLVERS
 from robot_ik.solvers.base import IterativeSolver, Solver
 from robot_ik.testbed.commands import Command, SetRobot, SetupCommand
-from robot_ik.testbed.setup import BUDGET, Ready, RobotGoals, Setup, first_ball, prepare, warm_drag
+from robot_ik.testbed.setup import (
+    BUDGET,
+    MethodChoice,
+    Ready,
+    RobotGoals,
+    Setup,
+    first_ball,
+    prepare,
+    warm_drag,
+)
 
 _log = logging.getLogger(__name__)
 
 _NICE = 10  # of the processes: the page, and the browser that loads it, come first
-ARGUMENTS = types.int64, types.int64, types.int64, types.float64[::1]
-"""What the loop of a method takes, as numba types: addresses of tree, goals and work; options."""
-_STEP = ("tree", "goal", "work", "options")  # what the step of a method takes, if it needs no more
 _SETUP = TypeAdapter(Setup)  # how the setup reaches the process
 
 
@@ -66,19 +66,18 @@ class Compilers:
         self._running: list[subprocess.Popen[bytes]] = []
         self._lock, self._over = threading.Lock(), False
 
-    def setup(self, setup: Setup, missing: Sequence[Solver], say: Callable[[str], None]) -> None:
-        """Returns when all of a setup, some of whose solvers are missing, is compiled, or that has failed."""
-        names = list(dict.fromkeys(solver.name for solver in missing))
-        steps = [name for name in reversed(names) if step_of(name) is not None]
-        if steps and (os.cpu_count() or 1) > 1:  # from the other end: they meet in the middle
-            self._start("steps", *steps)
-        # What a figure can do is found once, and by the session, which says how far that has come.
-        whole = self._start("setup", given=_SETUP.dump_json(replace(setup, figure="off")))
-        self._follow(whole, " and ".join(names), say)
+    def setup(self, setup: Setup, missing: Sequence[MethodChoice], say: Callable[[str], None]) -> None:
+        """Returns when the missing methods of a setup are compiled, or that has failed."""
+        for half in filter(None, (missing[::2], missing[1::2])):
+            # What a figure can do is found once, and by the session, which says how far that has come.
+            part = replace(setup, count=len(half), choices=tuple(half), figure="off")  # type: ignore[arg-type]
+            self._start(given=_SETUP.dump_json(part))
+        self._follow(" and ".join(choice.method for choice in missing), say)
 
     def drag(self, robot: str, say: Callable[[str], None]) -> None:
         """Returns when what dragging needs is compiled, or that has failed."""
-        self._follow(self._start("drag", robot), "what dragging parts needs", say)
+        self._start(robot)
+        self._follow("what dragging parts needs", say)
 
     def close(self) -> None:
         """Ends them, and starts no more."""
@@ -94,7 +93,7 @@ class Compilers:
             process.stdout.close()
         self._running = []
 
-    def _start(self, *arguments: str, given: bytes = b"") -> subprocess.Popen[bytes] | None:
+    def _start(self, *arguments: str, given: bytes = b"") -> None:
         with self._lock, contextlib.suppress(OSError):  # no process to be had: it is compiled here, then
             if not self._over and sys.executable:
                 process = subprocess.Popen(
@@ -105,16 +104,13 @@ class Compilers:
                 assert process.stdin is not None
                 process.stdin.write(given)
                 process.stdin.close()
-                return process
-        return None
 
-    def _follow(self, process: subprocess.Popen[bytes] | None, what: str, say: Callable[[str], None]) -> None:
-        """Waits for a process and says how far it is; then the others are not needed either."""
-        if process is not None:
-            assert process.stdout is not None
-            with contextlib.suppress(ValueError):  # closed meanwhile: the session is over
-                for count, _ in enumerate(process.stdout, start=1):
-                    say(f"compiling {what}, once on this machine: {count} functions so far …")
+    def _follow(self, what: str, say: Callable[[str], None]) -> None:
+        """Waits for the processes and says how far they are."""
+        with contextlib.suppress(ValueError):  # closed meanwhile: the session is over
+            lines = itertools.chain.from_iterable(process.stdout or () for process in self._running)
+            for count, _ in enumerate(lines, start=1):
+                say(f"compiling {what}, once on this machine: {count} functions so far …")
         with self._lock:
             self._end()
 
@@ -203,14 +199,14 @@ class Preparer:
         """In other processes, what takes long: a compiler here would hold up the page."""
         if not self._beside:
             return
-        missing = []
-        for solver in solvers:
+        missing: dict[str, MethodChoice] = {}
+        for choice, solver in zip(setup.choices, solvers, strict=False):
             with contextlib.suppress(RobotIkError):  # it cannot serve these goals: ``prepare`` says why
                 if not is_compiled(robot, goals.all(first_ball(robot), solver), solver):
-                    missing.append(solver)
+                    missing[choice.method] = choice
         if missing:
             self._say("starting to compile …")
-            self._compilers.setup(setup, missing, self._say)
+            self._compilers.setup(setup, list(missing.values()), self._say)
 
     def _warm_drag(self, robot: Robot) -> None:
         """After the first answer: who drags nothing does not wait for it."""
@@ -243,43 +239,17 @@ class _Reporter(event.Listener):
             self._out.flush()
 
 
-def step_of(name: str) -> Any:
-    """The compiled step of a method; None where it is none by itself."""
-    module = sys.modules[SOLVERS[name].__module__]
-    for found in vars(module).values():
-        function = getattr(found, "py_func", None)
-        if function is None or function.__module__ != module.__name__:
-            continue
-        if function.__name__.endswith("_step") and tuple(inspect.signature(function).parameters) == _STEP:
-            return found
-    return None
-
-
-def compile_step(name: str) -> None:
-    """Compiles the step of a method, and with it what lies below: its loop finds that in the cache."""
-    step, open_options = step_of(name), vars(sys.modules[SOLVERS[name].__module__])["open_options"]
-
-    def take(tree: Any, goal: Any, work: Any, options: Any) -> None:
-        step(open_tree(tree), open_goals(goal), open_work(work), open_options(options))
-
-    jit.outlined(take).compile(ARGUMENTS)  # type: ignore[attr-defined]
-
-
 def main(arguments: Sequence[str]) -> None:
     """One process; see the module."""
     if hasattr(os, "nice"):
         os.nice(_NICE)
     # Standard output is a pipe to the parent, which counts its lines.
     event.register("numba:compile", _Reporter(sys.stdout))
-    job, *names = arguments
-    if job == "setup":
+    if arguments:
+        warm_drag(load_robot(arguments[0]))
+    else:
         setup = _SETUP.validate_json(sys.stdin.buffer.read())
         prepare(setup, load_robot(setup.robot), None, lambda text: None)
-    elif job == "drag":
-        warm_drag(load_robot(names[0]))
-    else:
-        for name in names:
-            compile_step(name)
 
 
 if __name__ == "__main__":

@@ -156,10 +156,10 @@ class Session(Closing):
         self._figure: FigureSession | None = None
         self._frame: FigureFrame  # its latest
         self.arm = arm
-        self.name = self.start.robot
         self.robot: Robot
         self.instances: list[Instance]
-        self._stand(load_robot(self.name), self.start.count)
+        self._stand(load_robot(setup.robot), setup.count)
+        self._setup = completed(setup, self.robot)
         done = self._queue.put if beside else self._adopt
         self._preparer = Preparer(setup, self.robot, done, beside=beside)
         if not beside:
@@ -243,13 +243,13 @@ class Session(Closing):
 
     def view(self) -> View:
         """What is seen now."""
-        setup = completed(Setup(self.name) if self._ready is None else self._ready.setup, self.robot)
+        setup = self._setup
         assert setup.kind is not None and setup.extras is not None
         text, until = self._message
         return View(
             tick=self._tick,
             now=self._tick * self._period,
-            robot=self.name,
+            robot=setup.robot,
             motion=self._motion,
             running=self._running,
             speed=self._speed,
@@ -384,8 +384,8 @@ class Session(Closing):
             self._log.append((self._tick, found.command))
         before, self._ready = self._ready, found.ready
         ready = found.ready
-        if isinstance(found.command, commands.SetRobot) or ready.setup.robot != self.name:
-            self.name = ready.setup.robot
+        self._setup = ready.setup
+        if isinstance(found.command, commands.SetRobot):
             self._phase, self._motion, self._drag = 0.0, "curve", None
             self._stand(ready.robot, ready.setup.count)
         elif len(self.instances) != ready.setup.count:
@@ -472,7 +472,7 @@ def last_view(log: commands.CommandLog) -> View:
 
 def run(
     session: Session,
-    draw: Callable[[View], None],
+    draw: Callable[[View], object],
     stop: threading.Event,
     *,
     every: int = 2,
@@ -480,15 +480,15 @@ def run(
 ) -> None:
     """The only loop of a front end: ticks in real time, and draws each ``every``-th view.
 
-    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set; after a stall it goes
-    on from there and does not hurry.
+    It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw`` gives
+    False as that of a closed window does; after a stall it goes on from there and does not hurry.
     """
     step, due, count = 1.0 / session.start.rate, now(), 0
     with short_switch_interval():
         while not stop.is_set():
             session.tick()
-            if count % every == 0:
-                draw(session.view())
+            if count % every == 0 and draw(session.view()) is False:
+                break
             count, due = count + 1, due + step
             if (rest := due - now()) > 0.0:
                 stop.wait(rest)

@@ -44,12 +44,12 @@ def test_passed_is_0_and_leaves_reports(tmp_path: Path, script: Path, robot_ik: 
 
 
 def test_a_report_is_the_same_whatever_signs_the_terminal_has(
-    tmp_path: Path, script: Path, robot_ik_child: Any
+    tmp_path: Path, script: Path, robot_ik: Any, robot_ik_child: Any
 ) -> None:
     script.write_text(WAIT.replace("a little", "20° long"), encoding="utf-8")
-    for name in ("ascii", "utf-8"):
-        run = robot_ik_child("run", script, "--json", tmp_path / name, PYTHONIOENCODING=name)
-        assert run.code == 0, run.err
+    run = robot_ik_child("run", script, "--json", tmp_path / "ascii", PYTHONIOENCODING="ascii")
+    assert run.code == 0, run.err
+    assert robot_ik("run", script, "--json", tmp_path / "utf-8").code == 0
     assert (tmp_path / "ascii").read_bytes() == (tmp_path / "utf-8").read_bytes()
 
 

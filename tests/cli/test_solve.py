@@ -183,12 +183,11 @@ def test_a_broken_model_names_file_and_reason(robot_ik: Any, tmp_path: Path) -> 
     assert str(file) in run.err and "hindge" in run.err
 
 
-def test_as_a_program(robot_ik_child: Any) -> None:
+def test_as_a_program(robot_ik: Any, robot_ik_child: Any) -> None:
     run = robot_ik_child("solve", "--goal", *GOAL)
     assert run.code == 0 and json.loads(run.out)["converged"]
     assert "\x1b" not in run.out + run.err
-    run = robot_ik_child("solve", "--goal", "nan", "0", "0")
-    run.assert_one_screen_error()
+    robot_ik("solve", "--goal", "nan", "0", "0").assert_one_screen_error()
 
 
 def test_a_compilation_is_announced_on_stderr(

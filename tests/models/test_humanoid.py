@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from tests.models.arm_checks import extent
 
 Array = NDArray[np.float64]
 
@@ -79,22 +80,6 @@ def posed(joints: dict[str, float] | None = None) -> mujoco.MjData:
         data.joint(name).qpos[0] = value
     mujoco.mj_forward(load(), data)
     return data
-
-
-def extent(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[float, float]:
-    """Lowest and highest point of a geom, exactly."""
-    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
-    kind = model.geom_type[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        half = float(np.linalg.norm(up * size))
-    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        half = float(size[0] + abs(up[2]) * size[1])
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        half = float(np.abs(up) @ size)
-    else:
-        assert kind == mujoco.mjtGeom.mjGEOM_SPHERE
-        half = float(size[0])
-    return data.geom_xpos[geom][2] - half, data.geom_xpos[geom][2] + half
 
 
 def test_nine_parts_have_the_freedoms_of_arkineman() -> None:

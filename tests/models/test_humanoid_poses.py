@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robot_ik as rik
+from tests.models.arm_checks import extent
 
 FOLDER = Path(__file__).parents[2] / "models" / "humanoid"
 SIDES = ("left", "right")
@@ -40,29 +41,13 @@ def posed(joints: dict[str, float] | None = None, key: str | None = None) -> muj
     return data
 
 
-def bottom(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Height of a geom's lowest point, exactly."""
-    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
-    kind = model.geom_type[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        half = float(np.linalg.norm(up * size))
-    elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        half = float(size[0] + abs(up[2]) * size[1])
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        half = float(np.abs(up) @ size)
-    else:
-        assert kind == mujoco.mjtGeom.mjGEOM_SPHERE
-        half = float(size[0])
-    return float(data.geom_xpos[geom][2] - half)
-
-
 @pytest.mark.parametrize("key", KEYS)
 def test_keyframes_stand_flat_balanced_free_and_inside_limits(key: str) -> None:
     model, data = load(), posed(key=key)
     for name in FEET:
         assert abs(data.site(name).xpos[2]) < 1e-9
         assert data.site(name).xmat == pytest.approx(np.eye(3).ravel(), abs=1e-9)
-    assert min(bottom(model, data, geom) for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
+    assert min(extent(model, data, geom)[0] for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
     assert data.ncon == 0
     heel, toe = data.site("left_heel").xpos[0], data.site("left_toe").xpos[0]
     assert heel + 0.04 < data.subtree_com[0][0] < toe - 0.08

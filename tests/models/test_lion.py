@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import robot_ik as rik
+from tests.models.arm_checks import extent
 
 Array = NDArray[np.float64]
 
@@ -59,17 +60,6 @@ def posed(joints: dict[str, Array | float] | None = None, key: str | None = None
         data.joint(name).qpos[:] = value
     mujoco.mj_forward(load(), data)
     return data
-
-
-def bottom(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> float:
-    """Height of a geom's lowest point, exactly."""
-    up, size = data.geom_xmat[geom].reshape(3, 3)[2], model.geom_size[geom]
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        half = float(np.linalg.norm(up * size))
-    else:
-        assert model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_CAPSULE
-        half = float(size[0] + abs(up[2]) * size[1])
-    return float(data.geom_xpos[geom][2] - half)
 
 
 def test_body_plan() -> None:
@@ -149,7 +139,7 @@ def test_keyframes_rest_on_flat_paws_free_and_inside_limits(key: str) -> None:
     for name in PAWS:
         assert abs(data.site(name).xpos[2]) < 1e-9, name
         assert data.site(name).xmat[6:] == pytest.approx([0, 0, 1], abs=1e-9), name
-    assert min(bottom(model, data, geom) for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
+    assert min(extent(model, data, geom)[0] for geom in range(model.ngeom)) == pytest.approx(0, abs=1e-9)
     assert data.ncon == 0
     assert simba().outside(data.qpos) == []
     for actuator in range(model.nu):
@@ -162,8 +152,8 @@ def test_keyframes_are_what_their_names_say() -> None:
     stands, sits = posed(key="relaxed"), posed(key="sitting")
     assert reported()["home"] == "relaxed"
     rump = load().geom("rump").id
-    assert bottom(load(), stands, rump) > 0.5
-    assert bottom(load(), sits, rump) < 0.01
+    assert extent(load(), stands, rump)[0] > 0.5
+    assert extent(load(), sits, rump)[0] < 0.01
     assert sits.body("chest").xmat.reshape(3, 3)[2, 0] > math.sin(math.radians(25))
     assert sits.site("tail_tip").xpos[2] < 0.1
 

@@ -17,6 +17,7 @@ import robot_ik as rik
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, run_reach
 from robot_ik.jobs.robot_setup import Rehearsal
+from tests.models.arm_checks import touching
 
 Array = NDArray[np.float64]
 
@@ -103,12 +104,6 @@ def _turn(axis: Array, angle: float) -> Array:
     x, y, z = axis
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    """Names of the geoms that touch."""
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
 
 
 ARMS = {

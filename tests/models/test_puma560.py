@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.models.arm_checks import check_keyframe, check_markers, check_table, posed, site, touching
+from tests.models.arm_checks import posed, site
 
 Array = NDArray[np.float64]
 
@@ -113,12 +113,6 @@ def test_gripper_frames_are_rigid_to_the_flange(model: mujoco.MjModel) -> None:
         assert axes == pytest.approx(rotation, abs=1e-14), name
 
 
-def test_markers_lie_on_the_cube_with_z_outwards(model: mujoco.MjModel) -> None:
-    reach = settings("robot.toml")["reach"]["tool_marker"]
-    check_markers(model, posed(model, np.zeros(6)), reach)
-    assert reach["size"] < reach["cube"]
-
-
 @pytest.mark.parametrize("number", [20, 21, 22, 23])
 def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int) -> None:
     """Content and turn of the pictures; that MuJoCo lays them on the sites was checked with its renderer."""
@@ -128,41 +122,6 @@ def test_printed_sides_of_the_cube_carry_the_markers_of_their_sites(number: int)
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
     printed = np.pad(cv2.aruco.generateImageMarker(dictionary, number, 126), 21, constant_values=255)
     assert np.array_equal(image, np.rot90(printed, turns[number]))
-
-
-@pytest.mark.parametrize("xml", ["puma560.xml", "scene.xml"])
-@pytest.mark.parametrize("key", ["home", "ready"])
-def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
-    data = check_keyframe(load(xml), key, 15, 0.1)
-    assert math.sin(math.radians(40)) < -site(data, "gripper")[1][2, 2] <= 1
-
-
-def test_folding_the_arm_into_its_base_is_a_contact(model: mujoco.MjModel) -> None:
-    """The geoms must collide where metal would: forearm folded onto the shoulder drum."""
-    assert touching(model, posed(model, np.radians([0.0, 45.0, 85.0, 0, 0, 0])))
-
-
-def test_position_actuators_hold_the_ready_pose() -> None:
-    model = load("scene.xml")
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("ready").id)
-    for _ in range(1000):
-        mujoco.mj_step(model, data)
-    assert np.abs(data.qpos - model.key("ready").qpos).max() < math.radians(1)
-    torque = np.array([97.6, 186.4, 89.4, 24.2, 20.1, 21.3])  # Armstrong, Khatib & Burdick 1986
-    assert model.actuator_forcerange[:, 1] == pytest.approx(torque)
-
-
-def test_robot_toml_names_what_the_model_has(model: mujoco.MjModel) -> None:
-    robot = settings("robot.toml")
-    assert robot["schema"] == 1 and robot["model"] == "puma560.xml"
-    for tool in robot["tools"].values():
-        assert model.site(tool["site"]).id >= 0
-    assert robot["tool"] in robot["tools"]
-    assert tuple(robot["groups"]["arm"]) == JOINTS
-    assert all(name in JOINTS for group in robot["groups"].values() for name in group)
-    assert model.key(robot["home"]).id >= 0
-    assert len(robot["motion"]["velocity_deg"]) == len(robot["motion"]["acceleration_deg"]) == 6
 
 
 def test_arm_toml_names_every_joint_and_covers_the_model(model: mujoco.MjModel) -> None:
@@ -186,10 +145,6 @@ def test_arm_toml_names_every_joint_and_covers_the_model(model: mujoco.MjModel) 
 
 def servo_ticks(row: dict[str, Any], degrees: float) -> float:
     return float(row["zero_ticks"] + row["direction"] * row["ratio"] * degrees / 360 * 4096)
-
-
-def test_scene_table_is_that_of_robot_toml() -> None:
-    check_table(load("scene.xml"), np.zeros(6), settings("robot.toml")["reach"]["table"])
 
 
 def test_readme_names_its_sources() -> None:

@@ -1,10 +1,8 @@
 """The seven-axis limb: its DH product, three axes through one point twice, and what follows from that."""
 
 import math
-import tomllib
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -13,16 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.models.arm_checks import (
-    check_keyframe,
-    check_ready_is_held,
-    check_rigid_bodies,
-    check_settings,
-    posed,
-    quarter,
-    site,
-    touching,
-)
+from tests.models.arm_checks import posed, quarter, site
 
 Array = NDArray[np.float64]
 
@@ -36,11 +25,6 @@ DH = ((-1, 0.36), (1, 0.0), (-1, 0.42), (1, 0.0), (-1, 0.40), (1, 0.0), (0, 0.12
 @cache
 def load(name: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(FOLDER / name))
-
-
-@cache
-def settings() -> dict[str, Any]:
-    return tomllib.loads((FOLDER / "robot.toml").read_text(encoding="utf-8"))
 
 
 def dh_flange(q: Array) -> Array:
@@ -108,31 +92,3 @@ def test_joints_and_limits_are_those_of_the_readme() -> None:
     for joint, (limit, (_, d)) in enumerate(zip(np.degrees(LIMIT), DH, strict=True), 1):
         row = next(line.split("|") for line in text.splitlines() if line.startswith(f"| {joint} |"))
         assert float(row[4]) == d and row[5].strip() == f"±{limit:.0f}"
-
-
-def test_folding_the_hand_into_the_base_is_a_contact() -> None:
-    model = load("srs_arm.xml")
-    assert touching(model, posed(model, np.radians([0, 110.0, 0, 135.0, 0, 0, 0])))
-
-
-@pytest.mark.parametrize("xml", ["srs_arm.xml", "scene.xml"])
-@pytest.mark.parametrize("key", ["home", "ready"])
-def test_keyframes_are_inside_limits_free_and_regular(xml: str, key: str) -> None:
-    data = check_keyframe(load(xml), key, 30, 0.05)
-    assert 0.8 < -site(data, "gripper")[1][2, 2] <= 1.0 + 1e-12
-
-
-def test_position_actuators_hold_the_ready_pose() -> None:
-    model = load("scene.xml")
-    check_ready_is_held(model)
-    assert model.actuator_forcerange[:, 1] == pytest.approx([180, 180, 100, 100, 60, 40, 40])
-
-
-def test_masses_and_inertias_are_those_of_rigid_bodies() -> None:
-    model = load("srs_arm.xml")
-    check_rigid_bodies(model)
-    assert 15 < model.body_mass.sum() < 20
-
-
-def test_robot_toml_names_what_the_model_has() -> None:
-    check_settings("srs_arm", load("srs_arm.xml"), settings(), JOINTS, "gripper")

@@ -21,6 +21,7 @@ import robot_ik as rik
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, run_reach
 from robot_ik.jobs.robot_setup import Rehearsal
+from tests.models.arm_checks import touching
 
 Array = NDArray[np.float64]
 
@@ -78,11 +79,6 @@ def posed(model: mujoco.MjModel, q: Array) -> mujoco.MjData:
     data.qpos[: len(q)] = q
     mujoco.mj_forward(model, data)
     return data
-
-
-def touching(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[str, str]]:
-    pairs = data.contact.geom[: data.ncon]
-    return [(model.geom(int(a)).name, model.geom(int(b)).name) for a, b in pairs]
 
 
 def dh_flange(q: Array) -> Array:

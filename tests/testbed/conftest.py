@@ -45,6 +45,7 @@ def _opened() -> Iterator[Bed]:
     """A session with its page, whose loop does not run yet."""
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
     with Session(Start()) as session:
         bed = Bed(session, None)
@@ -55,7 +56,7 @@ def _opened() -> Iterator[Bed]:
             real(command)
 
         session.send = send  # type: ignore[method-assign]
-        with Page(session, port=8610, shadows=False) as page:
+        with Page(session, PageServer(port=8610, shadows=False)) as page:
             bed.page = page
             yield bed
 
@@ -79,8 +80,9 @@ def bed(_opened: Bed) -> Iterator[Bed]:
 def guarded(_opened: Bed) -> Iterator[Any]:
     """Another page of the same session, which asks for its token."""
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
-    with Page(_opened.session, port=8611, shadows=False, token=True) as page:
+    with Page(_opened.session, PageServer(port=8611, shadows=False, token=True)) as page:
         yield page
 
 
@@ -103,13 +105,16 @@ class Screen:
         return pixels.reshape(height, stride // 4, 4)[:, :width, :3].copy()
 
     def settled(self, differs_from: Any = None) -> Any:
-        """A picture that has stopped changing and is not ``differs_from`` (or not black)."""
+        """A picture that has stopped changing and is not ``differs_from`` (or is shaded, no bare screen)."""
         end = time.monotonic() + LONG
         last = self.shot()
         while time.monotonic() < end:
-            time.sleep(0.25)
+            time.sleep(0.25 if differs_from is None else 0.1)
             now = self.shot()
-            fresh = now.max() > 0 if differs_from is None else changed(now, differs_from) > 0
+            if differs_from is None:
+                fresh = len(np.unique(now.reshape(-1, 3), axis=0)) > 50
+            else:
+                fresh = changed(now, differs_from) > 0
             if fresh and changed(now, last) == 0:
                 return now
             last = now
@@ -175,11 +180,12 @@ class Windows:
                 [sys.executable, "-c", OPENER],
                 env=environment, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors,
             )  # fmt: skip
+        self.busy = False  # with a program
         assert self.line() == "ready"
 
     def start(self, program: str) -> None:
         """Runs a program; what it prints comes by ``line``."""
-        self._count += 1
+        self._count, self.busy = self._count + 1, True
         file = self._folder / f"program{self._count}.py"
         file.write_text(program)
         self.say(str(file))
@@ -194,6 +200,7 @@ class Windows:
         """The next line that it prints; fails where the program did."""
         assert self.process.stdout is not None
         text = self.process.stdout.readline().strip()
+        self.busy = not text.startswith("===")
         assert text not in ("", "=== failed"), self._errors.read_text()[-3000:]
         return text
 
@@ -216,8 +223,13 @@ def opener(screen: Screen, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 @pytest.fixture
-def windows(screen: Screen, opener: list[Windows], tmp_path_factory: pytest.TempPathFactory) -> Windows:
-    """The process; a new one where the last has died."""
+def windows(
+    screen: Screen, opener: list[Windows], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Windows]:
+    """The process; a new one where the last has died, or hangs in the program of a test that failed."""
     if not opener or opener[-1].process.poll() is not None:
         opener.append(Windows(screen, tmp_path_factory.mktemp("windows")))
-    return opener[-1]
+    yield opener[-1]
+    if opener[-1].busy:
+        opener[-1].process.kill()
+        opener[-1].process.wait()

@@ -15,6 +15,7 @@ pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.robot import load_robot
 from robot_ik.testbed.commands import Command, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.panels import joint_bars
 from robot_ik.testbed.session import Session
 from tests.doc_pages import script
@@ -38,7 +39,7 @@ def controls() -> Iterator[tuple[Page, Any, Sent]]:
         for _ in range(3):
             session.tick()
         session.send = sent.put  # type: ignore[method-assign]
-        with Page(session, port=8730, shadows=False) as page, PageClient(page.url) as client:
+        with Page(session, PageServer(port=8730, shadows=False)) as page, PageClient(page.url) as client:
             wait_for(lambda: page.server._websock_server._client_state_from_id)
             yield page, client, sent
 

@@ -17,7 +17,7 @@ from robot_ik.jobs.testbed import film
 from robot_ik.testbed.arrangement import GOAL_COLOUR, INSTANCE_COLOURS
 from robot_ik.testbed.commands import KEYMAP, CommandLog, MoveGoal, SetCount, SetMethod, SetSpeed, Start
 from robot_ik.testbed.frontends.recorder import Recorder
-from robot_ik.testbed.session import Session, View, replayed
+from robot_ik.testbed.session import Session, View, last_view, replayed
 
 SCRIPT = CommandLog(
     Start("tabletop_puma"),
@@ -46,8 +46,7 @@ def drawn(make: Callable[[Session], Any]) -> str:
 
 @pytest.fixture(scope="module")
 def wanted() -> str:
-    *_, session = replayed(SCRIPT)
-    return session.view().digest()
+    return last_view(SCRIPT).digest()
 
 
 def test_the_same_script_gives_the_same_view_in_the_recorder(wanted: str) -> None:
@@ -57,8 +56,9 @@ def test_the_same_script_gives_the_same_view_in_the_recorder(wanted: str) -> Non
 def test_the_same_script_gives_the_same_view_in_the_browser(wanted: str) -> None:
     pytest.importorskip("viser", reason="needs the extra web")
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
-    assert drawn(lambda session: Page(session, port=8710)) == wanted
+    assert drawn(lambda session: Page(session, PageServer(port=8710))) == wanted
 
 
 def test_no_key_means_two_things() -> None:
@@ -149,7 +149,7 @@ def test_view_opens_the_page_writes_its_log_and_ends(
     pytest.importorskip("viser", reason="needs the extra web")
     log = tmp_path / "log.jsonl"
     arguments = (
-        "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 2 --log"
+        "view --robot tabletop_puma --no-open --no-camera --port 8720 --viewer browser --seconds 0.5 --log"
     )
     assert main([*arguments.split(), str(log)]) == 0
     assert "http://127.0.0.1:87" in capsys.readouterr().out

@@ -275,6 +275,7 @@ def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> N
 
 def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) -> None:
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
     seen = [CameraError("the cable <is> out"), None, (np.zeros((8, 8, 3), np.uint8), "a picture")]
     texts = ["the cable &lt;is&gt; out", "no scene", "a picture"]
@@ -284,7 +285,7 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
             raise seen[0]
         return seen[0]
 
-    with Page(bed.session, port=8612, shadows=False, camera=read) as page:
+    with Page(bed.session, PageServer(port=8612, shadows=False), camera=lambda: read) as page:
         page._camera.switch(True)
         for text in texts:
             wait_for(lambda text=text: text in page._camera._text.content, f"{text!r} is not said")
@@ -297,11 +298,12 @@ def test_a_camera_without_pictures_is_said_on_the_page_and_comes_back(bed: Bed) 
 def test_a_lost_page_and_a_page_that_hands_over_make_the_arm_hold(real_time: None) -> None:
     """By a real serial line; the page that drove is a browser whose connection breaks."""
     from robot_ik.testbed.frontends.browser import Page
+    from robot_ik.testbed.frontends.page_server import PageServer
 
     link, stop = arm_link("tabletop_puma", None, "pty"), threading.Event()
     with (
         Session(Start("tabletop_puma"), arm=link) as session,
-        Page(session, port=8613, shadows=False) as page,
+        Page(session, PageServer(port=8613, shadows=False)) as page,
     ):
         bed = Bed(session, page)
         loop = threading.Thread(target=run, args=(session, page.draw, stop), kwargs={"every": 4})

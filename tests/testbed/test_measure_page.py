@@ -16,6 +16,7 @@ from robot_ik.testbed.session import Session, run
 
 pytest.importorskip("viser", reason="needs the extra web")
 from robot_ik.testbed.frontends.browser import Page
+from robot_ik.testbed.frontends.page_server import PageServer
 from tests.doc_pages import script
 from tests.waiting import LONG
 
@@ -47,7 +48,10 @@ def test_what_misses_its_target_or_was_not_measured_is_said(
 
 def test_its_client_drags_the_ball_and_sees_the_arm_move() -> None:
     stop, positions = threading.Event(), ((0.2, 0.05, 0.1), (0.2, -0.05, 0.1))
-    with Session(Start("tabletop_puma"), beside=False) as session, Page(session, port=8670) as page:
+    with (
+        Session(Start("tabletop_puma"), beside=False) as session,
+        Page(session, PageServer(port=8670)) as page,
+    ):
         loop = threading.Thread(target=run, args=(session, page.draw, stop))
         loop.start()
         try:

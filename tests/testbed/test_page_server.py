@@ -42,11 +42,11 @@ def test_the_address_for_other_machines_is_named_too(
 
 def test_shadows_come_after_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a GPU they take a browser more than a second, in which it would show nothing."""
-    monkeypatch.setattr(page_server, "_SHADOWS_AFTER", 0.5)
+    monkeypatch.setattr(page_server, "_SHADOWS_AFTER", 0.2)
     with PageServer(port=8790) as opened:
         assert _lights(opened) == [False]
         with PageClient(opened.url):
             wait_for(lambda: _lights(opened) == [False, True], "no shadows")
     with PageServer(port=8790, shadows=False) as opened, PageClient(opened.url):
-        time.sleep(0.7)
+        time.sleep(0.4)
         assert _lights(opened) == [False]

@@ -320,7 +320,7 @@ def test_a_figure_keeps_its_feet_and_balance_and_offers_more(session: Session) -
 
 def test_a_priority_decides_whose_goal_gives_way(session: Session) -> None:
     far = (1.2, -0.3, 1.9)
-    view = view_after(session, SetRobot("humanoid"), SetExtraGoal("gaze", False, 3), MoveGoal(far), ticks=90)
+    view = view_after(session, SetRobot("humanoid"), SetExtraGoal("gaze", False, 3), MoveGoal(far), ticks=30)
     robot = session.robot
     kept = robot.measure(robot.home, "left_foot").position
 
@@ -331,7 +331,7 @@ def test_a_priority_decides_whose_goal_gives_way(session: Session) -> None:
     session.send(SetExtraGoal("ball", True, 0))
     session.send(SetExtraGoal("keep right_foot", True, 5))
     session.send(SetExtraGoal("keep left_foot", True, 5))
-    view = view_after(session, SetExtraGoal("balance", False, 5), ticks=200)
+    view = view_after(session, SetExtraGoal("balance", False, 5), ticks=20)
     assert view.instances[0].miss < 1e-3 and slip(view) > 0.01
 
 

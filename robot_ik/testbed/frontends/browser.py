@@ -13,18 +13,16 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
 from viser import _messages as vm
 
-from robot_ik.motion.trajectory import Trajectory
 from robot_ik.ports import Closing, Image
-from robot_ik.testbed.arrangement import FIELD_OF_VIEW, corners, fitted_camera
+from robot_ik.testbed.arrangement import FIELD_OF_VIEW
 from robot_ik.testbed.commands import KEYMAP, DragLink, Key, MoveGoal, Release, SetArm
-from robot_ik.testbed.frontends.page_server import PageServer, open_icons
+from robot_ik.testbed.frontends.page_server import PageServer
 from robot_ik.testbed.frontends.panels import (
     ArmPanel,
     Control,
@@ -41,6 +39,7 @@ from robot_ik.testbed.frontends.scene import BrowserScene, reach_cloud
 from robot_ik.testbed.session import Session, View
 
 LOG = logging.getLogger(__name__)
+ReadPicture = Callable[[], tuple[Image, str] | None]
 
 _LEFT, _RIGHT = 300, 350  # px
 _PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
@@ -53,39 +52,36 @@ class Page(Closing):
 
     Args:
         session: What is shown and driven.
-        page_server: What listens for browsers, where it is open already; the page closes it.
-        camera: Gives the picture of a camera (h, w, 3) RGB and a line about it; None: there is none.
-        options: Without ``page_server``: as ``PageServer`` takes them.
+        page_server: What listens for browsers; the page closes it.
+        camera: Opens a camera once pictures are asked for: what is called for each, (h, w, 3) RGB and a
+            line about it; None: there is none.
 
     Attributes:
         url: Where a browser finds the page, with its token if it needs one.
-
-    Raises:
-        ViewerError: As ``PageServer``.
     """
 
     def __init__(
         self,
         session: Session,
-        page_server: PageServer | None = None,
+        page_server: PageServer,
         *,
-        camera: Callable[[], tuple[Image, str] | None] | None = None,
-        **options: Any,
+        camera: Callable[[], ReadPicture] | None = None,
     ) -> None:
         self.session, self._view = session, session.view()
-        self._page_server = opened = page_server or PageServer(**options)
-        self.server, self.gate, self.url = opened.server, opened.gate, opened.url
-        self._scene: BrowserScene | None = None
+        self._page_server = page_server
+        self.server, self.gate, self.url = page_server.server, page_server.gate, page_server.url
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
         self._camera = None if camera is None else _CameraThread(camera)
         gui = self.server.gui
-        with self.server.atomic(), open_icons():
+        with self.server.atomic():
             self._controls(gui)
             self._readings(gui)
             self._keys(gui)
             self._add_gizmo()
-            self._refreshes = self._all_refreshes()
+            self._periods = self._panel_periods()
+            self._due = dict.fromkeys(self._periods, 0.0)  # when each is shown again
+            self._scene = self._new_scene(self._view)
             self.draw(self._view)
         self.server.on_client_connect(self._welcome)
         self.gate.on_refused, self.gate.on_driver_left = self._correct, self._driver_left
@@ -111,7 +107,7 @@ class Page(Closing):
         with tabs.add_tab("Goals"):
             self._goals = GoalsPanel(gui, send)
         with tabs.add_tab("Arm"):
-            self._arm = ArmPanel(gui, send, self._view, self._recording)
+            self._arm = ArmPanel(gui, send, self.session.arm)
         with tabs.add_tab("Figure"):
             self._figure = FigurePanel(gui, send, self._view)
         with tabs.add_tab("Record"):
@@ -120,9 +116,6 @@ class Page(Closing):
             self._show(gui)
         with gui.add_folder("Keys", expand_by_default=False):
             gui.add_html(key_table())
-
-    def _recording(self) -> Trajectory | None:
-        return None if self.session.arm is None else self.session.arm.recording
 
     def _record(self, gui: viser.GuiApi) -> None:
         gui.add_html(
@@ -189,17 +182,13 @@ class Page(Closing):
     def _show_overlay(self, shown: bool) -> None:
         self._overlay = shown
         self._trails.handle.value = shown
-        if self._scene is not None:
-            self._scene.show_overlay(shown)
+        self._scene.show_overlay(shown)
 
     def _show_axes(self, shown: bool) -> None:
-        if self._scene is not None:
-            self._scene.show_axes(shown)
+        self._scene.show_axes(shown)
 
     def _show_reach(self, shown: bool) -> None:
-        scene = self._scene
-        if scene is not None:
-            scene.show_cloud(reach_cloud(scene.robot) if shown else None)
+        self._scene.show_cloud(reach_cloud(self._scene.robot) if shown else None)
 
     def _add_gizmo(self) -> None:
         self._gizmo = self.server.scene.add_transform_controls(
@@ -208,40 +197,35 @@ class Page(Closing):
 
         @self._gizmo.on_update
         async def _(event: Any) -> None:
-            if event.client is not None and self._scene is not None:
+            if event.client is not None:
                 position = np.array(self._gizmo.position) - self._scene.offsets[0]
                 w, *xyz = (float(value) for value in self._gizmo.wxyz)
                 self.session.send(MoveGoal(_floats(position), (w, *_floats(xyz))))
 
-    def _rebuild(self, view: View) -> BrowserScene:
-        """Robot or number of instances have changed."""
-        if self._scene is not None:
-            self._scene.remove()
+    def _new_scene(self, view: View) -> BrowserScene:
+        """The scene of the session's robot and its number of instances."""
         self._grab = None
-        self._scene = scene = BrowserScene(self.server, self.session.robot, view.count)
+        scene = BrowserScene(self.server, self.session.robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
         scene.show_axes(self._axes.value)
         if self._reach.value:
-            self._show_reach(True)
+            scene.show_cloud(reach_cloud(scene.robot))
         self._gizmo.scale = _GIZMO * scene.arrangement.extent
         for client in self.server.get_clients().values():
             # On the server's thread, as in ``_welcome``.
-            self.server._event_loop.call_soon_threadsafe(self._fit_camera, client)
-        for refresh in self._refreshes:
-            refresh.show(view, scene)
+            self.server._event_loop.call_soon_threadsafe(self._fit_camera, scene, client)
+        for show in self._periods:
+            show(view, scene)
         return scene
 
     async def _drag_ball(self, event: Any) -> None:
-        if self._scene is not None:
-            position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
-            self.session.send(MoveGoal(_floats(position)))
+        position = np.array(event.end_position) - self._scene.offsets[self._index(event)]
+        self.session.send(MoveGoal(_floats(position)))
 
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
         scene, k = self._scene, self._index(event)
-        if scene is None:
-            return
         if self._grab is None:
             name = scene.name_of(event.target)
             one = self._view.instances[k]
@@ -266,20 +250,21 @@ class Page(Closing):
         ``async``: on the server's thread, because a browser's own messages have no lock.
         """
         shape = [client.camera.aspect]
-        self._fit_camera(client)
+        self._fit_camera(self._scene, client)
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
             if abs(camera.aspect - shape[0]) > 0.02:
                 shape[0] = camera.aspect
-                self._fit_camera(client)
+                self._fit_camera(self._scene, client)
 
-    def _fit_camera(self, client: viser.ClientHandle) -> None:
-        scene, aspect = self._scene, client.camera.aspect
-        if scene is None or not (math.isfinite(aspect) and aspect > 0.05):
+    def _fit_camera(self, scene: BrowserScene, client: viser.ClientHandle) -> None:
+        aspect = client.camera.aspect
+        if not (math.isfinite(aspect) and aspect > 0.05):
             return
-        points = corners(scene.robot, scene.arrangement, self.session.ball_path())
-        position, target = fitted_camera(points, scene.arrangement, aspect, phone=aspect < _PHONE_ASPECT)
+        position, target = scene.arrangement.camera(
+            self.session.ball_path(), aspect, phone=aspect < _PHONE_ASPECT
+        )
         with client.atomic():
             client.camera.position = position
             client.camera.look_at = target
@@ -320,19 +305,22 @@ class Page(Closing):
         self._view = view
         with self.server.atomic():
             scene = self._scene
-            if scene is None or (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
-                scene = self._rebuild(view)
+            if (scene.robot.model, scene.count) != (self.session.robot.model, view.count):
+                scene.remove()
+                self._scene = scene = self._new_scene(view)
             scene.draw(view)
             self._gizmo.position = view.ball.position + scene.arrangement.offsets[0]
             if view.motion != "hand":
                 self._gizmo.wxyz = view.ball.wxyz
             # One panel at most, so that no frame pays for all of them.
-            now, refresh = time.monotonic(), min(self._refreshes, key=lambda one: one.due)
-            if now >= refresh.due:
-                refresh.due = now + refresh.period
-                refresh.show(view, scene)
+            now, show = time.monotonic(), min(self._due, key=self._due.__getitem__)
+            if now >= self._due[show]:
+                self._due[show] = now + self._periods[show]
+                show(view, scene)
 
-    def _all_refreshes(self) -> tuple[_Refresh, ...]:
+    def _panel_periods(self) -> dict[Callable[[View, BrowserScene], None], float]:
+        """What is shown on the panels, and how often, seconds."""
+
         def run(view: View, scene: BrowserScene) -> None:
             self._run.show(view)
             self._figure.show(view)
@@ -342,22 +330,13 @@ class Page(Closing):
             self._arm.show(view)
             scene.name_instances(view)
 
-        return (
-            _Refresh(_PANEL_PERIOD, run),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._methods.show(view)),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._goals.show(view)),
-            _Refresh(_PANEL_PERIOD, lambda view, scene: self._measured.draw(view, scene.robot)),
-            _Refresh(_TABLE_PERIOD, tables),
-        )
-
-
-@dataclass
-class _Refresh:
-    """Something on the page that is renewed every ``period`` seconds, next when the clock is at ``due``."""
-
-    period: float
-    show: Callable[[View, BrowserScene], None]
-    due: float = 0.0
+        return {
+            run: _PANEL_PERIOD,
+            lambda view, scene: self._methods.show(view): _PANEL_PERIOD,
+            lambda view, scene: self._goals.show(view): _PANEL_PERIOD,
+            lambda view, scene: self._measured.draw(view, scene.robot): _PANEL_PERIOD,
+            tables: _TABLE_PERIOD,
+        }
 
 
 class _CameraThread:
@@ -366,8 +345,8 @@ class _CameraThread:
     _NOTHING = "<small>this robot has no scene with a camera: choose tabletop_puma under Robot</small>"
     _OFF = page("<small>no pictures: switch them on under Show, on the left</small>")
 
-    def __init__(self, read: Callable[[], tuple[Image, str] | None]) -> None:
-        self._read, self._shown = read, threading.Event()
+    def __init__(self, open_camera: Callable[[], ReadPicture]) -> None:
+        self._open, self._shown = functools.cache(open_camera), threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, name="testbed-camera", daemon=True)
 
@@ -399,7 +378,7 @@ class _CameraThread:
     def _next_picture(self) -> tuple[Image | None, str]:
         """The next picture, and what is said of it."""
         try:
-            return self._read() or (None, self._NOTHING)
+            return self._open()() or (None, self._NOTHING)
         except Exception as error:  # on a thread it is seen nowhere else, and the picture stands still
             LOG.debug("no picture", exc_info=True)
             return None, f'<span class="no">no picture: {html.escape(str(error).splitlines()[0])}</span>'

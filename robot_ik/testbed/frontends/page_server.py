@@ -8,12 +8,9 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-import zipfile
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from viser import ClientHandle, _icons
+from viser import ClientHandle
 
 from robot_ik.ports import Closing
 from robot_ik.testbed.frontends.gate import open_server, quiet
@@ -105,23 +102,3 @@ def own_address() -> str:
         probe.connect(("192.0.2.1", 9))  # of documentation: chooses the way there, and sends nothing
         return str(probe.getsockname()[0])
     return ""
-
-
-@contextlib.contextmanager
-def open_icons() -> Iterator[None]:
-    """Keeps viser's archive of 4000 icons open: it would read its directory anew for each, 0.05 s."""
-    real = zipfile.ZipFile
-    with real(_icons.ICONS_DIR / "tabler-icons.zip") as archive:
-
-        class Namespace:
-            """What viser's module calls ``zipfile``."""
-
-            @staticmethod
-            def ZipFile(path: object) -> Any:
-                return contextlib.nullcontext(archive)
-
-        setattr(_icons, "zipfile", Namespace)  # noqa: B010 (mypy: a module's module)
-        try:
-            yield
-        finally:
-            setattr(_icons, "zipfile", zipfile)  # noqa: B010

@@ -12,7 +12,7 @@ import html
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -26,6 +26,9 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.arrangement import INSTANCE_COLOURS, LIMIT_COLOUR, hexadecimal
 from robot_ik.testbed.instance import InstanceView
 from robot_ik.testbed.session import View
+
+if TYPE_CHECKING:
+    from robot_ik.testbed.arm import ArmLink
 
 Send = Callable[[commands.Command], None]
 
@@ -58,15 +61,19 @@ class Control:
     Args:
         handle: viser's.
         act: Called with the value when a person changed it.
+        labels: What the options of a menu mean; None: themselves.
     """
 
-    def __init__(self, handle: Any, act: Callable[[Any], None]) -> None:
+    def __init__(
+        self, handle: Any, act: Callable[[Any], None], labels: Mapping[str, Any] | None = None
+    ) -> None:
         self.handle, self._touched = handle, -math.inf
+        self._labels = {} if labels is None else {value: label for label, value in labels.items()}
 
         async def changed(event: Any) -> None:
             if event.client is not None:  # what the program sets has none
                 self._touched = time.monotonic()
-                act(event.target.value)
+                act(event.target.value if labels is None else labels[event.target.value])
 
         handle.on_update(changed)
 
@@ -78,7 +85,7 @@ class Control:
     def follow(self, value: Any) -> None:
         """Shows what the session has; not under the hand that moves it."""
         if time.monotonic() - self._touched > _HAND_SECONDS:
-            self.handle.value = value
+            self.handle.value = self._labels.get(value, value)
 
 
 def pressed(button: Any, act: Callable[[Any], None]) -> None:
@@ -88,11 +95,6 @@ def pressed(button: Any, act: Callable[[Any], None]) -> None:
         act(event)
 
     button.on_click(clicked)
-
-
-def label_of(labels: Mapping[str, Any], value: Any) -> str:
-    """The label of a value."""
-    return next(label for label, one in labels.items() if one == value)
 
 
 def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: Any) -> Any:
@@ -166,12 +168,12 @@ class RunPanel:
         pressed(load, lambda _: send(commands.SetRobot(path.value.strip())))
         self._count = Control(
             gui.add_dropdown("Compare", tuple(_COUNT_LABELS), hint="Side by side (keys 1, 2, 4)"),
-            lambda value: send(commands.SetCount(_COUNT_LABELS[value])),
-        )
+            lambda count: send(commands.SetCount(count)), _COUNT_LABELS,
+        )  # fmt: skip
         self._motion = Control(
             gui.add_dropdown("Ball", tuple(_MOTION_LABELS), hint="How the ball moves (I)"),
-            lambda value: send(commands.SetMotion(_MOTION_LABELS[value])),
-        )
+            lambda motion: send(commands.SetMotion(motion)), _MOTION_LABELS,
+        )  # fmt: skip
         self._speed = Control(
             gui.add_slider("Speed", 0.0, 3.0, 0.05, view.speed, hint="Of the ball; 1 is real time"),
             lambda value: send(commands.SetSpeed(float(value))),
@@ -187,12 +189,12 @@ class RunPanel:
         line = html.escape(view.busy or view.message or HINT)
         text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
         self._state.content = self._large + page(text)
-        self._motion.follow(label_of(_MOTION_LABELS, view.motion))
+        self._motion.follow(view.motion)
         if not view.busy:
             if view.robot not in self._robot.handle.options:  # one of somebody's own
                 self._robot.handle.options = (*self._robot.handle.options, view.robot)
             self._robot.follow(view.robot)
-        self._count.follow(label_of(_COUNT_LABELS, view.count))
+        self._count.follow(view.count)
         self._speed.follow(view.speed)
 
 
@@ -286,8 +288,8 @@ class GoalsPanel:
         self._gui, self._send = gui, send
         self._kind = Control(
             gui.add_dropdown("Ball asks", tuple(_KIND_LABELS), hint="Of the tool (K)"),
-            lambda value: send(commands.SetGoalKind(_KIND_LABELS[value])),
-        )
+            lambda kind: send(commands.SetGoalKind(kind)), _KIND_LABELS,
+        )  # fmt: skip
         self._branches = Control(
             gui.add_checkbox("Branches", False, hint="All ways of a closed form, as ghosts (B)"),
             lambda value: send(commands.ShowBranches(value)),
@@ -306,7 +308,7 @@ class GoalsPanel:
 
     def show(self, view: View) -> None:
         """Follows the session."""
-        self._kind.follow(label_of(_KIND_LABELS, view.kind))
+        self._kind.follow(view.kind)
         self._branches.follow(view.show_branches)
         names = ("–", *(branch.name for branch in view.branches))
         self._pick.handle.visible = view.show_branches
@@ -355,7 +357,7 @@ class FigurePanel:
                 "Moved by", tuple(_FIGURE_LABELS), visible=view.can_act,
                 hint="Following: it acts whenever the ball moves. On demand: on the ball as it is then",
             ),
-            lambda label: send(commands.SetFigure(_FIGURE_LABELS[label])),  # type: ignore[arg-type]
+            lambda mode: send(commands.SetFigure(mode)), _FIGURE_LABELS,
         )  # fmt: skip
         self._act = gui.add_button(
             "Act now", icon=viser.Icon.RUN, visible=False, hint="On the ball where it is; it then stays there"
@@ -368,7 +370,7 @@ class FigurePanel:
         acting = view.figure
         self._mode.handle.visible = view.can_act
         if not view.busy:
-            self._mode.follow(label_of(_FIGURE_LABELS, "off" if acting is None else acting.mode))
+            self._mode.follow("off" if acting is None else acting.mode)
         self._act.visible = acting is not None and acting.mode == "passive"
         self._text.content = page(self._figure_text(view))
 
@@ -397,10 +399,8 @@ class FigurePanel:
 class ArmPanel:
     """The servo arm that the first instance drives."""
 
-    def __init__(
-        self, gui: viser.GuiApi, send: Send, view: View, recording: Callable[[], Trajectory | None]
-    ) -> None:
-        self._text, there = gui.add_html(""), view.arm is not None
+    def __init__(self, gui: viser.GuiApi, send: Send, arm: ArmLink | None) -> None:
+        self._text, there = gui.add_html(""), arm is not None
         labels = tuple(_ARM_LABELS)
         for label, buttons, hint in (
             ("Arm", labels[:3], "Follow robot 1; hold; torque off: an arm that is not supported falls"),
@@ -412,7 +412,7 @@ class ArmPanel:
             "Save the recording", icon=viser.Icon.DOWNLOAD, visible=there,
             hint="As CSV: robot-ik servo play repeats it, too",
         )  # fmt: skip
-        pressed(save, lambda event: self._save(event, recording()))
+        pressed(save, lambda event: self._save(event, None if arm is None else arm.recording))
         self._table = gui.add_html("", visible=there)
 
     @staticmethod

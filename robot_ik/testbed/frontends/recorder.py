@@ -30,8 +30,6 @@ from robot_ik.testbed.arrangement import (
     Arrangement,
     Colour,
     arranged,
-    corners,
-    fitted_camera,
 )
 from robot_ik.testbed.session import Session, View
 
@@ -115,8 +113,7 @@ class Recorder:
         focal = 0.5 * height / math.tan(0.5 * FIELD_OF_VIEW)
         self._lens = CameraIntrinsics(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
         self._arrangement: Arrangement = arranged(robot, count)
-        points = corners(robot, self._arrangement, self.session.ball_path())
-        position, look = fitted_camera(points, self._arrangement, width / height)
+        position, look = self._arrangement.camera(self.session.ball_path(), width / height)
         self._camera = look_at(position, look)
         away = np.linalg.norm(self._arrangement.offsets - position, axis=1)
         self._order = np.argsort(-away).tolist()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from viser import _messages as vm
 
 from robot_ik.camera.drawing.meshes import ModelMesh, cached_mesh, geom_rgba, sphere, visible_geoms
+from robot_ik.geometry import Pose
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 from robot_ik.testbed.arrangement import (
@@ -342,12 +343,9 @@ class BrowserScene:
 
     def _draw_axes(self, xpos: Floats, xquat: Floats) -> None:
         frame = self.robot.frame(self.robot.tool)
-        positions, quaternions = np.empty((self.count, 3)), np.empty((self.count, 4))
-        for k in range(self.count):
-            mujoco.mju_rotVecQuat(positions[k], frame.local.position, xquat[k, frame.body].astype(float))
-            mujoco.mju_mulQuat(quaternions[k], xquat[k, frame.body].astype(float), frame.local.wxyz)
-        self._axes.batched_positions = (xpos[:, frame.body] + positions).astype(np.float32)
-        self._axes.batched_wxyzs = quaternions.astype(np.float32)
+        tools = [Pose(xpos[k, frame.body], xquat[k, frame.body]) @ frame.local for k in range(self.count)]
+        self._axes.batched_positions = np.array([tool.position for tool in tools], np.float32)
+        self._axes.batched_wxyzs = np.array([tool.wxyz for tool in tools], np.float32)
 
     def _draw_ghosts(self, view: View) -> None:
         branches = [(branch.xpos, branch.xquat) for branch in view.branches][:GHOSTS]

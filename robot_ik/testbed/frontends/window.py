@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, wait
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
@@ -31,8 +32,6 @@ from robot_ik.testbed.arrangement import (
     INSTANCE_COLOURS,
     Colour,
     arranged,
-    corners,
-    fitted_camera,
 )
 from robot_ik.testbed.commands import KEYMAP, MoveGoal
 from robot_ik.testbed.session import Session, View
@@ -65,39 +64,25 @@ _WITHOUT_WINDOW = "run it without --view: the pictures are written to the output
 _WITHOUT_VIEWER = "run it with --viewer browser or --viewer recorder, which need no display"
 
 
-def _require_display(instead: str) -> None:
-    """Raises before MuJoCo waits for ever for a window that cannot come."""
-    probe = probe_display(timeout=OPEN_LIMIT)
-    if probe.ok:
-        return
-    raise ViewerError(
-        f"no window can be opened: {probe.text}",
-        hint=f"{instead}\nor on a machine with a desktop (ssh -X), or with: xvfb-run -a …",
-    )
-
-
 def _call_with_limit(call: Callable[[], Any], instead: str) -> Any:
     """Result of ``call``, run on a thread of its own; ``ViewerError`` after ``OPEN_LIMIT`` seconds."""
-    box: list[Any] = []
-    failure: list[BaseException] = []
+    opened: Future[Any] = Future()
 
     def body() -> None:
         try:
-            box.append(call())
+            opened.set_result(call())
         except BaseException as error:  # handed to the caller below
-            failure.append(error)
+            opened.set_exception(error)
 
-    thread = threading.Thread(target=body, daemon=True, name="viewer-opening")
-    thread.start()
-    thread.join(OPEN_LIMIT)
-    if failure:
-        raise ViewerError(f"the viewer window failed to open: {failure[0]}") from failure[0]
-    if not box:
+    threading.Thread(target=body, daemon=True, name="viewer-opening").start()
+    if not wait([opened], OPEN_LIMIT).done:
         raise ViewerError(
             f"the viewer window did not open within {OPEN_LIMIT:.0f} s",
             hint=f"{instead}\nlook closer with: robot-ik doctor",
         )
-    return box[0]
+    if failure := opened.exception():
+        raise ViewerError(f"the viewer window failed to open: {failure}") from failure
+    return opened.result()
 
 
 def _light(model: Any) -> None:
@@ -128,8 +113,11 @@ def _launch(model: Any, data: Any, instead: str, **options: Any) -> tuple[Any, l
                 "on macOS the window needs MuJoCo's own Python",
                 hint=f"run: mjpython -m robot_ik …\nor {instead}",
             )
-    else:
-        _require_display(instead)
+    elif not (probe := probe_display(timeout=OPEN_LIMIT)).ok:  # MuJoCo would wait for ever
+        raise ViewerError(
+            f"no window can be opened: {probe.text}",
+            hint=f"{instead}\nor on a machine with a desktop (ssh -X), or with: xvfb-run -a …",
+        )
     options |= {"show_left_ui": False, "show_right_ui": False}
     before = set(threading.enumerate())
     window = _call_with_limit(lambda: viewer.launch_passive(model, data, **options), instead)
@@ -226,7 +214,11 @@ class WindowSink(_ViewerWindow):
             for solid in solids:
                 box, half = mujoco.mjtGeom.mjGEOM_BOX, np.array(solid.half)
                 _add_geom(self._viewer.user_scn, box, solid.rgba, half, solid.pose)
-            self._ball = self._add_ball(ball) if ball > 0.0 else None
+            self._ball = None
+            if ball > 0.0:
+                sphere, size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, ball)
+                colour = _rgba(GOAL_COLOUR)
+                self._ball = _add_geom(self._viewer.user_scn, sphere, colour, size, Pose(_NOWHERE))
         self._viewer.sync()
 
     def _aim_camera(self, see: Array | None, viewpoint: Array | None) -> None:
@@ -245,10 +237,6 @@ class WindowSink(_ViewerWindow):
             _point_camera(camera, viewpoint, middle)
         camera.lookat[:] = middle
         camera.distance = radius / np.sin(0.5 * np.deg2rad(model.vis.global_.fovy))
-
-    def _add_ball(self, radius: float) -> Any | None:
-        sphere, colour = mujoco.mjtGeom.mjGEOM_SPHERE, _rgba(GOAL_COLOUR)
-        return _add_geom(self._viewer.user_scn, sphere, colour, np.full(3, radius), Pose(_NOWHERE))
 
     def _write(self, q: Array) -> None:
         self.data.qpos[:] = self._robot.qpos(q)
@@ -363,8 +351,7 @@ class SessionWindow(_ViewerWindow):
         arrangement = arranged(robot, self._count)
         self._offsets = arrangement.offsets - arrangement.offsets[0]
         self._others = [mujoco.MjData(robot.model) for _ in range(self._count - 1)]
-        points = corners(robot, arrangement, self.session.ball_path()) - arrangement.offsets[0]
-        position, target = fitted_camera(points, arrangement, aspect=1.5)
+        position, target = arrangement.camera(self.session.ball_path(), aspect=1.5) - arrangement.offsets[0]
         with self._viewer.lock():
             _point_camera(self._viewer.cam, position, target)
 
