@@ -49,7 +49,7 @@ class MarkerObservation:
         covariance: (6, 6) of ``pose``: translation (m) over rotation (rad), both along the camera's axes,
             rotation about the marker's origin.
         sigma: Standard deviation of the corners, px.
-        refined: Whether the corners were measured on the marker's edges.
+        refined: Whether the marker's print was fitted; else the corners are the detector's.
         time: When the picture was taken, seconds, monotonic; NaN when unknown.
     """
 

@@ -50,9 +50,9 @@ from robot_ik.camera.photometric_equations import NUMBERS as FIT_NUMBERS
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import eliminate
 
-# Further rows of a fit's table: (9,) from the print to undistorted coordinates and to pixels, of the sides;
-# the corners, one a row: pixel x, y, and the same undistorted; what is reported; (8, 8) covariance, px^2; the
-# model.
+# Further rows of a fit's table: (9,) from the print, where it was found, to undistorted coordinates and to
+# pixels; the corners, one a row: pixel x, y, and the same undistorted; what is reported; (8, 8) covariance,
+# px^2; the model.
 FROM_PRINT, SEEN, CORNERS, REPORT, COVARIANCE, MODEL = (EQUATION_ROWS + k for k in (0, 1, 2, 6, 7, 15))
 # Work space: corners that are not believed yet; how they move by the homography; sums over cells, and from
 # column 32 on how many pixels; a part of the system.
