@@ -46,7 +46,7 @@ _QUICK_WINDOW = 13
 # So many of the bits that a dictionary can correct may be wrong.  In small cells black looks narrower than it
 # is (tone curve), and bits are misread: with all of them, a quarter more small markers are found, and now and
 # then one that is none.  The tracker asks afterwards whether the picture shows the print
-# (``photometric_corners``); without that, fewer are corrected.
+# (``corner_refinement``); without that, fewer are corrected.
 _CORRECTED, _CORRECTED_STRICTLY = 1.0, 0.6
 # OpenCV reads a cell from so many samples squared, taken without interpolation.  With its usual 4, cells of
 # 2 px are often misread.

@@ -229,22 +229,6 @@ _TRUSTED = 1e-3, np.deg2rad(0.5)
 LEAST_WEIGHT = 0.05
 
 
-@dataclass(frozen=True, eq=False)
-class PlacedObservation:
-    """One observation, in the world.
-
-    Attributes:
-        pose: Of the marker or body.
-        covariance: (6, 6) of it, along the world's axes.
-        tool_offset: (3,) the tool seen from the origin of ``pose``, along the world's axes, where only that
-            is sure; None where the orientation is.
-    """
-
-    pose: Pose
-    covariance: Array
-    tool_offset: Array | None = None
-
-
 def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
     """Standard deviations (m, rad) in the worst direction of a point ``lever`` (3,) away from the origin.
 
@@ -336,7 +320,10 @@ class MarkerGoalSource:
         self._calm, self._calm_pose = calm, Pose()
         self._clock = clock
         self._lock = threading.Lock()
-        self._observation: PlacedObservation | None = None
+        # Whether the filter says where the marker is; and (3,) the tool seen from there, along the world's
+        # axes, where only that is sure, None where the orientation is.
+        self._known = False
+        self._tool_offset: Array | None = None
         self._resting: PoseGoal | PositionGoal | None = None
         self._fresh_at = self._goal_at = -np.inf
         self._begun = np.nan
@@ -375,7 +362,7 @@ class MarkerGoalSource:
         with self._lock:
             self._fresh_at, self.last_frame, self.last = done, frame, seen
             self._take(frame, seen)
-            made = self._observation is not None
+            made = self._known
         if made and not isinstance(self._clock, VirtualClock):
             self.made.add(frame.time, (self._clock or RealClock()).now())
 
@@ -388,22 +375,20 @@ class MarkerGoalSource:
         with self._lock:
             self._begun = now if np.isnan(self._begun) else self._begun
             if now - self._fresh_at > _MAX_AGE_S:
-                self.last = self._observation = None
-            if self._observation is None or self.last_frame is None:
+                self.last, self._known = None, False
+            if not self._known or self.last_frame is None:
                 return self._absent(now)
             self._goal_at = now
             age = self.used.add(self.last_frame.time, now)
             # A stamp of another clock cannot be compared with now.
             target_time = now + self.lead if self._predict and age == age else self.last_frame.time
-            return self._goal(self._observation, target_time)
+            return self._goal(target_time)
 
     @property
     def measured(self) -> PoseGoal | PositionGoal | None:
         """The goal at the time of the last picture, not predicted; None when it gave none."""
         with self._lock:
-            if self._observation is None or self.last_frame is None:
-                return None
-            return self._goal(self._observation, self.last_frame.time)
+            return self._goal(self.last_frame.time) if self._known and self.last_frame is not None else None
 
     # ------------------------------------------------------------------------------------ inside
 
@@ -417,68 +402,68 @@ class MarkerGoalSource:
 
     def _placed(
         self, seen: MarkerObservation | BodyObservation, pose_world_camera: Pose
-    ) -> PlacedObservation | None:
-        """The observation in the world, or None when it is unknown where the tool should go."""
+    ) -> tuple[Pose, Array, Array | None] | None:
+        """Pose and covariance in the world, and ``_tool_offset``; None: unknown where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
         rotation = np.kron(np.eye(2), pose_world_camera.rotation)
         covariance = rotation @ seen.covariance @ rotation.T
         if seen.alternative is None:
-            return PlacedObservation(pose, covariance)
+            return pose, covariance, None
         other = pose_world_camera.compose(seen.alternative)
         if self._normal is not None:
             # The one whose z axis is nearer to the known direction.
             cosines = [branch.rotation[:, 2] @ self._normal for branch in (pose, other)]
-            return PlacedObservation(pose if cosines[0] >= cosines[1] else other, covariance)
+            return pose if cosines[0] >= cosines[1] else other, covariance, None
         if seen.ambiguity <= AMBIGUITY_LIMIT:
-            return PlacedObservation(pose, covariance)
+            return pose, covariance, None
         one, two = (branch.apply(self.pose_marker_tool.position) for branch in (pose, other))
         if np.linalg.norm(one - two) > _SAME_POSITION:
             return None
         unsure = np.zeros((6, 6))
         unsure[:3, :3] = covariance[:3, :3]
         unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
-        return PlacedObservation(pose, unsure, 0.5 * (one + two) - pose.position)
+        return pose, unsure, 0.5 * (one + two) - pose.position
 
     def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
-        observation = None if seen is None else self._placed(seen, pose)
-        if observation is None:
-            self._observation = None
+        placed = None if seen is None else self._placed(seen, pose)
+        if placed is None:
+            self._known = False
             return
         if self._each_alone:
             self._filter.reset()
-        what = self._filter.update(frame.time, observation.pose, observation.covariance)
-        if what is Update.LATE or (what is Update.OUTLIER and self._observation is not None):
+        pose, covariance, tool_offset = placed
+        what = self._filter.update(frame.time, pose, covariance)
+        if what is Update.LATE or (what is Update.OUTLIER and self._known):
             return
-        self._observation, self._resting = observation, None
+        self._known, self._tool_offset, self._resting = True, tool_offset, None
         if self._calm is not None:
             if what is not Update.TAKEN or self._filter.moving().any():
                 self._calm.reset()
             self._calm_pose = self._calm.update(frame.time, self._filter.predict(frame.time).pose)
 
-    def _goal(self, observation: PlacedObservation, time: float) -> PoseGoal | PositionGoal:
+    def _goal(self, time: float) -> PoseGoal | PositionGoal:
         moving = self._filter.moving().any() and time > self._filter.time
         if not moving and self._resting is not None:
             return self._resting
         pose, covariance, _ = self._filter.predict(time)
         if not moving and self._calm is not None:
             pose = self._calm_pose
-        goal = self._make(observation, pose, covariance)
+        goal = self._make(pose, covariance)
         if not moving:
             self._resting = goal
         return goal
 
-    def _make(self, observation: PlacedObservation, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
+    def _make(self, pose: Pose, covariance: Array) -> PoseGoal | PositionGoal:
         # Imported at the first goal: looking needs no robot.
         from robot_ik.goals import PoseGoal, PositionGoal
 
-        if observation.tool_offset is not None:
+        if self._tool_offset is not None:
             sigma = sigmas_at(covariance, np.zeros(3))[0]
-            return PositionGoal(
-                self.tool, pose.position + observation.tool_offset, weight=goal_weight(sigma, _TRUSTED[0])
-            )
+            place = pose.position + self._tool_offset
+            return PositionGoal(self.tool, place, weight=goal_weight(sigma, _TRUSTED[0]))
         target = pose.compose(self.pose_marker_tool)
         metres, radians = sigmas_at(covariance, target.position - pose.position)
         return PoseGoal(

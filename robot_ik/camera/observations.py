@@ -1,8 +1,8 @@
 """Where a marker or a rigid body with markers is, from corners in one picture.
 
 ``marker_branches`` and ``estimate_body`` are what others call.  The least squares are in ``pose_fit``, in
-undistorted normalised coordinates with residuals in standard deviations of the corners; the fit of the whole
-print to the pixels is in ``photometric_corners``.
+undistorted normalised coordinates with residuals in standard deviations of the corners; those are fitted to
+the pixels in ``corner_refinement``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MarkerObservation:
         covariance: (6, 6) of ``pose``: translation (m) over rotation (rad), both along the camera's axes,
             rotation about the marker's origin.
         sigma: Standard deviation of the corners, px.
-        refined: Whether the corners were measured on the marker's edges.
+        refined: Whether the marker's print was fitted; else the corners are the detector's.
         time: When the picture was taken, seconds, monotonic; NaN when unknown.
     """
 

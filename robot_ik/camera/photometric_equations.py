@@ -24,7 +24,6 @@ import math
 import numpy as np
 from numba import types
 
-from robot_ik.camera.edge_fit import median_of
 from robot_ik.camera.lens import CX, CY, FX, FY, distort_point, from_pixel
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.linalg import eliminate
@@ -375,6 +374,26 @@ def gauss_newton_step(fit):
     x[SHIFT] = min(max(x[SHIFT], -_LARGEST_SHIFT), _LARGEST_SHIFT)
     x[HALO] = min(max(x[HALO], -0.5), _LARGEST_HALO)
     return gain, max(farthest / _CORNER_TOLERANCE, far / _PARAMETER_TOLERANCE)
+
+
+@outlined
+def median_of(values, count):
+    """Median of the first ``count`` values, which lose their order: Hoare's selection (1961)."""
+    low, high, k = 0, count - 1, count // 2
+    while low < high:  # the part that holds it is parted again
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while pivot < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        low, high = low if k <= j else (i if k >= i else k), j if k <= j else (high if k >= i else k)
+    return values[k]
 
 
 @outlined

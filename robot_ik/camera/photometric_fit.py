@@ -50,19 +50,17 @@ from robot_ik.camera.photometric_equations import NUMBERS as FIT_NUMBERS
 from robot_ik.kernels.jit import kernel, outlined
 from robot_ik.kernels.linalg import eliminate
 
-# Further rows of a fit's table: (9,) from the print to undistorted coordinates and to pixels, of the sides;
-# the corners, one a row: pixel x, y, and the same undistorted; what is reported; (8, 8) covariance, px^2; the
-# model.
+# Further rows of a fit's table: (9,) from the print, where it was found, to undistorted coordinates and to
+# pixels; the corners, one a row: pixel x, y, and the same undistorted; what is reported; (8, 8) covariance,
+# px^2; the model.
 FROM_PRINT, SEEN, CORNERS, REPORT, COVARIANCE, MODEL = (EQUATION_ROWS + k for k in (0, 1, 2, 6, 7, 15))
 # Work space: corners that are not believed yet; how they move by the homography; sums over cells, and from
 # column 32 on how many pixels; a part of the system.
 _FOUND, _SLOPES, _SUMS, _PART = (EQUATION_ROWS + k for k in (16, 20, 28, 44))
 FIT_ROWS = _PART + UNKNOWNS
 _COUNTS = 32
-# The report: part of the variance that is explained, cells that are misread, and the edges' blur, shift and
-# its standard deviation; those of the last picture come in, or 0.
-EXPLAINED, MISREAD, EDGE_BLUR, EDGE_SHIFT, EDGE_SHIFT_SIGMA = range(5)
-REPORT_NUMBERS = 5
+# The report: part of the variance that is explained, and cells that are misread.
+EXPLAINED, MISREAD = 0, 1
 # A model as the next picture's fit starts from it: noise (0: there is none), unknowns, halo, and x from BLUR.
 MODEL_NUMBERS = 3 + UNKNOWNS - BLUR
 # What ``fit_photometric`` returns.
@@ -79,8 +77,9 @@ _HALO_BLURS = (1.2, 2.0, 3.0)
 _ASKED = 800
 # Steps at most.
 _STEPS = 14
-# The first steps use one pixel in so many, where that leaves enough of them; and how many steps these are.
-_COARSE, _COARSE_LEAST, _COARSE_STEPS = 3, 1200, 3
+# The detector's corners are a pixel off, so the print is first fitted roughly, to say which pixels see its
+# edges: with one in four or five pixels, where a box has so many that are looked at.
+_ROUGHLY = 3000
 # Pixels of a fit at least: twice the unknowns.
 _LEAST_PIXELS = 2 * HALOED
 # A corner may go so far from where it was found: px, part of the side.  The detector's sharp corners of a
@@ -94,71 +93,64 @@ _U, _V = (-0.5, 0.5, 0.5, -0.5), (-0.5, -0.5, 0.5, 0.5)
 
 
 @kernel
-def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals, most):
-    """Fits one print.
+def fit_photometric(gray, lens, box, reach, black, fit, pixels, residuals, most):
+    """Fits one print: roughly from corners that are a pixel off, then with the pixels that see its edges.
 
     Args:
         gray: (h, w) uint8.
         lens: ``lens_vector``.
         box: (5,) as in ``collect_pixels``, with ``reach``.
         reach: See ``box``.
-        push: So far outside of the sides the print begins, px.
         black: (n, n) 1 where the print is black.
-        fit: (FIT_ROWS, 64) with PRIOR_INFORMATION, PRIOR_MEAN, FROM_PRINT, SEEN, CORNERS, REPORT and MODEL
-            in; the latter three and COVARIANCE out.
+        fit: (FIT_ROWS, 64) with PRIOR_INFORMATION, PRIOR_MEAN, FROM_PRINT, SEEN, CORNERS and MODEL in; the
+            latter two, REPORT and COVARIANCE out.
         pixels: (8, k) work space.
         residuals: (5, k) work space.
         most: So many pixels are fitted at most.
 
     Returns:
-        NO_PRINT: nothing is to be seen of it; NOT_FITTED: EXPLAINED and MISREAD say how it looks from the
-        sides; BY_PRINT.
+        NO_PRINT: nothing is to be seen of it; NOT_FITTED: EXPLAINED and MISREAD say how it looks from where
+        it was found; BY_PRINT.
     """
-    numbers, model, report, to_print = fit[FIT_NUMBERS], fit[MODEL], fit[REPORT], fit[TO_PRINT]
-    if not invert(fit[FROM_PRINT], to_print):
-        return NO_PRINT
-    for i in range(2):  # at the middle (u, v) are 0, and the depth is the last number
-        along_x, along_y = to_print[3 * i] / lens[FX], to_print[3 * i + 1] / lens[FY]
-        larger = 1.0 + 2.0 * push * math.hypot(along_x, along_y) * abs(fit[FROM_PRINT, 8])
-        for j in range(3):
-            to_print[3 * i + j] /= larger
-    count = collect_pixels(gray, lens, box, reach, fit, pixels)
+    numbers, model, report = fit[FIT_NUMBERS], fit[MODEL], fit[REPORT]
     corner_slopes(fit[SEEN], fit[BY_UNKNOWN:])
-    before, resumed = -math.inf, model[0] > 0.0
-    if resumed:
-        numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH], numbers[DROP_FLAT] = (
-            model[0],
-            model[1],
-            model[2],
-            1.0,
-        )
-        fit[PRIOR_INFORMATION, HALO] = 0.0 if model[2] > 0.0 else FIXED_INFORMATION
-        for i in range(BLUR, UNKNOWNS):
-            fit[X, i] = model[3 + i - BLUR]
-    else:
-        count = fit_light(pixels, count, black, fit, residuals, most)
-        if count < _LEAST_PIXELS:
+    count, before, resumed, every = 0, -math.inf, model[0] > 0.0, box[4]
+    for roughly in (True, False):
+        if numbers[CONVERGED] == 0.0 and not start_fit(fit):
             return NO_PRINT
+        many = (box[2] - box[0]) * (box[3] - box[1]) > _ROUGHLY * every
+        box[4] = 4 * every + 1 if roughly and many else every
+        count = collect_pixels(gray, lens, box, reach, fit, pixels)
+        if resumed:
+            numbers[DROP_FLAT] = 1.0
+        else:
+            noise = numbers[NOISE] if numbers[CONVERGED] > 0.0 else ANY_NOISE
+            count = fit_light(pixels, count, black, fit, residuals, most)
+            if count < _LEAST_PIXELS:
+                return NO_PRINT
+            numbers[NOISE] = noise
+        numbers[EVERY] = 1.0
+        if roughly:
+            gauss_newton(pixels, count, black, fit, residuals, _STEPS)
+            if numbers[CONVERGED] > 0.0:
+                fit[PRIOR_MEAN, BLUR] = fit[X, BLUR]
     state = NOT_FITTED
     for more in range(2):
         if more == 1:
             select_model(pixels, count, black, fit, residuals)
             if numbers[SIZE] == PLAIN:
                 break
-        for every in (_COARSE, 1):
-            if every > 1 and (resumed or more == 1 or count < _COARSE_LEAST):
-                continue
-            numbers[EVERY] = every
-            gauss_newton(pixels, count, black, fit, residuals, _STEPS if every == 1 else _COARSE_STEPS)
-            count = count if every > 1 else int(numbers[USED])
-            before = max(before, explained(pixels, count, fit, residuals[3]))
+            numbers[EVERY] = 1.0
+        gauss_newton(pixels, count, black, fit, residuals, _STEPS)
+        count = int(numbers[USED])
+        before = max(before, explained(pixels, count, fit, residuals[3]))
         fine = count >= _LEAST_PIXELS and numbers[CONVERGED] > 0.0
         if fine and accept_fit(lens, black, fit, pixels, count, residuals):
             state = BY_PRINT
             model[0], model[1], model[2] = numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH]
             for i in range(BLUR, UNKNOWNS):
                 model[3 + i - BLUR] = fit[X, i]
-        if not fine or resumed:
+        if count < _LEAST_PIXELS or resumed:
             break
     if state == NOT_FITTED:
         if count < _LEAST_PIXELS:
@@ -166,6 +158,19 @@ def fit_photometric(gray, lens, box, reach, push, black, fit, pixels, residuals,
         report[EXPLAINED] = max(before, explained(pixels, count, fit, residuals[0]))
         report[MISREAD], _ = cell_residuals(black, fit, residuals)
     return state
+
+
+@outlined
+def start_fit(fit):
+    """The unknowns before the first step: from what is believed, or from the MODEL; False: no homography."""
+    numbers, model, x = fit[FIT_NUMBERS], fit[MODEL], fit[X]
+    x[BLUR], x[SHIFT] = fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT]
+    if model[0] > 0.0:
+        numbers[NOISE], numbers[SIZE], numbers[HALO_WIDTH] = model[0], model[1], model[2]
+        fit[PRIOR_INFORMATION, HALO] = 0.0 if model[2] > 0.0 else FIXED_INFORMATION
+        for i in range(BLUR, UNKNOWNS):
+            x[i] = model[3 + i - BLUR]
+    return invert(fit[FROM_PRINT], fit[TO_PRINT])
 
 
 @outlined
@@ -198,7 +203,8 @@ def fit_light(pixels, count, black, fit, residuals, most):
         How many are kept.
     """
     numbers = fit[FIT_NUMBERS]
-    fit[X, BLUR], fit[X, SHIFT] = fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT]
+    for i in range(DARK, PLAIN):
+        fit[X, i] = 0.0
     numbers[NOISE], numbers[EVERY], numbers[DROP_FLAT], numbers[SIZE] = 0.0, 1.0, 1.0, PLAIN
     count = photometric_equations(pixels, count, black, fit, residuals)
     numbers[DROP_FLAT], numbers[NOISE] = 0.0, ANY_NOISE
@@ -343,17 +349,12 @@ def accept_fit(lens, black, fit, pixels, count, residuals):
         if not abs(found[k // 2, k % 2] - fit[CORNERS + k // 2, k % 2]) < farthest:
             return False
     misread, uneven = cell_residuals(black, fit, residuals)
-    variance = uncertainty(fit, uneven, residuals)
-    if variance < 0.0:
+    if not uncertainty(fit, uneven, residuals):
         return False
     for k in range(16):
         fit[CORNERS + k // 4, k % 4] = found[k // 4, k % 4]
     report = fit[REPORT]
     report[EXPLAINED], report[MISREAD] = share, misread
-    # With a halo the model's edges are others than those that four sides see.
-    if not (fit[FIT_NUMBERS, HALO_WIDTH] > 0.0 and report[EDGE_BLUR] > 0.0):
-        report[EDGE_BLUR], report[EDGE_SHIFT] = math.exp(x[BLUR]), x[SHIFT]
-        report[EDGE_SHIFT_SIGMA] = math.sqrt(variance)
     return True
 
 
@@ -377,7 +378,7 @@ def invert(m, inverse):
 
 @outlined
 def uncertainty(fit, uneven, residuals):
-    """Fills COVARIANCE, px^2; returns the variance of the edge shift, -1 where there is none."""
+    """Fills COVARIANCE, px^2; False where there is none."""
     n, found, slopes = int(fit[FIT_NUMBERS, SIZE]), fit[_FOUND:], fit[_SLOPES:]
     variance = sum_of_squares(fit, residuals) / (fit[FIT_NUMBERS, USED] - n)
     # Residuals that are alike all over a cell are no noise but a shadow's hard edge, glare, dirt: usual
@@ -390,17 +391,15 @@ def uncertainty(fit, uneven, residuals):
     for k in range(4):  # unit vectors outwards
         x, y = found[k, 0] - x0, found[k, 1] - y0
         found[k, 4], found[k, 5] = x / math.hypot(x, y), y / math.hypot(x, y)
-    for i in range(9):
+    for i in range(8):
         for j in range(n):
-            fit[STEP, j] = slopes[i, j] if i < 8 and j < HOMOGRAPHY else 0.0
-        if i == 8:
-            fit[STEP, SHIFT] = 1.0
+            fit[STEP, j] = slopes[i, j] if j < HOMOGRAPHY else 0.0
         if not solve_part(fit, n, types.int64(0)):
-            return -1.0
-        for k in range(8 if i < 8 else 0):
+            return False
+        for k in range(8):
             total = 0.0
             for j in range(HOMOGRAPHY):
                 total += slopes[k, j] * fit[STEP, j]
             least = found[i // 2, 4 + i % 2] * found[k // 2, 4 + k % 2] + (0.5 if i == k else 0.0)
             fit[COVARIANCE + i, k] = variance * total + LEAST_SIGMA**2 * least
-    return variance * fit[STEP, SHIFT]
+    return True

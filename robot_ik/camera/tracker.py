@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from robot_ik.camera.bodies import MarkerBody
-from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
+from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
 from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
 from robot_ik.camera.image import to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -24,7 +24,6 @@ from robot_ik.camera.observations import (
     marker_observation,
     marker_points,
 )
-from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.pose_fit import BranchChoice, Branches
 from robot_ik.camera.sources import Frame, require_frame
 from robot_ik.errors import CameraError
@@ -249,28 +248,26 @@ class MarkerTracker:
             return self._seen[1]
         self.intrinsics.require_size(*frame.size)
         part, origin, detections, thorough = self._detect(frame.image)
-        refined = self._sides(part, detections, origin)
         whole = part.shape == frame.image.shape[:2]
-        if whole and not thorough and not all(one.refined for one in refined):
+        before = {} if whole else {i: c for i, c in self._seen[1] if c.refined}
+
+        def refine(detections: list[Detection]) -> list[tuple[int, RefinedCorners]]:
+            ids = [d.id for d in detections]
+            refined = refine_markers(
+                part, [d.corners for d in detections], ids, self.detector.dictionary, self.intrinsics,
+                origin=origin, film=self._use_window, before=before,
+            )  # fmt: skip
+            return list(zip(ids, refined, strict=True))
+
+        found = refine(detections)
+        if whole and not thorough and not all(one.refined for _, one in found):
             # The quick search's corners may be too rough to start from.
-            again = self.detector.detect(part)
-            better = self._sides(part, again, origin)
-            if sum(one.refined for one in better) > sum(one.refined for one in refined):
-                detections, refined = again, better
-        fitted = refine_prints(
-            part, refined, [d.id for d in detections], self.detector.dictionary, self.intrinsics,
-            origin=origin, film=self._use_window,
-            before={} if whole else {i: c for i, c in self._seen[1] if c.by_print},
-        )  # fmt: skip
-        found = [(d.id, c) for d, c in zip(detections, fitted, strict=True) if is_print(c)]
+            better = refine(self.detector.detect(part))
+            if sum(one.refined for _, one in better) > sum(one.refined for _, one in found):
+                found = better
+        found = [(i, one) for i, one in found if is_print(one)]
         self._seen = (frame, found)
         return found
-
-    def _sides(
-        self, part: Image, detections: list[Detection], origin: tuple[int, int]
-    ) -> list[RefinedCorners]:
-        rough = [d.corners for d in detections]
-        return refine_markers(part, rough, self.intrinsics, cells=self.detector.cells, origin=origin)
 
     def _detect(self, image: Image) -> tuple[Image, tuple[int, int], list[Detection], bool]:
         """The part of the picture (grey) looked at, where it begins, what is in it, if by all thresholds."""

@@ -15,13 +15,12 @@ from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.corner_refinement import refine_markers
+from robot_ik.camera.corner_refinement import is_print, refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
 from robot_ik.camera.image import dictionary_size, to_gray, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
-from robot_ik.camera.photometric_corners import is_print, refine_prints
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, FrameTimeoutError
@@ -151,9 +150,8 @@ class MarkerFinder:
         straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
         gray = to_gray(frame.image)
         found = self._detector.detect(gray)
-        sides = refine_markers(gray, [d.corners for d in found], straight, cells=self._detector.cells)
-        ids = [d.id for d in found]
-        refined = refine_prints(gray, sides, ids, self._detector.dictionary, straight)
+        ids, corners = [d.id for d in found], [d.corners for d in found]
+        refined = refine_markers(gray, corners, ids, self._detector.dictionary, straight)
         return [
             Corners(i, one.corners, one.sigma, one.refined)
             for i, one in zip(ids, refined, strict=True)

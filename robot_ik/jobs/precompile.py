@@ -14,11 +14,10 @@ from typing import Self
 import numpy as np
 
 from robot_ik.camera.boards.board import MarkerBoard
-from robot_ik.camera.corner_refinement import unrefined
+from robot_ik.camera.corner_refinement import refine_markers
 from robot_ik.camera.drawing.renderers import DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import estimate_body, marker_points
-from robot_ik.camera.photometric_corners import refine_prints
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.geometry import Pose
 from robot_ik.kernels import jit
@@ -88,7 +87,7 @@ class Precompilation(Closing):
 def compile_overlay() -> None:
     """Fits a marker to computed corners and to an empty picture, and draws a robot beside it.
 
-    That is all of the compiled code in the order in which it is needed, but for the refinement of corners.
+    That is all of the compiled code in the order in which it is needed.
     """
     lens = CameraIntrinsics(640, 480, 600.0, 600.0, 319.5, 239.5)
     camera = look_at((0.1, -0.4, 0.5), (0.0, 0.0, 0.0))
@@ -96,7 +95,7 @@ def compile_overlay() -> None:
     corners = lens.project(there.apply(marker_points(0.05)))
     estimate_body({0: corners}, board.layout, lens)
     image = np.full((480, 640, 3), 128, dtype=np.uint8)
-    refine_prints(image, [unrefined(corners, lens)], [0], board.dictionary, lens)
+    refine_markers(image, [corners], [0], board.dictionary, lens)
     robot = load_robot("puma560")
     drawing = PainterArtist().draw(DrawnRobot(robot.model, scale=0.2), robot.qpos(robot.home), lens, camera)
     drawing.over(image)

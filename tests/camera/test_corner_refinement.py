@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, refine_markers
+from robot_ik.camera.corner_refinement import DETECTOR_SIGMA, RefinedCorners, refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
@@ -63,7 +63,7 @@ def test_bad_pictures_cost_little(sensor: SensorModel, limit: float) -> None:
     errors = []
     for view in standard_set(0.5, 8, seed=2, sensor=sensor):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
-        result = refine_markers(view.image, [found.corners], STANDARD_CAMERA, cells=6)[0]
+        result = refine_markers(view.image, [found.corners], [found.id], "DICT_4X4_50", STANDARD_CAMERA)[0]
         assert result.sigma < 0.3
         errors.append(result.corners - view.corners)
     assert np.sqrt(np.mean(np.square(errors))) <= limit
@@ -75,7 +75,7 @@ def test_other_dictionaries_are_as_good(dictionary: str) -> None:
     detector = MarkerDetector(dictionary)
     for view in standard_set(1.0, 8, seed=3, dictionary=dictionary):
         (found,) = detector.detect(view.image)
-        result = refine_markers(view.image, [found.corners], STANDARD_CAMERA, cells=detector.cells)[0]
+        result = refine_markers(view.image, [found.corners], [found.id], dictionary, STANDARD_CAMERA)[0]
         assert result.refined
         errors.append(result.corners - view.corners)
     assert np.sqrt((np.square(errors)).sum(axis=2).mean()) <= 0.10
@@ -90,13 +90,19 @@ def crisp(x0: int, y0: int, cell: int = 16) -> np.ndarray:
     return image
 
 
+def refined(image: np.ndarray, rough: object) -> RefinedCorners:
+    """The corners of ``crisp``."""
+    (found,) = refine_markers(image, [rough], [7], "DICT_4X4_50", STRAIGHT)  # type: ignore[list-item]
+    return found
+
+
 def test_the_half_pixel_is_right() -> None:
     image = cv2.GaussianBlur(crisp(200, 120), (0, 0), 0.8)
     # The first dark pixel is column 200; its left edge is at 199.5 where centres are whole numbers.
     low, high = np.array([199.5, 119.5]), np.array([295.5, 215.5])
     truth = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     rough = truth + np.array([[0.8, -1.0], [1.0, 0.6], [-0.7, 0.9], [0.5, 0.5]])
-    (found,) = refine_markers(image, [rough], STRAIGHT, cells=6)
+    found = refined(image, rough)
     assert found.corners == pytest.approx(truth, abs=0.01)
 
 
@@ -106,7 +112,7 @@ def test_far_starts_are_found() -> None:
     rng = np.random.default_rng(4)
     for _ in range(10):
         rough = truth + rng.uniform(-2.0, 2.0, (4, 2))
-        (found,) = refine_markers(image, [rough], STRAIGHT, cells=6)
+        found = refined(image, rough)
         assert found.corners == pytest.approx(truth, abs=0.02)
         assert found.sigma < 0.1
 
@@ -115,7 +121,7 @@ def test_a_speck_of_dirt_on_an_edge_hardly_matters() -> None:
     image = crisp(200, 120)
     truth = np.array([[199.5, 119.5], [295.5, 119.5], [295.5, 215.5], [199.5, 215.5]])
     image[117:123, 240:250] = 255
-    (found,) = refine_markers(cv2.GaussianBlur(image, (0, 0), 0.8), [truth], STRAIGHT, cells=6)
+    found = refined(cv2.GaussianBlur(image, (0, 0), 0.8), truth)
     assert found.corners == pytest.approx(truth, abs=0.1)
 
 
@@ -132,7 +138,7 @@ def test_a_speck_of_dirt_on_an_edge_hardly_matters() -> None:
 def test_a_failed_fit_gives_the_detectors_corners_and_says_so(
     name: str, image: np.ndarray, corners: list[list[float]]
 ) -> None:
-    result = refine_markers(image, [corners], STRAIGHT, cells=6)[0]
+    result = refined(image, corners)
     assert not result.refined
     assert result.corners.tolist() == corners
     assert result.sigma == DETECTOR_SIGMA
@@ -143,7 +149,7 @@ def test_noise_has_no_edges() -> None:
     for _ in range(10):
         image = rng.integers(0, 256, (480, 640)).astype(np.uint8)
         square = np.array([[0, 0], [60, 0], [60, 60], [0, 60]]) + rng.uniform(50, 300, 2)
-        assert not refine_markers(image, [square], STRAIGHT, cells=6)[0].refined
+        assert not refined(image, square).refined
 
 
 def test_many_markers_at_once_are_as_each_alone() -> None:
@@ -153,18 +159,18 @@ def test_many_markers_at_once_are_as_each_alone() -> None:
     image = np.clip(noisy, 0, 255).astype(np.uint8)
     found = [d.corners for d in MarkerDetector("DICT_4X4_50").detect(image)]
     assert len(found) == 2
-    together = refine_markers(image, found, STRAIGHT, cells=6)
+    together = refine_markers(image, found, [7, 7], "DICT_4X4_50", STRAIGHT)
     for corners, result in zip(found, together, strict=True):
-        alone = refine_markers(image, [corners], STRAIGHT, cells=6)[0]
+        alone = refined(image, corners)
         assert result.corners == pytest.approx(alone.corners, abs=0.01)
-    assert refine_markers(image, [], STRAIGHT) == []
+    assert refine_markers(image, [], [], "DICT_4X4_50", STRAIGHT) == []
 
 
 def test_nothing_given_is_changed() -> None:
     image = crisp(200, 120)
     corners = np.array([[199.0, 119.0], [295.0, 119.0], [295.0, 215.0], [199.0, 215.0]])
     before = image.copy(), corners.copy()
-    refine_markers(image, [corners], STRAIGHT)
+    refined(image, corners)
     assert (image == before[0]).all()
     assert (corners == before[1]).all()
 
@@ -175,7 +181,7 @@ def test_a_strong_lens_is_undone() -> None:
     errors = []
     for view in standard_set(0.09, 4, seed=4, camera=camera, tilt_deg=(0, 25)):
         (found,) = MarkerDetector("DICT_4X4_50").detect(view.image)
-        result = refine_markers(view.image, [found.corners], camera, cells=6)[0]
+        result = refine_markers(view.image, [found.corners], [found.id], "DICT_4X4_50", camera)[0]
         assert result.refined
         errors.append(result.corners - view.corners)
     assert np.sqrt(np.mean(np.square(errors))) < 0.1

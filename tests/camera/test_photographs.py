@@ -21,8 +21,6 @@ from robot_ik.bench.camera.photographs import (
 )
 from robot_ik.camera.boards.tone import measure_tone
 from robot_ik.camera.calibration.intrinsic import CalibrationView, calibrate
-from robot_ik.camera.corner_refinement import refine_markers
-from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import read_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.tracker import MarkerTracker
@@ -67,27 +65,22 @@ def test_a_calibration_from_photographs_beats_opencvs(chessboards: list[Calibrat
 def test_one_camera_shifts_edges_differently_from_picture_to_picture(
     chessboards: list[CalibrationView],
 ) -> None:
-    """Why a stored curve would not do, and why the camera file holds a spread."""
+    """Why a stored curve would not do."""
     shifts = np.array([view.tone.pixels for view in chessboards if view.tone is not None])
     assert len(shifts) >= 10
     assert shifts.max() - shifts.min() > 0.1
-    result = calibrate(chessboards, (640, 480))
-    assert result.intrinsics.edge_shift is not None and (result.intrinsics.edge_shift_sigma or 0.0) > 0.02
 
 
 def test_markers_lie_where_the_saddles_of_their_board_say() -> None:
-    """A ChArUco board: the print's corners are nearer to the saddles' prediction than four sides are."""
+    """A ChArUco board: its markers' corners are near to the saddles' prediction."""
     gray, lens = gray_of("choriginal.jpg"), CameraIntrinsics.load(FOLDER / "tutorial_camera_charuco.yml")
     board = CHARUCOS[0]
     tracker = MarkerTracker(lens, board.dictionary, board.marker)
     fitted = {seen.id: seen.corners for seen in tracker.observe(frame_of(gray))}
-    detected = MarkerDetector(board.dictionary).detect(gray)
-    sides = refine_markers(gray, [d.corners for d in detected], lens, cells=8)
-    by_sides = {d.id: one.corners for d, one in zip(detected, sides, strict=True)}
-    by_print, by_four = (outward_of_saddles(gray, lens, board, seen) for seen in (fitted, by_sides))
+    off = outward_of_saddles(gray, lens, board, fitted)
     # The picture is decimated, its blur narrower than a pixel: a hundredth cannot be asked of it.
-    assert len(by_print) >= 10 and abs(np.mean(by_print)) < 0.15 < abs(np.mean(by_four))
-    assert np.std(by_print) < 0.12
+    assert len(off) >= 10 and abs(np.mean(off)) < 0.15
+    assert np.std(off) < 0.12
 
 
 def test_a_folder_of_photographs_is_judged_by_the_same_checks(tmp_path: Path) -> None:

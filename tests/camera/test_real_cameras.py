@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.corner_refinement import RefinedCorners, refine_markers
+from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
 from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.image import marker_bits
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation, marker_points
-from robot_ik.camera.photometric_corners import EdgeShift, is_print, moved_outwards, refine_prints
+from robot_ik.camera.photometric_equations import BLUR, SHIFT
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 
@@ -182,13 +182,13 @@ def test_a_hard_shadow_over_a_marker_is_stated(scenes: list[tuple[Pose, Array]])
 
 
 def test_a_strongly_tilted_marker_is_fitted_though_its_sharp_corners_are_found_far_off() -> None:
-    """At 70 degrees the detector misses one of them by 4 px, and its sides with it."""
+    """At 70 degrees the detector misses one of them by 4 px."""
     pose = some_pose(np.random.default_rng(175), 0.6, (70.0, 70.0))
     image = picture_of(light_of({ID: (SIZE, Pose())}, pose, 0.7), WEBCAM, np.random.default_rng(1))
-    sides, fitted = sides_and_print(image)
+    found, fitted = found_and_fitted(image)
     true = CAMERA.project(pose.apply(marker_points(SIZE)))
-    assert not sides.refined and np.abs(sides.corners - true).max() > 3.5
-    assert fitted.by_print and np.abs(fitted.corners - true).max() < 0.1
+    assert np.abs(found - true).max() > 3.5
+    assert fitted.refined and np.abs(fitted.corners - true).max() < 0.1
 
 
 def test_a_board_is_where_it_is_under_a_webcam() -> None:
@@ -207,54 +207,33 @@ def test_a_board_is_where_it_is_under_a_webcam() -> None:
     assert np.mean(nees) < 3.0
 
 
-def sides_and_print(image: NDArray[np.uint8]) -> tuple[RefinedCorners, ...]:
+def found_and_fitted(image: NDArray[np.uint8]) -> tuple[Array, RefinedCorners]:
     (found,) = MarkerDetector(DICTIONARY).detect(image)
-    (sides,) = refine_markers(image, [found.corners], CAMERA, cells=6)
-    (fitted,) = refine_prints(image, [sides], [found.id], DICTIONARY, CAMERA)
-    return sides, fitted
+    (fitted,) = refine_markers(image, [found.corners], [found.id], DICTIONARY, CAMERA)
+    return found.corners, fitted
 
 
 def test_the_print_says_how_far_edges_lie_in_the_black(scenes: list[tuple[Pose, Array]]) -> None:
-    """None for a linear camera, a third of the blur and more for sRGB; four sides cannot know."""
+    """None for a linear camera, a third of the blur and more for sRGB."""
     for tone, least, most in (("linear", -0.05, 0.05), ("srgb", 0.3, 0.7)):
         camera = replace(LINEAR, tone=tone)
         image = picture_of(scenes[0][1], camera, np.random.default_rng(1))
-        sides, fitted = sides_and_print(image)
-        assert fitted.by_print and not sides.by_print
-        assert least < fitted.edge_shift < most
-        assert fitted.edge_shift_sigma < 0.05
-        assert 0.7 < fitted.blur < 0.95  # 0.7 px of lens and the pixel's own 0.29
+        _, fitted = found_and_fitted(image)
+        blur, shift = fitted.model[3], fitted.model[3 + SHIFT - BLUR]
+        assert fitted.refined and least < shift < most
+        assert 0.7 < np.exp(blur) < 0.95  # 0.7 px of lens and the pixel's own 0.29
 
 
-def test_sides_moved_by_the_known_shift_are_as_near_as_they_say(scenes: list[tuple[Pose, Array]]) -> None:
-    """What is left where the print cannot be fitted."""
-    before, after, ratio = [], [], []
-    for k, (pose, light) in enumerate(scenes):
-        sides, fitted = sides_and_print(picture_of(light, WEBCAM, np.random.default_rng(k)))
-        true = CAMERA.project(pose.apply(marker_points(SIZE)))
-        moved = moved_outwards(sides, EdgeShift(fitted.edge_shift, fitted.edge_shift_sigma), CAMERA)
-        before.append(sides.corners - true)
-        after.append(moved.corners - true)
-        ratio.append(np.mean((moved.corners - true) ** 2) / moved.sigma**2)
-        assert moved.normalized == pytest.approx(CAMERA.undistort(moved.corners))
-    assert np.sqrt(np.mean(np.square(after))) < 0.3 * np.sqrt(np.mean(np.square(before)))
-    assert 0.1 < np.mean(ratio) < 4.0
-
-
-def test_a_print_that_cannot_be_fitted_takes_the_shift_of_the_others() -> None:
+def test_what_is_taken_for_another_marker_is_not_believed() -> None:
     rng = np.random.default_rng(14)
     pose = Pose((0.0, 0.0, 0.5), FACING.wxyz)
     image = picture_of(light_of(dict(BOARD), pose, 0.7), WEBCAM, rng)
     found = MarkerDetector(DICTIONARY).detect(image)
-    sides = refine_markers(image, [d.corners for d in found], CAMERA, cells=6)
-    # The last one is taken for another marker: its inside is not what its print says, its sides are.
     ids = [found[0].id, found[1].id, found[2].id, 17]
-    fitted = refine_prints(image, sides, ids, DICTIONARY, CAMERA)
-    assert [one.by_print for one in fitted] == [True, True, True, False]
-    assert fitted[3].edge_shift == pytest.approx(np.mean([one.edge_shift for one in fitted[:3]]), abs=0.05)
-    true = CAMERA.project(pose.compose(BOARD[found[3].id][1]).apply(marker_points(SIZE)))
-    assert np.abs(fitted[3].corners - true).max() < 0.1 < np.abs(sides[3].corners - true).max()
-    assert not is_print(fitted[3]) and all(is_print(one) for one in fitted[:3])
+    fitted = refine_markers(image, [d.corners for d in found], ids, DICTIONARY, CAMERA)
+    assert [one.refined for one in fitted] == [True, True, True, False]
+    assert [is_print(one) for one in fitted] == [True, True, True, False]
+    assert (fitted[3].corners == found[3].corners).all()
 
 
 def test_what_only_has_the_code_of_a_marker_is_no_marker(scenes: list[tuple[Pose, Array]]) -> None:

@@ -13,10 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.corner_refinement import refine_corners_of, refine_markers, unrefined
+from robot_ik.camera.corner_refinement import refine_markers, unrefined
 from robot_ik.camera.detection import Detection, MarkerDetector, SearchWindow
-from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.lens import lens_vector
 from robot_ik.camera.observations import marker_branches, marker_points
 from robot_ik.camera.pose_fit import Branches, flat_normal, mirrored
 from robot_ik.camera.sources import Frame
@@ -144,7 +142,7 @@ def test_a_part_of_the_picture_gives_the_corners_of_the_whole() -> None:
     image = render_markers(CAMERA, {7: (SIZE, pose)}, np.random.default_rng(5))
     detector = MarkerDetector("DICT_4X4_50")
     (found,) = detector.detect(image)
-    (whole,) = refine_markers(image, [found.corners], CAMERA, cells=6)
+    (whole,) = refine_markers(image, [found.corners], [7], "DICT_4X4_50", CAMERA)
     window = SearchWindow()
     window.remember([found])
     box = window.around(640, 480)
@@ -153,9 +151,10 @@ def test_a_part_of_the_picture_gives_the_corners_of_the_whole() -> None:
     part = image[y0:y1, x0:x1]
     (again,) = detector.detect_part(part, window.side, origin=(x0, y0))
     assert again.corners == pytest.approx(found.corners, abs=1.5)
-    (refined,) = refine_markers(part, [found.corners], CAMERA, cells=6, origin=(x0, y0))
-    assert refined.corners == pytest.approx(whole.corners, abs=1e-9)
-    assert refined.normalized == pytest.approx(whole.normalized, abs=1e-12)
+    (refined,) = refine_markers(part, [found.corners], [7], "DICT_4X4_50", CAMERA, origin=(x0, y0))
+    # The fit samples pixels on a lattice, which begins where the part does.
+    assert refined.corners == pytest.approx(whole.corners, abs=0.02)
+    assert refined.normalized == pytest.approx(CAMERA.undistort(refined.corners), abs=1e-9)
 
 
 @settings(max_examples=30)
@@ -227,31 +226,6 @@ def test_rough_corners_that_lead_nowhere_are_sought_once_more(monkeypatch: pytes
     assert searches == ["detect_quickly", "detect"]
     assert not seen_by(MarkerTracker(CAMERA, "DICT_4X4_50", SIZE), {"detect"})
     assert searches == ["detect"]  # it would find the same
-
-
-# -------------------------------------------------------------------------------- compiled code
-
-
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [
-        ("plumb_bob", (-0.28, 0.07, 0.001, -0.0005, 0.01)),
-        ("rational_polynomial", (0.9, 0.2, 0.001, -0.0005, 0.01, 1.2, 0.4, 0.02)),
-        ("equidistant", (0.02, -0.01, 0.003, -0.001)),
-        ("plumb_bob", ()),
-    ],
-)
-def test_the_compiled_lens_is_the_lens(model: str, coefficients: tuple[float, ...]) -> None:
-    camera = CameraIntrinsics(640, 480, 420.0, 431.0, 322.3, 236.8, coefficients, model)
-    corners = np.random.default_rng(6).uniform((0, 0), (640, 480), (40, 4, 2))
-    pixels = corners.copy()
-    normalized, covariance, good = np.empty_like(corners), np.empty((40, 8, 8)), np.zeros(40, np.int64)
-    black = np.zeros((480, 640), np.uint8)
-    refine_corners_of(black, lens_vector(camera), 6, corners, normalized, covariance, good, np.empty(40))
-    # A black picture has no edges: the rough corners come back.
-    assert not good.any() and (corners == pixels).all()
-    expected = camera.undistort(pixels.reshape(-1, 2)).reshape(normalized.shape)
-    np.testing.assert_allclose(normalized, expected, atol=1e-9)
 
 
 def test_small_markers_under_a_steep_view_stay_in_the_window() -> None:

@@ -34,7 +34,7 @@ FORMER = {
     "QuietPortHandler": "SleepingPortHandler",
     "Remedies": "LatencyOptions",
     "shout": "broadcast_ping",
-    "Sight": "PlacedObservation",
+    "Sight": "observation",
     "sightings": "observations",
     "situation": "RunState",
     "stage_for": "scene_for",

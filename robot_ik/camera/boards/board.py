@@ -94,8 +94,8 @@ class MarkerBoard:
     def see(self, frame: Frame, intrinsics: CameraIntrinsics) -> BoardView | None:
         """The markers of the body that are seen; None when none of them gives a pose.
 
-        Ids that come twice are left out, markers that contradict the others, and those whose edges could not
-        be measured where others' could.
+        Ids that come twice are left out, markers that contradict the others, and those whose print could not
+        be fitted where others' could.
         """
         sizes = {id: side for id, (side, _) in self.layout.items()}
         seen = MarkerTracker(intrinsics, self.dictionary, sizes).corners(frame)

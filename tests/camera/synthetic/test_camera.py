@@ -68,7 +68,7 @@ def corner_misses(scene: SyntheticScene, seeds: int, **options: object) -> np.nd
         found = {d.id: d.corners for d in detector.detect(frame.image)}
         assert set(found) == set(frame.truth["corners"])
         for id, corners in found.items():
-            (refined,) = refine_markers(frame.image, [corners], scene.intrinsics)
+            (refined,) = refine_markers(frame.image, [corners], [id], "DICT_5X5_50", scene.intrinsics)
             misses.append(refined.corners - frame.truth["corners"][id])
     return np.concatenate(misses)
 
@@ -228,7 +228,7 @@ def test_carried_markers_go_with_the_true_joint_angles() -> None:
         for id in seen:
             side = robot.forward(where[0], f"marker_{id}")
             assert frame.truth["pose_world_marker"][id].distance(side) == pytest.approx((0, 0), abs=1e-9)
-            (refined,) = refine_markers(frame.image, [found[id]], lens)
+            (refined,) = refine_markers(frame.image, [found[id]], [id], "DICT_5X5_50", lens)
             assert np.abs(refined.corners - frame.truth["corners"][id]).max() < 0.5
 
 
