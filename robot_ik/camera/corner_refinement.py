@@ -59,9 +59,10 @@ DETECTOR_SIGMA = 0.85
 _MARGIN = 0.45
 # Blur of an edge, px, and what it is believed to be before it is measured, as ln.
 _BLUR, _BLUR_SPREAD = 0.8, 0.6
-# How far edges seem to lie in the black, in sigmas of their blur, before it is measured: not at all for a
-# camera whose grey values are proportional to light, 0.5 for sRGB.
-_SHIFT, _SHIFT_SPREAD = 0.25, 0.35
+# Edge shift and its spread for a camera of which nothing is known: none for a linear one, 0.5 for sRGB.
+_UNKNOWN_SHIFT = (0.25, 0.35)
+# Spread of the edge shift between the markers of a picture (light, printing).
+_SHIFT_ALIKE = 0.08
 # Pixels of a print that are looked at, about, and of those near an edge that are fitted, at most: of a
 # picture alone, where more make no marker better than the model is; and in films: the next one comes soon.
 _SINGLE, _FILM = (9000, 2200), (2500, 1000)
@@ -126,17 +127,20 @@ def refine_markers(
     if not len(markers):
         return []
     announce(fit_photometric, "the fit of the markers' prints")
-    gray = to_gray(image)
+    gray, shift = to_gray(image), expected_shift(intrinsics)
     lens = lens_vector(intrinsics).copy()
     lens[CX] -= origin[0]
     lens[CY] -= origin[1]
     allowed, refined = correctable(dictionary), []
     for marker_id, corners in zip(ids, markers, strict=True):
-        black, start = marker_black(dictionary, marker_id), unrefined(corners, intrinsics)
-        model = before[marker_id].model if marker_id in before else ()
-        one = _fitted(gray, lens, black, start, origin, film, model)
-        if model and not one.refined:
-            one = _fitted(gray, lens, black, start, origin, film, ())
+        black, start, last = (
+            marker_black(dictionary, marker_id),
+            unrefined(corners, intrinsics),
+            before.get(marker_id),
+        )
+        one = _fitted(gray, lens, black, start, origin, shift, film, last.model if last is not None else ())
+        if last is not None and last.model and not one.refined:
+            one = _fitted(gray, lens, black, start, origin, shift, film, ())
         refined.append(replace(one, misread=max(0, one.misread - allowed)))
     return refined
 
@@ -144,6 +148,17 @@ def refine_markers(
 def is_print(corners: RefinedCorners) -> bool:
     """Whether the picture shows the marker's print there, and not something with a like code."""
     return corners.misread == 0 and not corners.explained < LEAST_EXPLAINED
+
+
+def expected_shift(intrinsics: CameraIntrinsics) -> tuple[float, float]:
+    """How far edges seem to lie in the black, in sigmas of the blur, and how sure that is before a picture.
+
+    By the camera's calibration, if that has measured it: 0 for a camera whose grey values are proportional to
+    light, about 0.5 for sRGB.
+    """
+    if intrinsics.edge_shift is None:
+        return _UNKNOWN_SHIFT
+    return intrinsics.edge_shift, max(intrinsics.edge_shift_sigma or 0.0, _SHIFT_ALIKE)
 
 
 @lru_cache(maxsize=256)
@@ -158,6 +173,7 @@ def _fitted(
     black: Array,
     start: RefinedCorners,
     origin: tuple[int, int],
+    shift: tuple[float, float],
     film: bool,
     model: tuple[float, ...],
 ) -> RefinedCorners:
@@ -176,10 +192,10 @@ def _fitted(
     fit[FROM_PRINT, :9], fit[SEEN, :9] = from_print, seen
     fit[CORNERS : CORNERS + 4, :2] = start.corners - origin
     fit[MODEL, : len(model)] = model
-    fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT] = math.log(_BLUR), _SHIFT
+    fit[PRIOR_MEAN, BLUR], fit[PRIOR_MEAN, SHIFT] = math.log(_BLUR), shift[0]
     fit[PRIOR_INFORMATION, BLUR], fit[PRIOR_INFORMATION, SHIFT], fit[PRIOR_INFORMATION, HALO] = (
         1.0 / _BLUR_SPREAD**2,
-        1.0 / _SHIFT_SPREAD**2,
+        1.0 / shift[1] ** 2,
         FIXED_INFORMATION,
     )
     state = fit_photometric(gray, lens, box, reach, black, fit, pixels, residuals, most)

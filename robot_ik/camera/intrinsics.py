@@ -45,6 +45,9 @@ class CameraIntrinsics:
         views: Number of pictures in the calibration, when known.
         name: Camera name, for people.
         date: When it was calibrated (ISO 8601), when known.
+        edge_shift: How far edges seem to lie in the black, in sigmas of their blur, when known: what the
+            camera's tone curve does.  What is expected of a picture, not a curve to undo.
+        edge_shift_sigma: Its standard deviation from picture to picture.
 
     Raises:
         CalibrationError: A number is not finite, a size or focal length not positive, or the number of
@@ -64,6 +67,8 @@ class CameraIntrinsics:
     views: int | None = None
     name: str = "camera"
     date: str = ""
+    edge_shift: float | None = None
+    edge_shift_sigma: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "distortion", tuple(float(v) for v in self.distortion))
@@ -360,6 +365,8 @@ def _intrinsics(content: Mapping[str, Any]) -> CameraIntrinsics:
         views=next((_whole(content, key) for key in ("views", "nframes") if key in content), None),
         name=str(content.get("camera_name", "camera")),
         date=str(content.get("calibration_time", content.get("calibration_date", ""))),
+        edge_shift=_optional(content, "edge_shift"),
+        edge_shift_sigma=_optional(content, "edge_shift_std_dev"),
     )
 
 
@@ -454,6 +461,9 @@ def _text(camera: CameraIntrinsics) -> str:
         text += _matrix("intrinsics_std_dev", np.atleast_2d(np.array(camera.std)))
     if camera.views is not None:
         text += f"views: {camera.views}\n"
+    if camera.edge_shift is not None:
+        text += f"edge_shift: {_number(camera.edge_shift)}\n"
+        text += f"edge_shift_std_dev: {_number(camera.edge_shift_sigma or 0.0)}\n"
     if camera.date:
         # OpenCV writes its samples' time under this key; quoted, or YAML would make a date of it.
         text += f'calibration_time: "{camera.date}"\n'

@@ -175,4 +175,6 @@ def _as_json(result: CalibrationResult, out: Path, digest: str) -> dict[str, Any
         "verdict": result.verdict,
         "doubts": result.doubts,
         "notes": result.notes,
+        "edge_shift": camera.edge_shift,
+        "edge_shift_sigma": camera.edge_shift_sigma,
     }  # fmt: skip

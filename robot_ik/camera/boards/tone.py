@@ -35,12 +35,14 @@ class Tone:
     """The edges of one view.
 
     Attributes:
-        pixels: How far they lie in the black, px (mean).
+        edge_shift: How far they lie in the black, in sigmas of their blur (mean).
+        pixels: The same in px.
         white: Grey level of white (median).
         overshoot: How much brighter than white it is beside the edges, in contrasts.
         blocks: Steps of grey at the borders of 8 x 8 blocks over those elsewhere.
     """
 
+    edge_shift: float
     pixels: float
     white: float
     overshoot: float
@@ -91,10 +93,11 @@ def measure_tone(
     ]
     if len(rows) < _FEWEST:
         return None
-    shift, white, overshoot = np.array(rows).T
+    shift, blur, white, overshoot = np.array(rows).T
     return Tone(
-        float(np.mean(shift)), float(np.median(white)), float(np.median(overshoot)), _blockiness(gray)
-    )
+        float(np.mean(shift / blur)), float(np.mean(shift)), float(np.median(white)),
+        float(np.median(overshoot)), _blockiness(gray),
+    )  # fmt: skip
 
 
 def _profiles(gray: Image, ends: Array, reach: float) -> tuple[list[Array], NDArray[np.bool_]]:
@@ -117,8 +120,8 @@ def _profiles(gray: Image, ends: Array, reach: float) -> tuple[list[Array], NDAr
     return profiles, fine
 
 
-def _edge(profile: Array) -> tuple[float, float, float] | None:
-    """Of a line across an edge: shift into the black, px; white; overshoot in contrasts."""
+def _edge(profile: Array) -> tuple[float, float, float, float] | None:
+    """Of a line across an edge: shift into the black and sigma, px; white; overshoot in contrasts."""
     d, grey = profile
     quarter = max(len(d) // 5, 2)
     first, last = float(grey[:quarter].mean()), float(grey[-quarter:].mean())
@@ -143,7 +146,7 @@ def _edge(profile: Array) -> tuple[float, float, float] | None:
     # The plateaus must be seen, or the level half way between them is unknown.
     if not 0.0 < 2.2 * sigma < d[-1]:
         return None
-    return -half, last, float(part.max()) - 1.0
+    return -half, sigma, last, float(part.max()) - 1.0
 
 
 def _crossing(d: Array, part: Array, k: int, value: float) -> float:

@@ -76,8 +76,8 @@ _OUTLIER_RATIO, _OUTLIER_PX = 3.0, 0.25
 # A picture this many times as blurred as the middle one was moved.
 _BLUR_RATIO, _BLUR_PX = 1.8, 2.0
 _WORST_RMS_PX = 1.0
-# Names that are shown of the views in which something is wrong.
-_NAMED = 4
+# Views that tell how edges look, at least; names that are shown of those in which something is wrong.
+_FEWEST_TONES, _NAMED = 3, 4
 # Three coefficients that take away less than this of the error describe noise.
 _WORTHLESS = 1.03
 
@@ -180,9 +180,10 @@ def calibrate(
     fx, fy, cx, cy = map(float, fit.numbers[:4])
     tones = {named[k].name: tone for k in used if (tone := named[k].tone) is not None}
     markers = any(named[k].markers for k in used)
+    shift, shift_sigma = _edge_shift(list(tones.values()))
     intrinsics = CameraIntrinsics(
         *size, fx, fy, cx, cy, tuple(fit.numbers[4:]), _MODELS[coefficients],
-        rms=fit.rms, std=std, views=len(used), name=name,
+        rms=fit.rms, std=std, views=len(used), name=name, edge_shift=shift, edge_shift_sigma=shift_sigma,
     )  # fmt: skip
     intrinsics.require_plausible()
     coverage = cover(found, fit.rotations, size)
@@ -193,6 +194,14 @@ def calibrate(
         intrinsics, fit.rms, _reports(named, used, fit, left_out), hold_out, coverage,
         _verdict(intrinsics, fit.rms, hold_out, bool(doubts)), tuple(doubts), _tone_notes(tones, markers),
     )  # fmt: skip
+
+
+def _edge_shift(tones: Sequence[Tone]) -> tuple[float | None, float | None]:
+    """Of the camera and from picture to picture, in sigmas of the blur; None from too few views."""
+    if len(tones) < _FEWEST_TONES:
+        return None, None
+    values = np.array([tone.edge_shift for tone in tones])
+    return float(np.median(values)), float(np.std(values, ddof=1))
 
 
 def _tone_notes(tones: Mapping[str, Tone], markers: bool) -> tuple[str, ...]:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
 from robot_ik.camera.boards.tone import Tone, measure_tone
+from robot_ik.camera.corner_refinement import expected_shift
+from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, PatternView, pattern_pose, render_pattern
 from robot_ik.camera.synthetic.sensor import LINEAR, TONES, WEBCAM, SensorModel
 from robot_ik.errors import CameraError
@@ -45,10 +48,12 @@ def test_saddles_are_where_they_are_under_every_tone_curve(pattern: Pattern, nam
 
 def test_the_shift_of_edges_is_measured_between_saddles() -> None:
     linear, toned = tone_of(CHESSBOARD, QUIET), tone_of(CHESSBOARD, replace(QUIET, tone="srgb"))
-    assert abs(linear.pixels) < 0.03
+    assert abs(linear.pixels) < 0.03 and abs(linear.edge_shift) < 0.05
     # Half of 0.1 and 0.88 of the light is 0.49 of it; half of their grey values in sRGB is 0.39.
-    assert 0.2 < toned.pixels < 0.5
-    assert tone_of(CHARUCO, replace(QUIET, tone="srgb")).pixels == pytest.approx(toned.pixels, abs=0.1)
+    assert 0.2 < toned.pixels < 0.5 and 0.25 < toned.edge_shift < 0.6
+    assert tone_of(CHARUCO, replace(QUIET, tone="srgb")).edge_shift == pytest.approx(
+        toned.edge_shift, abs=0.1
+    )
 
 
 def test_overexposed_sharpened_and_compressed_views_are_named() -> None:
@@ -60,6 +65,19 @@ def test_overexposed_sharpened_and_compressed_views_are_named() -> None:
     ):
         (trouble,) = tone_of(CHESSBOARD, sensor).troubles
         assert trouble.startswith(text) and ":" in trouble
+
+
+def test_the_camera_file_holds_what_is_expected_of_edges(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yaml"
+    camera = replace(STANDARD_CAMERA, edge_shift=0.41, edge_shift_sigma=0.12)
+    camera.save(path)
+    again = CameraIntrinsics.load(path)
+    assert (again.edge_shift, again.edge_shift_sigma) == (0.41, 0.12)
+    assert expected_shift(again) == (0.41, 0.12)
+    # It is no part of how points become pixels, and never certain.
+    assert camera.digest == STANDARD_CAMERA.digest
+    assert expected_shift(replace(camera, edge_shift_sigma=0.0))[1] > 0.05
+    assert expected_shift(STANDARD_CAMERA)[1] > 0.3
 
 
 # --------------------------------------------------------------------------------- sensors
