@@ -89,7 +89,7 @@ class ArOptions:
     """Of the synthetic camera's noise."""
     json: Json = False
     self_test: bool = False
-    """Measure how well drawings lie on pictures, in pixels, against cv2.projectPoints and exact truth."""
+    """Measure how well drawings lie on pictures: rows projection, gl, overlay, latency of bench camera."""
 
 
 def run(options: ArOptions) -> int:
@@ -180,33 +180,16 @@ def _check(options: ArOptions) -> None:
     )  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik ar --self-test``: drawings against ``cv2.projectPoints`` and exact truth, on the terminal.
-
-
 def run_self_test(*, json: bool = False) -> int:
-    """Measures and prints; 0 when all is within its limits, else 1."""
-    from robot_ik.bench.camera.accuracy import self_test
+    """The rows of ``robot-ik bench camera`` about drawing: 0 when all is within its limits, else 1."""
+    from robot_ik.bench.camera import Effort, MeasuredRows
+    from robot_ik.cli.bench import chosen_rows, print_figures
 
+    rows, found = chosen_rows(("projection", "gl", "overlay", "latency")), MeasuredRows()
     with console.progress() as bar:
-        rows, notice = self_test(console.shares_on(bar, "measuring"))
-    good = all(row.good for row in rows)
+        found.measure(rows, Effort(), console.shares_on(bar, "measuring"))
     if json:
-        facts = [
-            {
-                "what": row.what, "rms_px": row.misses.rms, "worst_px": row.misses.worst,
-                "limits_px": row.limits, "good": row.good,
-            }
-            for row in rows
-        ]  # fmt: skip
-        console.print_json({"good": good, "notice": notice, "rows": facts})
+        console.print_json({"good": found.as_wanted, **found.facts()})
     else:
-        cells = []
-        for row in rows:
-            rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
-            mark = console.verdict_mark(None if row.limits is None else row.good)
-            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, mark))
-        console.show(console.table("registration, px", "RMS", "allowed", "worst", "allowed", "", rows=cells))
-    if notice:
-        console.say(notice, style="yellow")
-    return console.DONE if good else console.NOT_ACHIEVED
+        print_figures(rows, found)
+    return console.DONE if found.as_wanted else console.NOT_ACHIEVED

@@ -23,6 +23,7 @@ from robot_ik.jobs.results import require_plots, results_folder, save_json
 if TYPE_CHECKING:
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
+    from robot_ik.bench.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 
@@ -208,6 +209,15 @@ def _note(cell: Cell) -> str:
 
 
 # ------------------------------------------------------------------------------------------
+# What is measured beside what is wanted of it.
+
+
+def _cells(name: str, one: Quantity) -> tuple[object, ...]:
+    """A line of a table: name, quantity, value, wanted, verdict."""
+    return name, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed)
+
+
+# ------------------------------------------------------------------------------------------
 # ``robot-ik bench figure``: the figure's motion beside what is wanted of it, judged by MuJoCo.
 
 
@@ -239,21 +249,11 @@ def run_figure(options: BenchFigureOptions) -> int:
         abilities = load_abilities(load_figure(options.model))
         rows = list(measure_figure(abilities, options.count, options.seed))
     if options.json:
-        facts = [
-            {
-                "motion": motion, "what": one.quantity, "value": one.value, "unit": one.unit,
-                "least": one.least, "most": one.most, "missing": one.missing,
-                "passed": one.passed is not False,
-            }
-            for motion, one in rows
-        ]  # fmt: skip
-        console.print_json({"schema": 1, "rows": facts})
+        console.print_json({"schema": 2, "rows": [{"motion": motion, **one.facts()} for motion, one in rows]})
     else:
-        cells = [
-            (motion, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed))
-            for motion, one in rows
-        ]
-        console.show(console.table("motion", "what", "measured", "wanted", "", rows=cells))
+        console.show(
+            console.table("motion", "what", "measured", "wanted", "", rows=[_cells(*row) for row in rows])
+        )
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
 
 
@@ -307,7 +307,7 @@ def run_camera(options: BenchCameraOptions) -> int:
             if found.figures:
                 print_figures(rows, found)
                 if options.json is not None:
-                    facts = {"schema": 1, "machine": this_machine().model_dump(mode="json")}
+                    facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
                     save_json(options.json, facts)
                     console.say(f"figures: {options.json}", "dim")
@@ -336,9 +336,7 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
     cells: list[tuple[object, ...]] = []
     for row in rows:
         for index, one in enumerate(found.figures.get(row.name, ())):
-            name = row.name if index == 0 else ""
-            mark = console.verdict_mark(one.passed)
-            cells.append((name, one.quantity, one.measured_text, one.wanted_text, mark))
+            cells.append(_cells(row.name if index == 0 else "", one))
         if row.name in found.unmeasured:
             why = f"not measured: {found.unmeasured[row.name]}"
             cells.append((row.name, why, "", "", console.verdict_mark(False)))

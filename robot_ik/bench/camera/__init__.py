@@ -60,6 +60,7 @@ ROWS: tuple[Row, ...] = (
     Row("cameras", "markers and boards by the cameras that people have", _HERE + "cameras:cameras"),
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),
     Row("overlay", "where a robot on the board is drawn", _HERE + "accuracy:overlay"),
+    Row("latency", "a robot on a board that a hand moves, drawn 66 ms late", _HERE + "accuracy:latency"),
     Row("clutter", "goals from pictures that hold no marker", _HERE + "accuracy:clutter"),
     Row("photographs", "real pictures, of --photographs", _HERE + "photographs:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "accuracy:projection"),
@@ -115,10 +116,14 @@ class MeasuredRows:
         self.complete = True
 
     @property
+    def as_wanted(self) -> bool:
+        """Whether nothing that was measured missed what is wanted."""
+        return all(one.passed is not False for figures in self.figures.values() for one in figures)
+
+    @property
     def passed(self) -> bool:
         """Whether every row was measured and nothing missed what is wanted."""
-        figures = [one for figures in self.figures.values() for one in figures]
-        return not self.unmeasured and all(one.passed is not False for one in figures)
+        return self.as_wanted and not self.unmeasured
 
     def facts(self) -> dict[str, Any]:
         """For JSON."""
@@ -128,17 +133,8 @@ class MeasuredRows:
                 name: {
                     "seconds": round(self.seconds.get(name, 0.0), 1),
                     "unmeasured": self.unmeasured.get(name),
-                    "figures": [_facts(one) for one in figures],
+                    "figures": [one.facts() for one in figures],
                 }
                 for name, figures in self.figures.items()
             },
         }
-
-
-def _facts(one: Quantity) -> dict[str, Any]:
-    """For JSON."""
-    return {
-        "quantity": one.quantity, "value": one.value, "unit": one.unit,
-        "wanted": one.most if one.least is None else one.least, "at_least": one.least is not None,
-        "timed": one.timed, "passed": one.passed,
-    }  # fmt: skip

@@ -38,7 +38,6 @@ from robot_ik.camera.synthetic.datasets import (
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import Progress
 from robot_ik.ports import Array, Image
 
 DICTIONARY = "DICT_4X4_50"
@@ -467,44 +466,22 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
-@dataclass(frozen=True)
-class JudgedMisses:
-    """How far drawings lie off; ``limits`` of RMS and worst, None: they are reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        return all(one.passed is not False for one in self.quantities())
-
-    def quantities(self) -> tuple[Quantity, Quantity]:
-        """RMS and worst."""
-        rms_limit, worst_limit = self.limits or (None, None)
-        return (
-            Quantity(f"{self.what}, RMS", self.misses.rms, "px", rms_limit),
-            Quantity(f"{self.what}, worst", self.misses.worst, "px", worst_limit),
-        )
+def _figures(what: str, misses: Misses, most: tuple[float | None, float | None]) -> Iterator[Quantity]:
+    """RMS and worst, and the most that is wanted of them."""
+    yield Quantity(f"{what}, RMS", misses.rms, "px", most[0])
+    yield Quantity(f"{what}, worst", misses.worst, "px", most[1])
 
 
-def _spheres(artist: Artist, seed: int) -> Iterator[JudgedMisses]:
-    for kind, (lens, *limits) in _WANTED.items():
+def _spheres(artist: Artist, seed: int) -> Iterator[Quantity]:
+    for kind, (lens, *most) in _WANTED.items():
         misses = projection_identity(artist, lens, seed=seed)
-        yield JudgedMisses(f"{artist.name} against projectPoints, {kind}", misses, (limits[0], limits[1]))
-
-
-def _overlays(count: int, seed: int) -> Iterator[JudgedMisses]:
-    for distance in _OVERLAY_DISTANCES:
-        misses = overlay_error(distance, count, seed=seed)
-        yield JudgedMisses(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+        yield from _figures(f"{artist.name} against projectPoints, {kind}", misses, (most[0], most[1]))
 
 
 def projection(effort: Effort) -> Iterator[Quantity]:
     """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
     for name in ("painter", "ray"):
-        for row in _spheres(make_artist(name)[0], effort.seed):
-            yield from row.quantities()
+        yield from _spheres(make_artist(name)[0], effort.seed)
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:
@@ -516,14 +493,23 @@ def gl_projection(effort: Effort) -> Iterator[Quantity]:
     artist, notice = make_artist("gl")
     if notice:
         raise NotMeasuredError(notice)
-    for row in _spheres(artist, effort.seed):
-        yield from row.quantities()
+    try:
+        yield from _spheres(artist, effort.seed)
+    finally:
+        artist.close()
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for row in _overlays(effort.count(60), effort.seed):
-        yield from row.quantities()
+    for distance in _OVERLAY_DISTANCES:
+        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
+        yield from _figures(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+
+
+def latency(effort: Effort) -> Iterator[Quantity]:
+    """What is left of a delay by each of Azuma's remedies; nothing is wanted of them."""
+    for name, misses in latency_errors(seconds=1.1 if effort.quick else 4.0).items():
+        yield from _figures(name, misses, (None, None))
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:
@@ -561,26 +547,3 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
     for k, what in enumerate(("position", "orientation")):
         ratio = factor(rms(error[:, k]) / rms(sigma[:, k]))
         yield Quantity(f"stated {what} off by a factor of", ratio, "", 2.0)
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik ar --self-test``: the drawings' rows in brief.
-
-
-def self_test(progress: Progress) -> tuple[list[JudgedMisses], str]:
-    """All figures, and one line where OpenGL is missing; empty: it is there."""
-    rows: list[JudgedMisses] = []
-    notice = ""
-    for k, name in enumerate(("painter", "ray", "gl")):
-        progress(name, 2 * k / 9)
-        artist, missing = make_artist(name)
-        notice = missing or notice
-        if not missing:
-            rows += _spheres(artist, 3)
-        getattr(artist, "close", lambda: None)()
-    progress("board", 6 / 9)
-    rows += _overlays(20, 0)
-    progress("delay", 8 / 9)
-    for name, misses in latency_errors().items():
-        rows.append(JudgedMisses(f"66 ms behind a moving hand: {name}", misses, None))
-    return rows, notice

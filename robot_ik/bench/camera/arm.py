@@ -227,8 +227,9 @@ def consistency(effort: Effort) -> Iterator[Quantity]:
     for what, value in zip(
         ("camera by a sheet", "camera by the arm's views", "joint zeros"), nees, strict=True
     ):
-        yield Quantity(f"{what}, squared error over the stated", value, "", _NEES_RANGE[1])
-        yield Quantity(f"{what}, the same, at least", value, "", least=_NEES_RANGE[0])
+        yield Quantity(
+            f"{what}, squared error over the stated", value, least=_NEES_RANGE[0], most=_NEES_RANGE[1]
+        )
     off = np.degrees(np.concatenate([one for _, one in found]))
     yield Quantity("joint zeros, RMS", rms(off), "°", 0.1)
     yield Quantity("joint zeros, worst", float(off.max()), "°")

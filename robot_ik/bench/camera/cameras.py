@@ -160,8 +160,7 @@ def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quan
         off = errors.metres.get(distance, [float("nan")])
         yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
     nees = float(np.mean(errors.nees))
-    yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES[1])
-    yield Quantity(f"{what}, the same, at least", nees, "", least=_NEES[0])
+    yield Quantity(f"{what}, squared error over the stated", nees, least=_NEES[0], most=_NEES[1])
     yield Quantity(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
         yield Quantity(

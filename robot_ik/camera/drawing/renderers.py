@@ -129,6 +129,9 @@ class Artist(ABC):
     def _robot(self, view: RobotView) -> Layer:
         """The robot alone, without what hides it."""
 
+    def close(self) -> None:  # noqa: B027: most have opened nothing
+        """Lets go of what it has opened."""
+
 
 def _shadow(view: RobotView) -> tuple[Layer, float]:
     """The shadow that the robot throws on the board's plane, and its strength; occluders hide it."""

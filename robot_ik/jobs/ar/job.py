@@ -148,7 +148,7 @@ def run_ar(
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
-        stack.callback(getattr(artist, "close", lambda: None))
+        stack.callback(artist.close)
         report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
         registrar = _registrar(request, opened.intrinsics, artist, figure)
         _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
