@@ -129,8 +129,8 @@ class Artist(ABC):
     def _robot(self, view: RobotView) -> Layer:
         """The robot alone, without what hides it."""
 
-    def close(self) -> None:  # noqa: B027: most have opened nothing
-        """Lets go of what it has opened."""
+    def close(self) -> None:  # noqa: B027
+        """Lets go of what it has opened; most have opened nothing."""
 
 
 def _shadow(view: RobotView) -> tuple[Layer, float]:
