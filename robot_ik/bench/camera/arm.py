@@ -26,7 +26,7 @@ from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest, run_verify, summary
+from robot_ik.jobs.arm_camera.verify import VerifyRequest, run_verify, summary
 from robot_ik.jobs.robot_setup import Rehearsal
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array
@@ -330,15 +330,11 @@ def prediction(effort: Effort) -> Iterator[Quantity]:
 _VERIFIED_ROBOT = "tabletop_puma"
 # Hidden: up to so many degrees in each joint.
 _LARGEST_DEG = 3.0
-# Errors that simulated servos and pictures do not have: px of each corner, rad of each joint.
-_PIXEL, _JOINT = 0.15, float(np.deg2rad(0.05))
-# How often the same pictures are spoilt anew.
-_SPOILT = 4
 
 
 def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
-    """The whole job on the simulated arm, then the same views with the noise of metal added."""
-    worst, largest, ratio, spoilt = [], [], [], []
+    """The whole job on the simulated arm."""
+    worst, largest = [], []
     robot = load_robot(_VERIFIED_ROBOT, joints=[f"joint{k}" for k in range(1, 7)])
     scene = scene_for(robot, robot.tool)
     for trial in range(1 if effort.quick else 2):
@@ -356,27 +352,5 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         assert report.fit is not None and report.known.true_offsets is not None
         worst.append(float(np.abs(report.fit.offsets - report.known.true_offsets).max()))
         largest.append(summary(report.judged(corrected=True)).largest)
-        for _ in range(_SPOILT):
-            off, sigma = _spoilt(report, rng)
-            spoilt.append(off)
-            ratio.append(off / sigma)
     yield Quantity("zero offsets, worst joint off by", float(np.degrees(max(worst))), "°", 0.1)
     yield Quantity("board after that, worst pose off by", 1e3 * max(largest), "mm")
-    yield Quantity(
-        "the same with noise, worst joint off by", float(np.degrees(np.abs(spoilt).max())), "°", 0.1
-    )
-    yield Quantity("stated uncertainty off by a factor of", factor(rms(np.array(ratio))), "", 2.0)
-
-
-def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Errors and standard deviations (nv,) with noise in corners and joints."""
-    known, samples, views = report.known, report.known.samples, []
-    for q, view in zip(samples.q, samples.views, strict=True):
-        pixels = view.pixels + rng.normal(0, _PIXEL, view.pixels.shape)
-        said = q + rng.normal(0, _JOINT, q.shape)
-        views.append(CalibrationStation(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
-    fit = fit_zero_offsets(
-        views, report.robot, samples.frame, samples.intrinsics, camera=known.camera, board=known.board
-    )
-    assert known.true_offsets is not None and fit.found == report.robot.joints
-    return fit.offsets - known.true_offsets, fit.sigma
