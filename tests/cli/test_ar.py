@@ -15,7 +15,7 @@ import pytest
 from robot_ik.bench.camera import Effort, NotMeasuredError, Row
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.registration import Registrar
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
@@ -24,7 +24,7 @@ from robot_ik.reading import FORMER
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pose = Pose((0.0, 0.05, 0.5), (0.17, 0.985, 0.0, 0.0))
-    image = render_marker(STANDARD_CAMERA, pose, np.random.default_rng(0), marker_id=7)
+    image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, np.random.default_rng(0))
     cv2.imwrite(str(tmp_path / "photo.png"), image)
     STANDARD_CAMERA.save(tmp_path / "camera.yaml")
     words = ["ar", "--camera", str(tmp_path / "photo.png"), "--intrinsics", str(tmp_path / "camera.yaml")]

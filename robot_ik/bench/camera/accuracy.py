@@ -520,7 +520,7 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
             # Other seeds, other sets: none is measured twice.
             seed = _SETS * (effort.seed - 1) + trial + 1
             views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed, sensor=WEBCAM)
-            found = [seen for view in views if (seen := pattern.find(view.image)) is not None]
+            found = [seen for image, _ in views if (seen := pattern.find(image)) is not None]
             result = calibrate(found, STANDARD_CAMERA.size)
             lens, true = result.intrinsics, STANDARD_CAMERA
             focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))

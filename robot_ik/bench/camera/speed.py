@@ -26,7 +26,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
@@ -60,7 +60,7 @@ def moving_frames(camera: CameraIntrinsics, count: int, seed: int) -> list[Frame
         pose = Pose(
             position, Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, 0.2, angle]))).wxyz
         )
-        image = render_marker(camera, pose, rng, size=_SIZE, dictionary=_DICTIONARY, marker_id=_MARKER)
+        image = render_markers(camera, {_MARKER: (_SIZE, pose)}, rng, dictionary=_DICTIONARY)
         frames.append(frame_of(image, k, k * _PERIOD))
     return frames
 

@@ -55,20 +55,6 @@ class MarkerView:
     pose: Pose
 
 
-def render_marker(
-    camera: CameraIntrinsics,
-    pose: Pose,
-    rng: np.random.Generator,
-    *,
-    size: float = STANDARD_SIZE,
-    dictionary: str = "DICT_4X4_50",
-    marker_id: int = 0,
-    sensor: SensorModel = LINEAR,
-) -> Image:
-    """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
-    return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, sensor=sensor)
-
-
 def render_markers(
     camera: CameraIntrinsics,
     markers: Mapping[int, tuple[float, Pose]],
@@ -204,12 +190,14 @@ def standard_set(
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
 
     ``distance`` is the depth of the marker's centre in metres (the set has 0.3, 0.6 and 1.0), ``tilt_deg``
-    the range of tilts in degrees; the rest as in ``render_marker``.
+    the range of tilts in degrees; the rest as in ``render_markers``.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
         pose = random_pose(camera, rng, distance, tilt_deg=tilt_deg)
-        image = render_marker(camera, pose, rng, dictionary=dictionary, marker_id=marker_id, sensor=sensor)
+        image = render_markers(
+            camera, {marker_id: (STANDARD_SIZE, pose)}, rng, dictionary=dictionary, sensor=sensor
+        )
         yield MarkerView(image, camera.project(pose.apply(marker_points(STANDARD_SIZE))), pose)
 
 
@@ -218,14 +206,6 @@ def standard_set(
 #
 # White round the print, in squares.
 _MARGIN = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class PatternView:
-    """A picture (height, width) uint8 and the true ``pose_camera_board``."""
-
-    image: Image
-    pose: Pose
 
 
 @lru_cache(maxsize=4)
@@ -294,12 +274,12 @@ def pattern_set(
     *,
     seed: int = 0,
     sensor: SensorModel = LINEAR,
-) -> Iterator[PatternView]:
-    """Pictures as a calibration wants them; the same seed gives the same ones."""
+) -> Iterator[tuple[Image, Pose]]:
+    """Pictures as a calibration wants them, each with its true ``pose_camera_board``; by the seed alone."""
     rng = np.random.default_rng([seed, count])
     for _ in range(count):
         pose = pattern_pose(pattern, camera, rng)
-        yield PatternView(render_pattern(pattern, camera, pose, rng, sensor), pose)
+        yield render_pattern(pattern, camera, pose, rng, sensor), pose
 
 
 # ------------------------------------------------------------------------------------------
@@ -435,8 +415,12 @@ def _orbit(rng: np.random.Generator, sensor: SensorModel) -> Pictures:
         tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
         position = (0.04 * np.sin(phase), 0.03 * np.cos(phase), 0.45 + 0.12 * np.sin(0.61 * phase))
         pose = Pose(position, _FACING.compose(tilt_rotation).wxyz)
-        image = render_marker(
-            STANDARD_CAMERA, pose, rng, dictionary=_ORBIT_DICTIONARY, marker_id=_ORBIT_ID, sensor=sensor
+        image = render_markers(
+            STANDARD_CAMERA,
+            {_ORBIT_ID: (STANDARD_SIZE, pose)},
+            rng,
+            dictionary=_ORBIT_DICTIONARY,
+            sensor=sensor,
         )
         yield image, {"pose_camera_marker": {_ORBIT_ID: pose}}
 
