@@ -84,8 +84,6 @@ def camera(data: Data, others: Data) -> str:
             lines.append(f"| **{row.about}** | {TABLES_OF_ROWS[row.name]} | |")
             continue
         lines.append(f"| **{row.about}** | | |")
-        if facts.get("unmeasured"):
-            lines.append(f"| not measured: {facts['unmeasured']} | | |")
         for one in figures(facts):
             missed = " (missed)" if one.passed is False else ""
             lines.append(f"| {one.quantity} | {one.measured_text}{missed} | {one.wanted_text} |")

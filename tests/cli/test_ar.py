@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera import Effort, NotMeasuredError, Row
+from robot_ik.bench.camera import Effort, Row
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.registration import Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.main import main
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.reading import FORMER
@@ -111,7 +112,7 @@ def test_the_self_test_judges(
 ) -> None:
     def measure(self: Row, effort: Effort) -> Iterator[Quantity]:
         if self.name == "gl":
-            raise NotMeasuredError("no OpenGL here")
+            raise CameraError("no OpenGL here")
         yield Quantity(f"{self.name}, RMS", rms, "px", 0.05)
 
     monkeypatch.setattr(Row, "measure", measure)
@@ -120,7 +121,7 @@ def test_the_self_test_judges(
     assert f"{rms} px" in said and "no OpenGL here" in said
     assert main(["ar", "--self-test", "--json"]) == code
     facts = json.loads(capsys.readouterr().out)
-    assert facts["good"] is (code == 0) and facts["rows"]["gl"]["unmeasured"] == "no OpenGL here"
+    assert facts["good"] is (code == 0) and facts["rows"]["gl"]["figures"][0]["missing"] == "no OpenGL here"
     assert list(facts["rows"]) == ["projection", "gl", "overlay", "latency"]
 
 

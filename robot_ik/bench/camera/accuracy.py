@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
@@ -37,6 +37,7 @@ from robot_ik.camera.synthetic.datasets import (
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array, Image
 
@@ -288,30 +289,23 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
             )
             spheres.append((pixel[0], centre, radius))
     robot = DrawnRobot(spec.compile(), shadow=False)
-    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
+    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(np.float32)
     half = _SPACING_PX // 2
     offsets = []
     for pixel, centre, radius in spheres:
         x, y = np.rint(pixel).astype(int)
         x0, y0 = max(x - half, 0), max(y - half, 0)
-        part = drawn[y0 : y + half, x0 : x + half]
-        alone = _middle(part, (x0, y0))
+        alone = np.array([x0, y0]) + _middle(drawn[y0 : y + half, x0 : x + half])
         offsets.append(alone - outline_middle(centre, radius, intrinsics))
     return Misses.of(offsets)
 
 
-def _middle(part: Array, corner: tuple[int, int]) -> Array:
-    """Centroid (2,) of the piece of a mask in the middle of ``part``, in pixels of the picture."""
-    _, labels = cv2.connectedComponents((part > 0).astype(np.uint8))
-    middle = labels[part.shape[0] // 2, part.shape[1] // 2]
-    weight = np.where(labels == middle, part, 0.0) if middle else np.full_like(part, np.nan)
-    rows, columns = np.indices(part.shape)
-    return np.array(
-        [
-            (weight * columns).sum() / weight.sum() + corner[0],
-            (weight * rows).sum() / weight.sum() + corner[1],
-        ]
-    )
+def _middle(shape: NDArray[np.float32]) -> Array:
+    """Centroid (2,) of what a mask holds, or of what an outline (n, 1, 2) encloses."""
+    moments = cv2.moments(shape)
+    if not moments["m00"]:
+        return np.full(2, np.nan)
+    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
 
 def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -> Array:
@@ -329,10 +323,7 @@ def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -
             centre * (1 - shrink) + ring, np.zeros(3), np.zeros(3), intrinsics.matrix, coefficients
         )[0]
     ).reshape(-1, 2)
-    moments = cv2.moments((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
-    return np.asarray(
-        pixels[0] + [moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]], dtype=float
-    )
+    return pixels[0] + _middle((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
 
 
 def robot_points(seed: int = 0) -> Array:
@@ -488,11 +479,11 @@ def gl_projection(effort: Effort) -> Iterator[Quantity]:
     """The same by MuJoCo's renderer.
 
     Raises:
-        NotMeasuredError: OpenGL does not work here.
+        CameraError: OpenGL does not work here.
     """
     artist, notice = make_artist("gl")
     if notice:
-        raise NotMeasuredError(notice)
+        raise CameraError(notice)
     try:
         yield from _spheres(artist, effort.seed)
     finally:

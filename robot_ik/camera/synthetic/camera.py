@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, Protocol
+from typing import Literal
 
 import cv2
 import mujoco
@@ -29,6 +29,7 @@ from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Clock
+from robot_ik.robot import Robot
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256
@@ -64,21 +65,6 @@ _VISIBLE_PART = 0.02
 _MARGIN_CELLS = 1.5
 # Brightness lost in the corners of the picture.
 _VIGNETTE = 0.10
-
-
-class SceneRobot(Protocol):
-    """What of ``robot_ik.robot.Robot`` the camera needs; objects without joints have it, too."""
-
-    @property
-    def model(self) -> mujoco.MjModel: ...
-
-    def qpos(self, q: Array) -> Array:
-        """Full (model.nq,) of the active joints' ``q``."""
-        ...
-
-    def forward(self, q: Array, frame: str | None = None) -> Pose:
-        """Pose of a frame in the world."""
-        ...
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
@@ -126,10 +112,9 @@ class SyntheticMarker:
     margin: float | None = None
     condition: Condition = "printed"
 
-    def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
+    def pose_world(self, scene: SyntheticScene, q: Array, now: float) -> Pose:
         """Where it is when the robot stands at ``q`` and the time is ``now``."""
-        pose = self.pose(now) if callable(self.pose) else self.pose
-        return pose if self.frame is None else robot.forward(q, self.frame).compose(pose)
+        return scene.placed(self.pose(now) if callable(self.pose) else self.pose, self.frame, q)
 
 
 @dataclass(frozen=True)
@@ -137,7 +122,7 @@ class SyntheticScene:
     """What the synthetic camera looks at.
 
     Attributes:
-        robot: Model, configuration and frames.
+        robot: What moves; objects that do not move come as their model.
         intrinsics: The lens.
         pose_world_camera: OpenCV camera axes seen from the world, or from ``camera_frame``.
         markers: Each id once per dictionary.
@@ -145,7 +130,7 @@ class SyntheticScene:
         camera_frame: Robot frame that carries the camera; ``None``: it stands in the world.
     """
 
-    robot: SceneRobot
+    robot: Robot | mujoco.MjModel
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()
@@ -172,11 +157,25 @@ class SyntheticScene:
         changed = tuple(replace(m, **changes) if m.id in ids else m for m in self.markers)  # type: ignore[arg-type]
         return replace(self, markers=changed)
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Of the robot, or the objects."""
+        return self.robot.model if isinstance(self.robot, Robot) else self.robot
+
+    def qpos(self, q: Array) -> Array:
+        """Of ``model`` (nq,) when the robot stands at ``q``."""
+        return self.robot.qpos(q) if isinstance(self.robot, Robot) else np.array(self.robot.qpos0)
+
     def camera(self, q: Array) -> Pose:
         """``pose_world_camera`` when the robot stands at ``q`` (nq,)."""
-        if self.camera_frame is None:
-            return self.pose_world_camera
-        return self.robot.forward(q, self.camera_frame).compose(self.pose_world_camera)
+        return self.placed(self.pose_world_camera, self.camera_frame, q)
+
+    def placed(self, pose: Pose, frame: str | None, q: Array) -> Pose:
+        """A pose in the world of what stands there, or is carried by a ``frame`` of the robot at ``q``."""
+        if frame is None:
+            return pose
+        assert isinstance(self.robot, Robot), "what does not move has no frame that carries anything"
+        return self.robot.forward(q, frame).compose(pose)
 
 
 class SyntheticSource(FrameSource):
@@ -229,9 +228,9 @@ class SyntheticSource(FrameSource):
         now = time.monotonic() if self._clock is None else self._clock.now()
         q = np.array(self._true_q(), dtype=float)
         scene, camera = self.scene, self.scene.camera(q)
-        poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
+        poses = [m.pose_world(scene, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
-        light, _, painted = self._at(camera).expose(scene.robot.qpos(q), self._quality, sheets)
+        light, _, painted = self._at(camera).expose(scene.qpos(q), self._quality, sheets)
         truth = self._truth(q, camera, poses, painted)
         frame = Frame(self._develop(light, noise), now, self._sequence, truth)
         self._sequence += 1
@@ -244,7 +243,7 @@ class SyntheticSource(FrameSource):
             x, y, z = camera.apply([0.0, 0.0, distance]).tolist()
             lights = Lights.beside(camera, distance)
             still = still_picture(lens, camera, scene.table, lights, (x, y, z))
-            self._photographer = camera, Photographer(scene.robot.model, lens, camera, lights, still)
+            self._photographer = camera, Photographer(scene.model, lens, camera, lights, still)
         return self._photographer[1]
 
     def _develop(self, light: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.uint8]:
@@ -295,5 +294,5 @@ def _subject_distance(scene: SyntheticScene, camera: Pose) -> float:
     if scene.table is not None:
         centre = np.array([np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height])
     else:
-        centre = np.array(scene.robot.model.stat.center, dtype=float)
+        centre = np.array(scene.model.stat.center, dtype=float)
     return float(max(inverse.apply(centre)[2], 0.3))

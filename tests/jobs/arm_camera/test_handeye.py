@@ -41,9 +41,7 @@ class Drawn(FrameSource):
     def read(self) -> Frame:
         q, scene = self.true_q(), self.scene
         camera = scene.camera(q)
-        seen = {
-            m.id: (m.size, camera.inverse().compose(m.pose_world(scene.robot, q, 0.0))) for m in scene.markers
-        }
+        seen = {m.id: (m.size, camera.inverse().compose(m.pose_world(scene, q, 0.0))) for m in scene.markers}
         facing = {
             id: (size, pose)
             for id, (size, pose) in sorted(seen.items(), key=lambda one: -one[1][1].position[2])

@@ -49,7 +49,7 @@ class Drawn(FrameSource):
     def read(self) -> Frame:
         q, scene = self.true_q(), self.scene
         to_camera = scene.pose_world_camera.inverse()
-        seen = {m.id: (m.size, to_camera.compose(m.pose_world(scene.robot, q, 0.0))) for m in scene.markers}
+        seen = {m.id: (m.size, to_camera.compose(m.pose_world(scene, q, 0.0))) for m in scene.markers}
         facing = {
             id: (size, pose)
             for id, (size, pose) in sorted(seen.items(), key=lambda one: -one[1][1].position[2])
