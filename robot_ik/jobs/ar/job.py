@@ -52,7 +52,7 @@ class ArRequest:
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        backend: ``painter``, ``ray`` or ``gl``.
+        backend: ``painter`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
         delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
