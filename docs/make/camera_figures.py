@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.bench.camera import ROWS
-from robot_ik.bench.camera.arm import compare_filters
+from robot_ik.bench.camera.arm import DELAYS, compare_filters
 from robot_ik.bench.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -60,7 +60,7 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
     moving, _ = compare_filters(hands=6)
     return {
         "rows": {row.name: rows[row.name] for row in ROWS if row.name in rows},
-        "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
+        "prediction": [[delay, *row] for delay, row in zip(DELAYS, moving.tolist(), strict=True)],
     }
 
 

@@ -273,7 +273,7 @@ class BenchCameraOptions:
     """
 
     rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
-    """Which rows of the table: corners, marker, board, …"""
+    """Which rows of the table: marker, board, cameras, …"""
     skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False

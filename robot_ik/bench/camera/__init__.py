@@ -51,8 +51,7 @@ class Row:
 _HERE = "robot_ik.bench.camera."
 
 ROWS: tuple[Row, ...] = (
-    Row("corners", "corners of one marker", _HERE + "accuracy:corners"),
-    Row("marker", "pose of one 50 mm marker", _HERE + "accuracy:marker"),
+    Row("marker", "corners and pose of one 50 mm marker", _HERE + "accuracy:marker"),
     Row("board", "pose of a board of 2×2 markers", _HERE + "accuracy:board"),
     Row("cameras", "markers and boards by the cameras that people have", _HERE + "cameras:cameras"),
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),

@@ -21,14 +21,13 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import MarkerGoalSource
-from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_DISTANCES,
     STANDARD_SIZE,
-    MarkerView,
     handeye_set,
     pattern_set,
     random_pose,
@@ -94,48 +93,32 @@ def board_frame(
     return frame_of(image, number, time)
 
 
-def _seen(
-    effort: Effort, distance: float, count: int
-) -> Iterator[tuple[MarkerView, MarkerObservation | None]]:
+def marker(effort: Effort) -> Iterator[Quantity]:
+    """Corners, position, orientation and flips of one 50 mm marker at three distances."""
     # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {MARKER: STANDARD_SIZE})
-    for number, view in enumerate(
-        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
-    ):
-        seen = tracker.observe(frame_of(view.image, number))
-        yield view, seen[0] if len(seen) == 1 else None
-
-
-def corners(effort: Effort) -> Iterator[Quantity]:
-    """RMS error and bias of the corners, all distances together; the bias outwards is what becomes depth."""
-    errors, outwards = [], []
+    flips, missed, errors, outwards = 0, 0, [], []
     for distance in STANDARD_DISTANCES:
-        for view, seen in _seen(effort, distance, 60):
-            if seen is None:
-                continue
-            error = seen.corners - view.corners
-            errors.append(error)
-            outwards.append(outward(error, view.corners))
-    every = np.array(errors)
-    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outwards))))
-    yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
-    yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
-
-
-def marker(effort: Effort) -> Iterator[Quantity]:
-    """Position, orientation and flips of one 50 mm marker at three distances."""
-    flips = missed = 0
-    for distance in STANDARD_DISTANCES:
+        views = standard_set(distance, effort.count(100), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
         off = []
-        for view, seen in _seen(effort, distance, 100):
-            missed += seen is None
-            if seen is not None:
-                off.append(seen.pose.distance(view.pose))
+        for number, view in enumerate(views):
+            seen = tracker.observe(frame_of(view.image, number))
+            if len(seen) != 1:
+                missed += 1
+                continue
+            off.append(seen[0].pose.distance(view.pose))
+            errors.append(seen[0].corners - view.corners)
+            outwards.append(outward(errors[-1], view.corners))
         flips += sum(angle > _FLIPPED for _, angle in off)
         metres, radians = np.array(off).T
         wanted = _MARKER_WANTED[distance]
         yield Quantity(f"position at {distance} m, RMS", 1e3 * rms(metres), "mm", wanted[0])
         yield Quantity(f"orientation at {distance} m, RMS", float(np.degrees(rms(radians))), "°", wanted[1])
+    every = np.array(errors)
+    # The bias outwards is what becomes depth.
+    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outwards))))
+    yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
+    yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
     yield Quantity("wrong branch (more than 5° off), up to 1 m", flips, "", 0)
     yield Quantity("not found, up to 1 m", missed, "", 0)
 
@@ -470,9 +453,8 @@ def _spheres(artist: Artist, seed: int) -> Iterator[Quantity]:
 
 
 def projection(effort: Effort) -> Iterator[Quantity]:
-    """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
-    for name in ("painter", "ray"):
-        yield from _spheres(make_artist(name)[0], effort.seed)
+    """Middles of spheres that the painter draws, against OpenCV's projection."""
+    yield from _spheres(PainterArtist(), effort.seed)
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:

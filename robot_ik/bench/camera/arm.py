@@ -8,7 +8,6 @@ made with errors, or from those views.  The job that moves servos and takes pict
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -163,16 +162,6 @@ _SPEED, _SLOWEST, _QUICKEST, _WAVES = 0.196, 0.3, 1.5, 6
 _RUN_IN = 30
 
 
-@dataclass(frozen=True)
-class Lag:
-    """RMS errors at one delay (s), m: of the last observation, the motion filter, the 1 € filter."""
-
-    delay: float
-    hold: float
-    predicted: float
-    calmed: float
-
-
 def hand(rng: np.random.Generator) -> Callable[[float], Array]:
     """Position (3,) in metres of a waving hand, by time: a few waves along each axis."""
     frequency = rng.uniform(_SLOWEST, _QUICKEST, (_WAVES, 3))
@@ -183,22 +172,17 @@ def hand(rng: np.random.Generator) -> Callable[[float], Array]:
     return lambda t: np.asarray((size * np.sin(2.0 * np.pi * frequency * t + phase)).sum(axis=0))
 
 
-def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tuple[list[Lag], list[Lag]]:
-    """Errors of a moving and of a resting hand, at each of ``DELAYS``.
+def compare_filters(hands: int = 4, seconds: float = 20.0, seed: int = 0) -> tuple[Array, Array]:
+    """RMS errors of a moving and of a resting hand, each (delays, 3), metres.
 
-    30 pictures a second, noise of 0.3 mm along each axis.
-
-    There are so many ``hands``, that is motions, of so many ``seconds``.
+    At each of ``DELAYS``: of the last observation, the motion filter, the 1 € filter.  30 pictures a second,
+    noise of 0.3 mm along each axis; so many ``hands``, that is motions, of so many ``seconds``.
     """
     rng = np.random.default_rng(seed)
     moving = [_errors(hand(rng), seconds, rng) for _ in range(hands)]
     resting = [_errors(lambda t: np.zeros(3), seconds, rng) for _ in range(hands)]
-
-    def lags(errors: list[Array]) -> list[Lag]:
-        squares = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0)).tolist()
-        return [Lag(delay, *row) for delay, row in zip(DELAYS, squares, strict=True)]
-
-    return lags(moving), lags(resting)
+    means = [np.mean(np.concatenate(errors) ** 2, axis=0) for errors in (moving, resting)]
+    return np.sqrt(means[0]), np.sqrt(means[1])
 
 
 def _errors(path: Callable[[float], Array], seconds: float, rng: np.random.Generator) -> Array:
@@ -228,15 +212,13 @@ def prediction(effort: Effort) -> Iterator[Quantity]:
     """Errors of a hand at 0.2 m/s, seen 66 ms ago; and what a hand at rest is shaken by."""
     hands = 1 if effort.quick else 6
     moving, resting = compare_filters(hands, 10.0 if effort.quick else 20.0, effort.seed)
-    late = next(row for row in moving if row.delay == 0.066)
-    yield Quantity("hand seen 66 ms ago, taken as it is, RMS", 1e3 * late.hold, "mm")
-    yield Quantity("hand seen 66 ms ago, predicted, RMS", 1e3 * late.predicted, "mm", 6.5)
-    yield Quantity("what prediction leaves of the error", late.predicted / late.hold, "", 0.5)
-    worst = max(resting, key=lambda row: row.predicted)
-    yield Quantity(
-        "hand at rest: noise of a prediction over that of a picture", worst.predicted / worst.hold, "", 1.0
-    )
-    yield Quantity("hand at rest, calmed: the same", worst.calmed / worst.hold, "")
+    held, predicted, _ = moving[DELAYS.index(0.066)].tolist()
+    yield Quantity("hand seen 66 ms ago, taken as it is, RMS", 1e3 * held, "mm")
+    yield Quantity("hand seen 66 ms ago, predicted, RMS", 1e3 * predicted, "mm", 6.5)
+    yield Quantity("what prediction leaves of the error", predicted / held, "", 0.5)
+    held, predicted, calmed = max(resting.tolist(), key=lambda row: row[1])
+    yield Quantity("hand at rest: noise of a prediction over that of a picture", predicted / held, "", 1.0)
+    yield Quantity("hand at rest, calmed: the same", calmed / held)
 
 
 # ------------------------------------------------------------------------------------------
