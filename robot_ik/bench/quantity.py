@@ -15,7 +15,6 @@ class Quantity:
         value: NaN where it was not.
         unit: Of value and bounds.
         most, least: The bounds that are wanted; None where there is none.
-        timed: It depends on the machine and what else it does.
         missing: Why it was not measured.
     """
 
@@ -24,7 +23,6 @@ class Quantity:
     unit: str = ""
     most: float | None = None
     least: float | None = None
-    timed: bool = False
     missing: str = ""
 
     @property

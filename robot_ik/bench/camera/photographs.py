@@ -176,7 +176,5 @@ def first_command(effort: Effort) -> Iterator[Quantity]:
             env=bare, cwd=folder, capture_output=True, check=False, timeout=_PATIENCE,
         )  # fmt: skip
         took = time.monotonic() - began
-    yield Quantity(
-        "first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS, timed=True
-    )
+    yield Quantity("first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS)
     yield Quantity("its exit code", done.returncode, "", 0)

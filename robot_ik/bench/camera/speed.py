@@ -74,8 +74,8 @@ class ElapsedTimes:
 
     def figures(self, what: str, wanted: float | None) -> Iterator[Quantity]:
         """Both; the bound is for the processor's."""
-        yield Quantity(what, self.processor, "ms", wanted, timed=True)
-        yield Quantity(f"{what}, by the clock", self.clock, "ms", timed=True)
+        yield Quantity(what, self.processor, "ms", wanted)
+        yield Quantity(f"{what}, by the clock", self.clock, "ms")
 
 
 def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> ElapsedTimes:
@@ -190,8 +190,8 @@ def loop(effort: Effort) -> Iterator[Quantity]:
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
         wanted = _LOOP_WANTED[camera.width]
-        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted, timed=True)
-        yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted)
+        yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s")
 
 
 class _Camera:
@@ -235,8 +235,6 @@ def delay(effort: Effort) -> Iterator[Quantity]:
         made, used = goals.made.summary(), goals.used.summary()
         size = f"{camera.width}×{camera.height}"
         wanted = _DELAY_WANTED_MS
-        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted, timed=True)
-        yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms", timed=True)
-        yield Quantity(
-            f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms", timed=True
-        )
+        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted)
+        yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms")
+        yield Quantity(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms")
