@@ -57,7 +57,7 @@ ROWS: tuple[Row, ...] = (
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),
     Row("overlay", "where a robot on the board is drawn", _HERE + "accuracy:overlay"),
     Row("latency", "a robot on a board that a hand moves, drawn 66 ms late", _HERE + "accuracy:latency"),
-    Row("clutter", "goals from pictures that hold no marker", _HERE + "accuracy:clutter"),
+    Row("clutter", "markers found in pictures that hold none", _HERE + "accuracy:clutter"),
     Row("photographs", "real pictures, of --photographs", _HERE + "photographs:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "accuracy:projection"),
     Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_ik.bench.methods import growth
-from robot_ik.bench.methods.problems import SLACK, ProblemSet, apart, make_set
+from robot_ik.bench.methods.problems import SLACK, ProblemSet, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
+from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
@@ -66,7 +67,7 @@ class Bench:
                 break
 
     def _keep(self, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
-        metres, radians = apart(self.robot.measure(solution.q).matrix, target)
+        metres, radians = self.robot.measure(solution.q).distance(Pose.from_matrix(target))
         if self.cell.goal == "position":
             radians = 0.0
         slack = 1.0 + SLACK

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from robot_ik.bench.methods.problems import apart
 from robot_ik.bench.methods.results import JUMP, this_machine
 from robot_ik.bench.peers import worker
 from robot_ik.bench.peers.tasks import ARMS, FIGURE, site_names, write_task
 from robot_ik.files import make_folder
+from robot_ik.geometry import Pose
 from robot_ik.jobs.results import save_json
 from robot_ik.ports import Array
 from robot_ik.robot import Robot, load_robot
@@ -91,7 +91,7 @@ def _mark(robot: Robot, q: Array, target: Array) -> tuple[bool, bool]:
         off = [pose.position for pose in there] - target
         good = bool(np.linalg.norm(off, axis=1).max() <= POINTS)
         return good, good
-    metres, radians = apart(there[0].matrix, target)
+    metres, radians = there[0].distance(Pose.from_matrix(target))
     return (metres <= SUCCESS[0] and radians <= SUCCESS[1], metres <= EXACT[0] and radians <= EXACT[1])
 
 

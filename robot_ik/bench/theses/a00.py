@@ -44,7 +44,6 @@ class Course:
     """One of the thirteen: goals that move a little each frame.
 
     Attributes:
-        number: A00's.
         robot: The chain.
         goal: The kind of goal, with the first target.
         moves: What the goal does; what A00 states first, then what is chosen.
@@ -53,7 +52,6 @@ class Course:
         targets: One pose a frame.
     """
 
-    number: int
     robot: Robot
     goal: Goal
     moves: str
@@ -74,11 +72,9 @@ def _about(axis: Array, degrees: float, wxyz: Array | None = None) -> Array:
 TO_X = rotation_exp(Y * math.pi / 2.0)  # the last link along x
 
 
-def _course(
-    number: int, joints: int, oriented: bool, moves: str, unit: str, at: Array, targets: Sequence[Pose]
-) -> Course:
+def _course(joints: int, oriented: bool, moves: str, unit: str, at: Array, targets: Sequence[Pose]) -> Course:
     goal = PoseGoal.at("tip", targets[0]) if oriented else PositionGoal("tip", targets[0].position)
-    return Course(number, make_chain(joints), goal, moves, unit, at, tuple(targets))
+    return Course(make_chain(joints), goal, moves, unit, at, tuple(targets))
 
 
 def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
@@ -92,10 +88,10 @@ def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
         f"straight lines to random points: {POINTS} points where random joint angles put the tip, "
         f"{100 * LINE_STEP:g} cm a frame"
     )
-    return _course(number, joints, False, moves, "m", at, [Pose(point) for point in path])
+    return _course(joints, False, moves, "m", at, [Pose(point) for point in path])
 
 
-def _square(number: int, frames: int | None) -> Course:
+def _square(frames: int | None) -> Course:
     """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
     robot, at = make_chain(2), _circle_angles(CIRCLE_STEP)[:frames]
     moves = (
@@ -103,7 +99,7 @@ def _square(number: int, frames: int | None) -> Course:
         f"to {2 * BEND:g}° and back, its axis turning twice as fast; the first and last goal can be met "
         "by the straight chain alone"
     )
-    return _course(number, 2, True, moves, "°", at, [robot.measure(_two_balls(a)) for a in at])
+    return _course(2, True, moves, "°", at, [robot.measure(_two_balls(a)) for a in at])
 
 
 def _two_balls(at: float) -> Array:
@@ -164,7 +160,7 @@ def _circles(number: int, frames: int | None) -> Course:
     row = _CIRCLES[number]
     at = _circle_angles(row.step)[:frames]
     targets = [row.pose(float(a)) for a in at]
-    return _course(number, row.joints, row.turn is not None, row.moves, "°", at, targets)
+    return _course(row.joints, row.turn is not None, row.moves, "°", at, targets)
 
 
 NUMBERS = tuple(range(1, 14))
@@ -174,7 +170,7 @@ def make_course(number: int, seed: int = 0, frames: int | None = None) -> Course
     """A00's test ``number`` (1 … 13), of no more than so many frames; ``seed`` is for 11 and 12."""
     if number in (11, 12):
         return _lines(number, 3 if number == 11 else 5, seed, frames)
-    return _square(number, frames) if number == 13 else _circles(number, frames)
+    return _square(frames) if number == 13 else _circles(number, frames)
 
 
 TOLERANCE = Tolerance(position=1e-4, angle=1e-3)
