@@ -21,7 +21,6 @@ from robot_ik.camera.synthetic.datasets import (
     STANDARD_DISTANCES,
     STANDARD_SIZE,
     marker_light,
-    markers_centre,
     photograph,
     random_pose,
 )
@@ -111,11 +110,10 @@ def measured(
             begun, lights = rng.bit_generator.state, {}
             for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
                 rng.bit_generator.state = begun
-                lights[bleed] = marker_light(
+                lights[bleed], centre = marker_light(
                     STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=GAP / STANDARD_SIZE,
                     sensor=replace(LINEAR, bleed=bleed),
                 )  # fmt: skip
-            centre = markers_centre(STANDARD_CAMERA, placed)
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
                 image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
