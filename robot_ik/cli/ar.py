@@ -71,8 +71,6 @@ class ArOptions:
     """Draw where the board will be (for --sync latest)."""
     shift: bool = False
     """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
-    delay: float = 0.0
-    """Seconds by which tracking lags behind recorded pictures (for --sync latest)."""
     alpha: float = 1.0
     """1 hides what is behind the robot, 0 the robot."""
     shadow: bool = True
@@ -167,16 +165,12 @@ def _check(options: ArOptions) -> None:
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in size)
     require(len(size) in (0, 2) and fits, "--size", f"{size}", sides)
     require(0.0 <= options.alpha <= 1.0, "--alpha", f"{options.alpha:g}", "0 to 1")
-    for name in ("scale", "delay"):
-        value = getattr(options, name)
-        require(0.0 <= value < np.inf, f"--{name}", f"{value:g}", "0 or more")
+    require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
     seconds = options.seconds
     require(seconds is None or 0.0 < seconds < np.inf, "--seconds", f"{seconds}", "above 0; left out: all")
-    late = options.predict or options.shift or options.delay
     require(
-        not late or options.sync == "latest", "--sync",
-        "the picture that was tracked has no delay to make up for",
-        "--sync latest with --predict, --shift or --delay",
+        options.sync == "latest" or not (options.predict or options.shift), "--sync",
+        "the picture that was tracked has no delay to make up for", "--sync latest with --predict or --shift",
     )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ CAMERAS = (
 _TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
 _LOOP_WANTED = {640: 60.0, 1280: 30.0}
 _DELAY_WANTED_MS = 15.0
-# Joint angles at which the tool is in the middle of its workspace: a robot that is drawn and asked for goals.
+# Robots that are drawn; the arm is asked for goals, too.
 _ARM, _FIGURE = "puma560", "humanoid"
 
 
