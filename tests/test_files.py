@@ -272,7 +272,6 @@ ALLOWED = {
 """(file, call) that reads without ``robot_ik.reading``, and why it may."""
 
 NOT_PEOPLE_S = {
-    "choose_gl": "its own cache; any error means that it is made anew",
     "requested": "from robot-ik stop; any error means that the arm shall stop",
 }
 

@@ -18,8 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from robot_ik.bench.camera import ROWS
-from robot_ik.bench.camera.accuracy import latency_errors
-from robot_ik.bench.camera.arm import compare_filters
+from robot_ik.bench.camera.arm import DELAYS, compare_filters
 from robot_ik.bench.quantity import Quantity
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -31,8 +30,12 @@ PAGES = (
 )
 PLACE = re.compile(r"(<!-- measured: (\w+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 
-#: The row that has a table of its own: every camera with the same figures.
+#: The row with the same figures for every camera, and all that have tables of their own: where they are.
 BY_CAMERA = "cameras"
+TABLES_OF_ROWS = {
+    BY_CAMERA: "[below](#other-cameras)",
+    "latency": "[registration and delay](../theory/registration.md)",
+}
 
 Data = dict[str, Any]
 
@@ -57,20 +60,15 @@ def collect(data: Data, files: Sequence[Data]) -> Data:
     moving, _ = compare_filters(hands=6)
     return {
         "rows": {row.name: rows[row.name] for row in ROWS if row.name in rows},
-        "prediction": [[row.delay, row.hold, row.predicted, row.calmed] for row in moving],
-        "remedies": {name: [miss.rms, miss.worst] for name, miss in latency_errors().items()},
+        "prediction": [[delay, *row] for delay, row in zip(DELAYS, moving.tolist(), strict=True)],
     }
 
 
 def figures(row: Data) -> list[Quantity]:
     """Of a row of the data."""
     return [
-        Quantity(
-            one["quantity"], one["value"], one["unit"],
-            **{"least" if one["at_least"] else "most": one["wanted"]},
-        )
-        for one in row["figures"]
-    ]  # fmt: skip
+        Quantity(**{key: value for key, value in one.items() if key != "passed"}) for one in row["figures"]
+    ]
 
 
 def camera(data: Data, others: Data) -> str:
@@ -82,12 +80,10 @@ def camera(data: Data, others: Data) -> str:
             continue
         facts = data["rows"][row.name]
         places.setdefault(json.dumps(facts["machine"]), []).append(row.name)
-        if row.name == BY_CAMERA:
-            lines.append(f"| **{row.about}** | [below](#other-cameras) | |")
+        if row.name in TABLES_OF_ROWS:
+            lines.append(f"| **{row.about}** | {TABLES_OF_ROWS[row.name]} | |")
             continue
         lines.append(f"| **{row.about}** | | |")
-        if facts.get("unmeasured"):
-            lines.append(f"| not measured: {facts['unmeasured']} | | |")
         for one in figures(facts):
             missed = " (missed)" if one.passed is False else ""
             lines.append(f"| {one.quantity} | {one.measured_text}{missed} | {one.wanted_text} |")
@@ -100,30 +96,26 @@ def camera(data: Data, others: Data) -> str:
 
 def other_cameras(data: Data, others: Data) -> str:
     """A line for each camera and mark; what is wanted in brackets."""
-    found: dict[tuple[str, str], dict[str, list[Quantity]]] = {}
+    found: dict[tuple[str, str], dict[str, Quantity]] = {}
     for one in figures(data["rows"][BY_CAMERA]):
         camera, mark, what = one.quantity.split(", ", 2)
-        column = "squared error over the stated" if what == "the same, at least" else what
-        found.setdefault((camera, mark), {}).setdefault(column, []).append(one)
-    columns = list(next(iter(found.values())))
-    units = [cell[0].unit for cell in next(iter(found.values())).values()]
-    heads = [f"{column}, {unit}" if unit else column for column, unit in zip(columns, units, strict=True)]
+        found.setdefault((camera, mark), {})[what] = one
+    columns = next(iter(found.values()))
+    heads = [f"{column}, {one.unit}" if one.unit else column for column, one in columns.items()]
     lines = [f"| camera | mark | {' | '.join(heads)} |", "| --- | --- |" + " ---: |" * len(columns)]
     for (camera, mark), cells in found.items():
-        texts = [_with_bounds(cells.get(column, [])) for column in columns]
+        texts = [_with_bounds(cells.get(column)) for column in columns]
         lines.append(f"| {camera} | {mark} | {' | '.join(texts)} |")
     return "\n".join([*lines, ""])
 
 
-def _with_bounds(same: Sequence[Quantity]) -> str:
-    """One value and what is wanted of it; each bound comes as a quantity of its own."""
-    if not same:
+def _with_bounds(one: Quantity | None) -> str:
+    """One value and what is wanted of it."""
+    if one is None:
         return ""
-    bounds = ", ".join(
-        one.wanted_text.removesuffix(one.unit).strip().replace(" ", "\N{NO-BREAK SPACE}") for one in same
-    )
-    missed = "; missed" if any(one.passed is False for one in same) else ""
-    return f"{same[0].value:.3g} ({bounds}{missed})"
+    bounds = one.wanted_text.removesuffix(one.unit).strip().replace(" ", "\N{NO-BREAK SPACE}")
+    missed = "; missed" if one.passed is False else ""
+    return f"{one.value:.3g} ({bounds}{missed})"
 
 
 def prediction(data: Data, others: Data) -> str:
@@ -137,8 +129,11 @@ def prediction(data: Data, others: Data) -> str:
 def latency_options(data: Data, others: Data) -> str:
     """What is left of a delay of 66 ms, by remedy."""
     lines = ["| what is done | options | RMS, px | worst, px |", "| --- | --- | ---: | ---: |"]
-    for name, (rms, worst) in data["remedies"].items():
-        lines.append(f"| {name} | {_LATENCY_CASES[name]} | {rms:.1f} | {worst:.1f} |")
+    values = {one.quantity: one.value for one in figures(data["rows"]["latency"])}
+    for name, options in _LATENCY_CASES.items():
+        lines.append(
+            f"| {name} | {options} | {values[f'{name}, RMS']:.1f} | {values[f'{name}, worst']:.1f} |"
+        )
     return "\n".join([*lines, ""])
 
 

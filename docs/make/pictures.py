@@ -113,14 +113,14 @@ def calibration() -> Image:
     """The printed board, two views of it with its corners, and the coverage after 3 and after 20 views."""
     board, camera = CharucoPattern(8, 6, 0.03, 0.022), STANDARD_CAMERA
     shown = list(pattern_set(board, camera, 20, seed=2, sensor=SensorModel(noise=1.0)))
-    found = [view for view in (board.find(v.image) for v in shown) if view is not None]
+    found = [view for view in (board.find(image) for image, _ in shown) if view is not None]
     tiles = [rasterize(make_sheet_page(SheetRequest("charuco")), 60.0)]
-    tiles += [cv2.cvtColor(v.image, cv2.COLOR_GRAY2BGR) for v in shown[1:3]]
+    tiles += [cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) for image, _ in shown[1:3]]
     for tile, corners in zip(tiles[1:], found[1:3], strict=True):
         for x, y in corners.pixels:
             cv2.circle(tile, (round(16 * x), round(16 * y)), 72, (40, 110, 250), 2, cv2.LINE_AA, 4)
     rows = [np.concatenate([_tile(tile, 400, 300) for tile in tiles], axis=1)]
-    rotations = [view.pose.rotation for view in shown]
+    rotations = [pose.rotation for _, pose in shown]
     parts = [cover(found[:n], rotations[:n], camera.size) for n in (3, 20)]
     rows.append(np.concatenate([coverage_picture(part, 600) for part in parts], axis=1))
     return np.concatenate(rows)

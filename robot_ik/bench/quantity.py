@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -14,7 +15,6 @@ class Quantity:
         value: NaN where it was not.
         unit: Of value and bounds.
         most, least: The bounds that are wanted; None where there is none.
-        timed: It depends on the machine and what else it does.
         missing: Why it was not measured.
     """
 
@@ -23,7 +23,6 @@ class Quantity:
     unit: str = ""
     most: float | None = None
     least: float | None = None
-    timed: bool = False
     missing: str = ""
 
     @property
@@ -34,6 +33,10 @@ class Quantity:
         return (self.most is None or self.value <= self.most) and (
             self.least is None or self.value >= self.least
         )
+
+    def facts(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self) | {"passed": self.passed}
 
     @property
     def measured_text(self) -> str:

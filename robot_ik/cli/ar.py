@@ -59,8 +59,8 @@ class ArOptions:
     """Id of the marker to follow."""
     marker_size: float = 0.05
     """Side of its black square, metres."""
-    backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
-    """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
+    backend: Annotated[str, arg(metavar="painter|gl")] = "painter"
+    """Who draws: painter needs nothing, gl needs OpenGL."""
     occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
@@ -71,8 +71,6 @@ class ArOptions:
     """Draw where the board will be (for --sync latest)."""
     shift: bool = False
     """Move the finished drawing by the board's motion in the picture (for --sync latest)."""
-    delay: float = 0.0
-    """Seconds by which tracking lags behind recorded pictures (for --sync latest)."""
     alpha: float = 1.0
     """1 hides what is behind the robot, 0 the robot."""
     shadow: bool = True
@@ -89,7 +87,7 @@ class ArOptions:
     """Of the synthetic camera's noise."""
     json: Json = False
     self_test: bool = False
-    """Measure how well drawings lie on pictures, in pixels, against cv2.projectPoints and exact truth."""
+    """Measure how well drawings lie on pictures: rows projection, gl, overlay, latency of bench camera."""
 
 
 def run(options: ArOptions) -> int:
@@ -167,46 +165,26 @@ def _check(options: ArOptions) -> None:
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in size)
     require(len(size) in (0, 2) and fits, "--size", f"{size}", sides)
     require(0.0 <= options.alpha <= 1.0, "--alpha", f"{options.alpha:g}", "0 to 1")
-    for name in ("scale", "delay"):
-        value = getattr(options, name)
-        require(0.0 <= value < np.inf, f"--{name}", f"{value:g}", "0 or more")
+    require(0.0 <= options.scale < np.inf, "--scale", f"{options.scale:g}", "0 or more")
     seconds = options.seconds
     require(seconds is None or 0.0 < seconds < np.inf, "--seconds", f"{seconds}", "above 0; left out: all")
-    late = options.predict or options.shift or options.delay
     require(
-        not late or options.sync == "latest", "--sync",
-        "the picture that was tracked has no delay to make up for",
-        "--sync latest with --predict, --shift or --delay",
+        options.sync == "latest" or not (options.predict or options.shift), "--sync",
+        "the picture that was tracked has no delay to make up for", "--sync latest with --predict or --shift",
     )  # fmt: skip
 
 
-# ------------------------------------------------------------------------------------------
-# ``robot-ik ar --self-test``: drawings against ``cv2.projectPoints`` and exact truth, on the terminal.
-
-
 def run_self_test(*, json: bool = False) -> int:
-    """Measures and prints; 0 when all is within its limits, else 1."""
-    from robot_ik.bench.camera.accuracy import self_test
+    """The rows of ``robot-ik bench camera`` about drawing: 0 when all is within its limits, else 1."""
+    from robot_ik.bench.camera import Effort, MeasuredRows
+    from robot_ik.cli.bench import chosen_rows, print_figures
 
+    rows, found = chosen_rows(("projection", "gl", "overlay", "latency")), MeasuredRows()
     with console.progress() as bar:
-        rows, notice = self_test(console.shares_on(bar, "measuring"))
-    good = all(row.good for row in rows)
+        found.measure(rows, Effort(), console.shares_on(bar, "measuring"))
+    good = all(one.passed is not False for one in found.every)
     if json:
-        facts = [
-            {
-                "what": row.what, "rms_px": row.misses.rms, "worst_px": row.misses.worst,
-                "limits_px": row.limits, "good": row.good,
-            }
-            for row in rows
-        ]  # fmt: skip
-        console.print_json({"good": good, "notice": notice, "rows": facts})
+        console.print_json({"good": good, **found.facts()})
     else:
-        cells = []
-        for row in rows:
-            rms, worst = ("", "") if row.limits is None else (f"{v:.2f}" for v in row.limits)
-            mark = console.verdict_mark(None if row.limits is None else row.good)
-            cells.append((row.what, f"{row.misses.rms:.3f}", rms, f"{row.misses.worst:.3f}", worst, mark))
-        console.show(console.table("registration, px", "RMS", "allowed", "worst", "allowed", "", rows=cells))
-    if notice:
-        console.say(notice, style="yellow")
+        print_figures(rows, found)
     return console.DONE if good else console.NOT_ACHIEVED

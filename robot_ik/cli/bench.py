@@ -23,6 +23,7 @@ from robot_ik.jobs.results import require_plots, results_folder, save_json
 if TYPE_CHECKING:
     from robot_ik.bench.methods.results import Cell, Results
     from robot_ik.bench.methods.runner import Campaign
+    from robot_ik.bench.quantity import Quantity
     from robot_ik.solvers.base import Solver
 
 
@@ -208,6 +209,15 @@ def _note(cell: Cell) -> str:
 
 
 # ------------------------------------------------------------------------------------------
+# What is measured beside what is wanted of it.
+
+
+def _cells(name: str, one: Quantity) -> tuple[object, ...]:
+    """A line of a table: name, quantity, value, wanted, verdict."""
+    return name, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed)
+
+
+# ------------------------------------------------------------------------------------------
 # ``robot-ik bench figure``: the figure's motion beside what is wanted of it, judged by MuJoCo.
 
 
@@ -239,21 +249,11 @@ def run_figure(options: BenchFigureOptions) -> int:
         abilities = load_abilities(load_figure(options.model))
         rows = list(measure_figure(abilities, options.count, options.seed))
     if options.json:
-        facts = [
-            {
-                "motion": motion, "what": one.quantity, "value": one.value, "unit": one.unit,
-                "least": one.least, "most": one.most, "missing": one.missing,
-                "passed": one.passed is not False,
-            }
-            for motion, one in rows
-        ]  # fmt: skip
-        console.print_json({"schema": 1, "rows": facts})
+        console.print_json({"schema": 2, "rows": [{"motion": motion, **one.facts()} for motion, one in rows]})
     else:
-        cells = [
-            (motion, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed))
-            for motion, one in rows
-        ]
-        console.show(console.table("motion", "what", "measured", "wanted", "", rows=cells))
+        console.show(
+            console.table("motion", "what", "measured", "wanted", "", rows=[_cells(*row) for row in rows])
+        )
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
 
 
@@ -273,7 +273,7 @@ class BenchCameraOptions:
     """
 
     rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
-    """Which rows of the table: corners, marker, board, …"""
+    """Which rows of the table: marker, board, cameras, …"""
     skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False
@@ -307,11 +307,12 @@ def run_camera(options: BenchCameraOptions) -> int:
             if found.figures:
                 print_figures(rows, found)
                 if options.json is not None:
-                    facts = {"schema": 1, "machine": this_machine().model_dump(mode="json")}
+                    facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
                     save_json(options.json, facts)
                     console.say(f"figures: {options.json}", "dim")
-    return console.DONE if found.passed else console.NOT_ACHIEVED
+    good = not found.unmeasured and all(one.passed is not False for one in found.every)
+    return console.DONE if good else console.NOT_ACHIEVED
 
 
 def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
@@ -336,17 +337,11 @@ def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
     cells: list[tuple[object, ...]] = []
     for row in rows:
         for index, one in enumerate(found.figures.get(row.name, ())):
-            name = row.name if index == 0 else ""
-            mark = console.verdict_mark(one.passed)
-            cells.append((name, one.quantity, one.measured_text, one.wanted_text, mark))
-        if row.name in found.unmeasured:
-            why = f"not measured: {found.unmeasured[row.name]}"
-            cells.append((row.name, why, "", "", console.verdict_mark(False)))
-    missed = sum(one.passed is False for figures in found.figures.values() for one in figures)
-    every = sum(one.passed is not None for figures in found.figures.values() for one in figures)
+            cells.append(_cells(row.name if index == 0 else "", one))
+    judged = [one.passed for one in found.every if one.passed is not None]
     console.show(
         console.table("row", "quantity", "measured", "wanted", "", rows=cells),
-        f"{every - missed} of {every} as wanted"
+        f"{sum(judged)} of {len(judged)} as wanted"
         + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
         + ("" if found.complete else "; not all measured"),
     )

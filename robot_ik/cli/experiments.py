@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from rich.table import Table
@@ -53,31 +51,33 @@ class ExperimentsOptions:
 def run(options: ExperimentsOptions) -> int:
     """Runs an experiment; 0 when all that has to pass passes."""
     _check(options)
-    from robot_ik.bench.theses import a00, results, s12
-    from robot_ik.jobs.results import require_plots, results_folder
+    from robot_ik.bench.theses import a00, s12
+    from robot_ik.files import write_atomically
+    from robot_ik.jobs.results import require_plots, results_folder, save_json
 
     report: Any
     work: Any
-    save: Any
+    summary: Any
     show: Any
     if options.experiment == "a00":
         report = a00.ask_a00(options.tests, options.solvers, options.frames, options.seed)
-        work, save, show = a00.run_a00, results.save_a00, print_a00
+        work, summary, show = a00.run_a00, a00.a00_summary, print_a00
     else:
         if options.plot:
             require_plots("drawing the table")
         report = s12.S12Report(options.frames or s12.FRAMES, options.seed)
-        work, save, show = s12.run_s12, partial(results.save_s12, plot=options.plot), print_s12
-    own = [f"{options.experiment}.{kind}" for kind in ("json", "csv", "png")]
+        work, summary, show = s12.run_s12, s12.s12_summary, print_s12
+    own = [f"{options.experiment}.{kind}" for kind in ("json", "png")]
     with results_folder(options.out, options.experiment, own, overwrite=options.overwrite) as folder:
         try:
             with console.progress() as bar:
                 work(report, console.shares_on(bar, options.experiment))
         finally:  # Ctrl-C and SIGTERM as well: what is done is kept, and reported
-            files = save(report, folder)
+            save_json(folder / own[0], summary(report))
+            if drawn := options.plot and report.complete:
+                write_atomically(folder / own[1], s12.s12_picture(report))
             show(report)
-            names = "  ".join(file.name for file in files)
-            console.result(f"files in {folder}: {names}")
+            console.result(f"files in {folder}: {'  '.join(own[: 1 + drawn])}")
     return console.DONE if report.passed else console.NOT_ACHIEVED
 
 
@@ -99,10 +99,6 @@ def _check(options: ExperimentsOptions) -> None:
 NOTHING = "-"
 
 
-def _notes(title: str, lines: Iterable[str]) -> None:
-    console.show(console.table("", title, rows=[("•", line) for line in lines]), "")
-
-
 def _result(complete: bool, passed: bool, why: str) -> Text:
     if not complete:
         return Text.assemble(("INTERRUPTED", "bold yellow"), "  the tables hold what was done")
@@ -114,9 +110,8 @@ def _result(complete: bool, passed: bool, why: str) -> Text:
 
 def print_a00(report: A00Report) -> None:
     """Courses, methods × courses, and whether what has to pass does."""
-    from robot_ik.bench.theses import a00, results
+    from robot_ik.bench.theses import a00
 
-    _notes("A00, tests 1-13: what is chosen where he states nothing", results.A00_CHOICES)
     rows = [
         (
             number, len(course.robot.joints), course.goal.name.removesuffix(" goal"), course.moves,
@@ -148,9 +143,7 @@ def _why_a00(report: A00Report) -> str:
         return "; ".join(losses)
     if not asked:
         return "no method was asked for that has to pass"
-    metres, radians = (max(miss) for miss in zip(*report.witness_miss.values(), strict=True))
-    witnesses = f"their witnesses miss by {metres:.0e} m, {radians:.0e} rad at most"
-    return f"{', '.join(asked)} met every frame; {witnesses}"
+    return f"{', '.join(asked)} met every frame"
 
 
 def _methods_table(report: A00Report) -> Table:
@@ -183,14 +176,11 @@ def _share(report: A00Report, name: str, number: int) -> Text:
 
 def print_s12(report: S12Report) -> None:
     """His table and ours, what differs, and whether what has to pass does."""
-    from robot_ik.bench.theses import results, s12
+    from robot_ik.bench.theses import s12
 
-    _notes("S12, table 4.1: what is chosen where he states nothing", results.S12_CHOICES)
     for case in s12.CASES:
         console.show(_case_table(report, case), "")
     console.show("t: mean time of a solve, ms.  N: mean number of steps.  η: % of the frames solved.", "")
-    _notes("Why our numbers with his parameters differ from his", results.S12_DIFFERENCES)
-    _notes("What he does not state", results.S12_NOT_STATED)
     if report.failures:
         why = "; ".join(
             f"{n} in case {k}: {100.0 * report.tracks['best', n, k].share:.1f} %" for n, k in report.failures

@@ -217,7 +217,7 @@ def _ground(robot: Robot, scene: Scene, q_goal: Array, reach: float) -> SceneTab
     side = next(side for side, _ in scene.cube.values())
     lowest = min(scene.pose_world_marker.position[2] - scene.marker_size, cube.position[2] - 1.2 * side)
     height = float(lowest) - 0.02 * reach
-    return None if height > 0.0 else SceneTable(height, (-reach, reach), (-reach, reach), floor=height - 0.7)
+    return None if height > 0.0 else SceneTable(height, (-reach, reach), (-reach, reach))
 
 
 def _cameras(marker: Array, tool: Array, reach: float) -> list[Pose]:

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from robot_ik.camera.drawing.gl import GlArtist, make_artist
+from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.synthetic.camera import SyntheticSource
@@ -161,8 +161,7 @@ def film(
     artist, _ = make_artist(backend)
     view: View | None = None
     with contextlib.ExitStack() as stack:
-        if isinstance(artist, GlArtist):
-            stack.callback(artist.close)
+        stack.callback(artist.close)
         write = None
         if out is not None:
             write = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite)).write

@@ -67,7 +67,6 @@ def test_kernels_and_batches(
     lm = {("lm", across, size) for across, size in (("joints", 4), ("joints", 8), ("goals", 1), ("goals", 2))}
     assert set(points) == lm  # a closed form takes no steps
     assert all(point.step_us > 0.0 for point in points.values())
-    assert points["lm", "goals", 2].converged == 1.0
     solved = {(one.solver, one.robot, one.threads): one for one in results.batches}
     assert {key[:2] for key in solved} == {("lm", "panda"), ("lm", "puma560"), ("analytic", "puma560")}
     assert all(one.poses == 1000 and one.success == 1.0 and one.per_second > 0 for one in solved.values())

@@ -10,7 +10,7 @@ from robot_ik.camera.detection import MarkerDetector, guess_dictionary
 from robot_ik.camera.image import dictionary_names, dictionary_size, marker_bits
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.sources import Frame
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, SensorModel, render_markers
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.jobs.pictures import MarkerFinder
@@ -44,7 +44,7 @@ def test_corners_start_at_the_printed_upper_left(roll_deg: float) -> None:
     turn = rotation_exp([0, 0, np.deg2rad(roll_deg)])
     pose = Pose((0.02, -0.01, 0.4), quat_multiply(FACING, turn))
     rng = np.random.default_rng(3)
-    image = render_marker(STANDARD_CAMERA, pose, rng, marker_id=5, dictionary="DICT_5X5_50")
+    image = render_markers(STANDARD_CAMERA, {5: (0.05, pose)}, rng, dictionary="DICT_5X5_50")
     (found,) = MarkerDetector("DICT_5X5_50").detect(image)
     truth = STANDARD_CAMERA.project(pose.apply(marker_points(0.05)))
     assert found.id == 5
@@ -167,11 +167,10 @@ def test_the_quick_search_finds_markers_of_the_expected_size() -> None:
 def test_a_marker_under_steep_view_and_weak_contrast_is_found() -> None:
     lean = rotation_exp([np.deg2rad(60), 0, 0])
     pose = Pose((0.0, 0.0, 0.8), quat_multiply(FACING, lean))
-    image = render_marker(
+    image = render_markers(
         STANDARD_CAMERA,
-        pose,
+        {1: (0.05, pose)},
         np.random.default_rng(0),
-        marker_id=1,
         dictionary="DICT_5X5_50",
         sensor=SensorModel(black=80, white=150),
     )

@@ -67,11 +67,11 @@ def test_a_marker_found_at_both_sizes_is_one_marker() -> None:
 
 @pytest.mark.parametrize("pattern", [CharucoPattern(8, 6, 0.03, 0.022), ChessboardPattern(9, 6, 0.025)])
 def test_a_board_in_an_enlarged_picture_keeps_its_corners(pattern: Pattern) -> None:
-    (view,) = pattern_set(pattern, STANDARD_CAMERA, 1, seed=6)
-    small, large = pattern.find(view.image), pattern.find(enlarged(view.image))
+    ((image, pose),) = pattern_set(pattern, STANDARD_CAMERA, 1, seed=6)
+    small, large = pattern.find(image), pattern.find(enlarged(image))
     assert small is not None and large is not None
     assert len(large.ids) >= len(small.ids)
-    true = STANDARD_CAMERA.project(view.pose.apply(large.points_board))
+    true = STANDARD_CAMERA.project(pose.apply(large.points_board))
     off = to_reduced(large.pixels, TIMES) - true
     assert np.sqrt(np.mean(np.sum(off**2, axis=1))) < 0.06
     assert large.blur == pytest.approx(TIMES * small.blur, rel=0.4)

@@ -13,7 +13,7 @@ from robot_ik.camera.marker_goals import AMBIGUITY_LIMIT, MarkerGoalSource
 from robot_ik.camera.observations import marker_branches, marker_observation, marker_points
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA as CAMERA
-from robot_ik.camera.synthetic.datasets import render_marker
+from robot_ik.camera.synthetic.datasets import render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, FrameTimeoutError
 from robot_ik.geometry import Pose, quat_multiply, rotation_exp
@@ -65,7 +65,7 @@ def frame(
     image = None
     for marker_id, pose in poses.items():
         rng = np.random.default_rng(seed)
-        one = render_marker(CAMERA, pose, rng, size=size, dictionary="DICT_5X5_50", marker_id=marker_id)
+        one = render_markers(CAMERA, {marker_id: (size, pose)}, rng, dictionary="DICT_5X5_50")
         box = CAMERA.project(pose.apply(marker_points(size * 1.5)))
         x0, y0 = np.floor(box.min(axis=0)).astype(int)
         x1, y1 = np.ceil(box.max(axis=0)).astype(int)

@@ -10,7 +10,7 @@ from robot_ik.bench.camera.accuracy import frame_of
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.corner_refinement import RefinedCorners, is_print, refine_markers
 from robot_ik.camera.detection import MarkerDetector
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_marker, render_markers
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, random_pose, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 
@@ -57,7 +57,7 @@ def test_the_print_tells_a_marker_from_its_mirror_image() -> None:
     for _ in range(10):
         lean = Pose(wxyz=rotation_exp([*np.deg2rad(rng.uniform(-4.0, 4.0, 2)), rng.uniform(-3.0, 3.0)]))
         pose = Pose((0.02, -0.03, 1.0), FACING.compose(lean).wxyz)
-        image = render_marker(STANDARD_CAMERA, pose, rng, marker_id=7)
+        image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng)
         (seen,) = tracker.observe(frame_of(image))
         worst = max(worst, seen.pose.distance(pose)[1])
         assert seen.alternative is None or seen.alternative.distance(pose)[1] > seen.pose.distance(pose)[1]
@@ -125,7 +125,7 @@ def test_the_mirror_image_is_not_taken_for_sure(seed: int, distance: float) -> N
     """Both poses are judged by the same pixels: by those of each its own, these were 10 degrees off."""
     rng = np.random.default_rng(seed)
     pose = random_pose(STANDARD_CAMERA, rng, distance, tilt_deg=(1, 30))
-    image = render_marker(STANDARD_CAMERA, pose, rng, marker_id=7)
+    image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, rng)
     (seen,) = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {7: 0.05}).observe(frame_of(image))
     mirrored = seen.alternative is not None and (
         seen.alternative.distance(pose)[1] < seen.pose.distance(pose)[1]

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,12 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.camera import accuracy
-from robot_ik.bench.camera.accuracy import JudgedMisses, Misses
+from robot_ik.bench.camera import Effort, Row
+from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.registration import Registrar
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.cli.main import main
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
 from robot_ik.reading import FORMER
@@ -23,7 +25,7 @@ from robot_ik.reading import FORMER
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pose = Pose((0.0, 0.05, 0.5), (0.17, 0.985, 0.0, 0.0))
-    image = render_marker(STANDARD_CAMERA, pose, np.random.default_rng(0), marker_id=7)
+    image = render_markers(STANDARD_CAMERA, {7: (0.05, pose)}, np.random.default_rng(0))
     cv2.imwrite(str(tmp_path / "photo.png"), image)
     STANDARD_CAMERA.save(tmp_path / "camera.yaml")
     words = ["ar", "--camera", str(tmp_path / "photo.png"), "--intrinsics", str(tmp_path / "camera.yaml")]
@@ -108,13 +110,19 @@ def test_what_cannot_be_is_one_sentence_and_exit_code_2(
 def test_the_self_test_judges(
     rms: float, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rows = [JudgedMisses("spheres", Misses(rms, 0.1, 0.0, 9), (0.05, 0.15))]
-    monkeypatch.setattr(accuracy, "self_test", lambda progress: (rows, "no OpenGL here"))
+    def measure(self: Row, effort: Effort) -> Iterator[Quantity]:
+        if self.name == "gl":
+            raise CameraError("no OpenGL here")
+        yield Quantity(f"{self.name}, RMS", rms, "px", 0.05)
+
+    monkeypatch.setattr(Row, "measure", measure)
     assert main(["ar", "--self-test"]) == code
-    said = capsys.readouterr()
-    assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err
+    said = capsys.readouterr().out
+    assert f"{rms} px" in said and "no OpenGL here" in said
     assert main(["ar", "--self-test", "--json"]) == code
-    assert json.loads(capsys.readouterr().out)["good"] is (code == 0)
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["good"] is (code == 0) and facts["rows"]["gl"]["figures"][0]["missing"] == "no OpenGL here"
+    assert list(facts["rows"]) == ["projection", "gl", "overlay", "latency"]
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from robot_ik.bench.camera import MeasuredRows
 from robot_ik.camera import sources
 from robot_ik.camera.sheets import sheets
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
@@ -50,8 +50,8 @@ def _desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def picture() -> np.ndarray:
-    return render_marker(
-        STANDARD_CAMERA, SEEN, np.random.default_rng(0), marker_id=7, dictionary="DICT_5X5_50"
+    return render_markers(
+        STANDARD_CAMERA, {7: (0.05, SEEN)}, np.random.default_rng(0), dictionary="DICT_5X5_50"
     )
 
 

@@ -10,10 +10,9 @@ from typing import Any
 import pytest
 
 from robot_ik.bench.theses import a00
-from robot_ik.bench.theses.a00 import Course
 
 
-def test_a00_passes_and_says_what_it_chose(
+def test_a00_passes_and_says_what_was_asked(
     robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
@@ -27,7 +26,7 @@ def test_a00_passes_and_says_what_it_chose(
     assert row[1:] == ["100", "-", "-"]
     summary = json.loads((tmp_path / "out" / "a00.json").read_text())
     assert [test["test"] for test in summary["tests"]] == [6, 8, 13] and summary["passed"]
-    assert (tmp_path / "out" / "a00.csv").read_text().count("\n") == 10
+    assert len(summary["tracks"]) == 9
 
 
 def test_a00_that_loses_a_goal_ends_with_1(
@@ -47,9 +46,8 @@ def test_s12_prints_his_numbers_and_ours(
     run = robot_ik("experiments", "s12", "--frames", 3, "--out", tmp_path)
     assert run.code == 0 and "PASSED" in run.out
     assert "Case 4: random, ±45°, 3 frames" in run.out and "51.9  88  29" in run.out
-    assert "What he does not state" in run.out
     assert max(map(len, run.out.splitlines()[:-1])) <= 80
-    assert sorted(file.name for file in tmp_path.iterdir()) == ["s12.csv", "s12.json"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["s12.json"]
 
 
 def test_ctrl_c_keeps_what_is_done(robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,14 +66,14 @@ def test_ctrl_c_keeps_what_is_done(robot_ik: Any, tmp_path: Path, monkeypatch: p
     assert not summary["complete"] and [track["test"] for track in summary["tracks"]] == [4]
 
 
-@pytest.mark.parametrize("where", ["make_course", "witness_miss", "track"])
+@pytest.mark.parametrize("where", ["make_course", "track"])
 def test_ctrl_c_at_any_moment(
     where: str, robot_ik: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(*arguments: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Course if where == "witness_miss" else a00, where, stop)
+    monkeypatch.setattr(a00, where, stop)
     run = robot_ik("experiments", "a00", "--tests", 9, "--out", tmp_path)
     assert run.code == 130 and "INTERRUPTED" in run.out and "Traceback" not in run.err
     assert not json.loads((tmp_path / "a00.json").read_text())["complete"]

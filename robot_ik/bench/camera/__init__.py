@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -29,10 +30,6 @@ class Effort:
         return max(3, whole // 10) if self.quick else whole
 
 
-class NotMeasuredError(RobotIkError):
-    """A row cannot be measured here; the message says why."""
-
-
 Measure = Callable[[Effort], Iterator[Quantity]]
 
 
@@ -45,7 +42,7 @@ class Row:
     function: str
 
     def measure(self, effort: Effort) -> Iterator[Quantity]:
-        """Measures; figures come as they are ready.  NotMeasuredError: something it needs is not here."""
+        """Measures; figures come as they are ready."""
         module, _, name = self.function.partition(":")
         measure: Measure = getattr(importlib.import_module(module), name)
         yield from measure(effort)
@@ -54,22 +51,19 @@ class Row:
 _HERE = "robot_ik.bench.camera."
 
 ROWS: tuple[Row, ...] = (
-    Row("corners", "corners of one marker", _HERE + "accuracy:corners"),
-    Row("marker", "pose of one 50 mm marker", _HERE + "accuracy:marker"),
+    Row("marker", "corners and pose of one 50 mm marker", _HERE + "accuracy:marker"),
     Row("board", "pose of a board of 2×2 markers", _HERE + "accuracy:board"),
     Row("cameras", "markers and boards by the cameras that people have", _HERE + "cameras:cameras"),
     Row("occlusion", "pose of a board of 3×3 markers, half hidden", _HERE + "accuracy:occlusion"),
     Row("overlay", "where a robot on the board is drawn", _HERE + "accuracy:overlay"),
-    Row("clutter", "goals from pictures that hold no marker", _HERE + "accuracy:clutter"),
+    Row("latency", "a robot on a board that a hand moves, drawn 66 ms late", _HERE + "accuracy:latency"),
+    Row("clutter", "markers found in pictures that hold none", _HERE + "accuracy:clutter"),
     Row("photographs", "real pictures, of --photographs", _HERE + "photographs:photographs"),
     Row("projection", "drawn spheres against OpenCV's projection", _HERE + "accuracy:projection"),
     Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),
     Row("calibration", "intrinsics from 20 views of a board", _HERE + "accuracy:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "accuracy:handeye"),
-    Row("offsets", "joint zeros from 30 pictures of a board in the hand", _HERE + "arm:offsets"),
-    Row(
-        "honesty", "locate, hand-eye and verify by pictures of a webcam, 20 seeds", _HERE + "arm:consistency"
-    ),
+    Row("honesty", "locate, hand-eye and verify by a webcam's pictures, 20 seeds", _HERE + "arm:honesty"),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "arm:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "speed:times"),
     Row("drawing", "drawing a robot over a picture", _HERE + "speed:drawing"),
@@ -85,15 +79,13 @@ class MeasuredRows:
     """What a run has found.
 
     Attributes:
-        figures: By row.
+        figures: By row; the last one of a row that was broken off is ``missing``.
         seconds: That each row took.
-        unmeasured: Why a row has no figures, or not all.
         complete: Whether the run came to its end.
     """
 
     figures: dict[str, list[Quantity]] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
-    unmeasured: dict[str, str] = field(default_factory=dict)
     complete: bool = False
 
     def measure(self, rows: Sequence[Row], effort: Effort, progress: Progress) -> None:
@@ -107,18 +99,22 @@ class MeasuredRows:
                     figures.append(one)
                     progress(f"{row.about}: {one.quantity}", k / len(rows))
                 if not figures:
-                    self.unmeasured[row.name] = "it gave no figure"
+                    figures.append(Quantity(row.about, math.nan, missing="it gave no figure"))
             except RobotIkError as error:
-                self.unmeasured[row.name] = str(error.args[0])
+                figures.append(Quantity(row.about, math.nan, missing=str(error.args[0])))
             finally:
                 self.seconds[row.name] = time.monotonic() - began
         self.complete = True
 
     @property
-    def passed(self) -> bool:
-        """Whether every row was measured and nothing missed what is wanted."""
-        figures = [one for figures in self.figures.values() for one in figures]
-        return not self.unmeasured and all(one.passed is not False for one in figures)
+    def every(self) -> list[Quantity]:
+        """The figures of all rows."""
+        return [one for figures in self.figures.values() for one in figures]
+
+    @property
+    def unmeasured(self) -> list[str]:
+        """Rows without figures, or not with all."""
+        return [name for name, figures in self.figures.items() if any(one.missing for one in figures)]
 
     def facts(self) -> dict[str, Any]:
         """For JSON."""
@@ -127,18 +123,8 @@ class MeasuredRows:
             "rows": {
                 name: {
                     "seconds": round(self.seconds.get(name, 0.0), 1),
-                    "unmeasured": self.unmeasured.get(name),
-                    "figures": [_facts(one) for one in figures],
+                    "figures": [one.facts() for one in figures],
                 }
                 for name, figures in self.figures.items()
             },
         }
-
-
-def _facts(one: Quantity) -> dict[str, Any]:
-    """For JSON."""
-    return {
-        "quantity": one.quantity, "value": one.value, "unit": one.unit,
-        "wanted": one.most if one.least is None else one.least, "at_least": one.least is not None,
-        "timed": one.timed, "passed": one.passed,
-    }  # fmt: skip

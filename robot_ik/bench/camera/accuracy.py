@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, Pattern
@@ -20,15 +20,13 @@ from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.marker_goals import MarkerGoalSource
-from robot_ik.camera.observations import BodyObservation, MarkerObservation
+from robot_ik.camera.observations import BodyObservation
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
-from robot_ik.camera.sources import Frame, FrameSource
+from robot_ik.camera.sources import Frame
 from robot_ik.camera.synthetic.datasets import (
     STANDARD_CAMERA,
     STANDARD_DISTANCES,
     STANDARD_SIZE,
-    MarkerView,
     handeye_set,
     pattern_set,
     random_pose,
@@ -37,8 +35,8 @@ from robot_ik.camera.synthetic.datasets import (
 )
 from robot_ik.camera.synthetic.sensor import WEBCAM
 from robot_ik.camera.tracker import Layout, MarkerTracker
+from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.jobs import Progress
 from robot_ik.ports import Array, Image
 
 DICTIONARY = "DICT_4X4_50"
@@ -94,48 +92,32 @@ def board_frame(
     return frame_of(image, number, time)
 
 
-def _seen(
-    effort: Effort, distance: float, count: int
-) -> Iterator[tuple[MarkerView, MarkerObservation | None]]:
+def marker(effort: Effort) -> Iterator[Quantity]:
+    """Corners, position, orientation and flips of one 50 mm marker at three distances."""
     # Its number is named, as goals ask for it: a wall's squares now and then have the code of another one.
     tracker = MarkerTracker(STANDARD_CAMERA, DICTIONARY, {MARKER: STANDARD_SIZE})
-    for number, view in enumerate(
-        standard_set(distance, effort.count(count), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
-    ):
-        seen = tracker.observe(frame_of(view.image, number))
-        yield view, seen[0] if len(seen) == 1 else None
-
-
-def corners(effort: Effort) -> Iterator[Quantity]:
-    """RMS error and bias of the corners, all distances together; the bias outwards is what becomes depth."""
-    errors, outwards = [], []
+    flips, missed, errors, outwards = 0, 0, [], []
     for distance in STANDARD_DISTANCES:
-        for view, seen in _seen(effort, distance, 60):
-            if seen is None:
-                continue
-            error = seen.corners - view.corners
-            errors.append(error)
-            outwards.append(outward(error, view.corners))
-    every = np.array(errors)
-    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outwards))))
-    yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
-    yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
-
-
-def marker(effort: Effort) -> Iterator[Quantity]:
-    """Position, orientation and flips of one 50 mm marker at three distances."""
-    flips = missed = 0
-    for distance in STANDARD_DISTANCES:
+        views = standard_set(distance, effort.count(100), seed=effort.seed, marker_id=MARKER, sensor=WEBCAM)
         off = []
-        for view, seen in _seen(effort, distance, 100):
-            missed += seen is None
-            if seen is not None:
-                off.append(seen.pose.distance(view.pose))
+        for number, view in enumerate(views):
+            seen = tracker.observe(frame_of(view.image, number))
+            if len(seen) != 1:
+                missed += 1
+                continue
+            off.append(seen[0].pose.distance(view.pose))
+            errors.append(seen[0].corners - view.corners)
+            outwards.append(outward(errors[-1], view.corners))
         flips += sum(angle > _FLIPPED for _, angle in off)
         metres, radians = np.array(off).T
         wanted = _MARKER_WANTED[distance]
         yield Quantity(f"position at {distance} m, RMS", 1e3 * rms(metres), "mm", wanted[0])
         yield Quantity(f"orientation at {distance} m, RMS", float(np.degrees(rms(radians))), "°", wanted[1])
+    every = np.array(errors)
+    # The bias outwards is what becomes depth.
+    bias = max(float(np.abs(every.mean(axis=(0, 1))).max()), abs(float(np.mean(outwards))))
+    yield Quantity("corner error, RMS", float(np.sqrt((every**2).sum(axis=2).mean())), "px", 0.10)
+    yield Quantity("corner bias (x, y or outwards)", bias, "px", 0.03)
     yield Quantity("wrong branch (more than 5° off), up to 1 m", flips, "", 0)
     yield Quantity("not found, up to 1 m", missed, "", 0)
 
@@ -203,33 +185,14 @@ def _cluttered(seed: int, count: int) -> Iterator[Frame]:
             height, width = tile.shape
             y, x = rng.integers(0, 480 - height), rng.integers(0, 640 - width)
             image[y : y + height, x : x + width] = tile
-        yield frame_of(image, number, 0.05 * number)
+        yield frame_of(image, number)
 
 
 def clutter(effort: Effort) -> Iterator[Quantity]:
-    """Goals, and finds of any id, in 150 cluttered pictures without a marker."""
-    tracker = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE)
-    finds, false, count = 0, 0, effort.count(_CLUTTERED)
-    for frame in _cluttered(effort.seed, count):
-        seen = tracker.observe(frame)
-        finds += len(seen)
-        for marker_id in {observation.id for observation in seen}:
-            one = MarkerGoalSource(_SingleFrameSource(frame), tracker, Pose(), marker_id, Pose())
-            false += one.poll(frame.time) is not None
-    yield Quantity(f"false goals in {count} cluttered pictures, any of 50 ids", false, "", 0)
-    yield Quantity("false finds in them (DICT_5X5_50)", finds, "", 0)
-
-
-class _SingleFrameSource(FrameSource):
-    """One frame for ever."""
-
-    live = False
-
-    def __init__(self, frame: Frame) -> None:
-        self._frame = frame
-
-    def read(self) -> Frame:
-        return self._frame
+    """Finds of any id in 150 cluttered pictures without a marker: each could become a goal."""
+    tracker, count = MarkerTracker(STANDARD_CAMERA, "DICT_5X5_50", STANDARD_SIZE), effort.count(_CLUTTERED)
+    finds = sum(len(tracker.observe(frame)) for frame in _cluttered(effort.seed, count))
+    yield Quantity(f"false finds in {count} cluttered pictures (DICT_5X5_50)", finds, "", 0)
 
 
 # ------------------------------------------------------------------------------------------
@@ -289,30 +252,23 @@ def projection_identity(artist: Artist, intrinsics: CameraIntrinsics = BENT, *, 
             )
             spheres.append((pixel[0], centre, radius))
     robot = DrawnRobot(spec.compile(), shadow=False)
-    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(float)
+    drawn = artist.draw(robot, [], intrinsics, Pose()).robot.mask(*intrinsics.size).astype(np.float32)
     half = _SPACING_PX // 2
     offsets = []
     for pixel, centre, radius in spheres:
         x, y = np.rint(pixel).astype(int)
         x0, y0 = max(x - half, 0), max(y - half, 0)
-        part = drawn[y0 : y + half, x0 : x + half]
-        alone = _middle(part, (x0, y0))
+        alone = np.array([x0, y0]) + _middle(drawn[y0 : y + half, x0 : x + half])
         offsets.append(alone - outline_middle(centre, radius, intrinsics))
     return Misses.of(offsets)
 
 
-def _middle(part: Array, corner: tuple[int, int]) -> Array:
-    """Centroid (2,) of the piece of a mask in the middle of ``part``, in pixels of the picture."""
-    _, labels = cv2.connectedComponents((part > 0).astype(np.uint8))
-    middle = labels[part.shape[0] // 2, part.shape[1] // 2]
-    weight = np.where(labels == middle, part, 0.0) if middle else np.full_like(part, np.nan)
-    rows, columns = np.indices(part.shape)
-    return np.array(
-        [
-            (weight * columns).sum() / weight.sum() + corner[0],
-            (weight * rows).sum() / weight.sum() + corner[1],
-        ]
-    )
+def _middle(shape: NDArray[np.float32]) -> Array:
+    """Centroid (2,) of what a mask holds, or of what an outline (n, 1, 2) encloses."""
+    moments = cv2.moments(shape)
+    if not moments["m00"]:
+        return np.full(2, np.nan)
+    return np.array([moments["m10"], moments["m01"]]) / moments["m00"]
 
 
 def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -> Array:
@@ -330,10 +286,7 @@ def outline_middle(centre: Array, radius: float, intrinsics: CameraIntrinsics) -
             centre * (1 - shrink) + ring, np.zeros(3), np.zeros(3), intrinsics.matrix, coefficients
         )[0]
     ).reshape(-1, 2)
-    moments = cv2.moments((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
-    return np.asarray(
-        pixels[0] + [moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]], dtype=float
-    )
+    return pixels[0] + _middle((pixels - pixels[0]).astype(np.float32).reshape(-1, 1, 2))
 
 
 def robot_points(seed: int = 0) -> Array:
@@ -467,63 +420,49 @@ _VIEWS, _SETS = 20, 3
 _POSES, _SPREAD = 15, 25.0
 
 
-@dataclass(frozen=True)
-class JudgedMisses:
-    """How far drawings lie off; ``limits`` of RMS and worst, None: they are reported, not judged."""
-
-    what: str
-    misses: Misses
-    limits: tuple[float, float] | None
-
-    @property
-    def good(self) -> bool:
-        return all(one.passed is not False for one in self.quantities())
-
-    def quantities(self) -> tuple[Quantity, Quantity]:
-        """RMS and worst."""
-        rms_limit, worst_limit = self.limits or (None, None)
-        return (
-            Quantity(f"{self.what}, RMS", self.misses.rms, "px", rms_limit),
-            Quantity(f"{self.what}, worst", self.misses.worst, "px", worst_limit),
-        )
+def _figures(what: str, misses: Misses, most: tuple[float | None, float | None]) -> Iterator[Quantity]:
+    """RMS and worst, and the most that is wanted of them."""
+    yield Quantity(f"{what}, RMS", misses.rms, "px", most[0])
+    yield Quantity(f"{what}, worst", misses.worst, "px", most[1])
 
 
-def _spheres(artist: Artist, seed: int) -> Iterator[JudgedMisses]:
-    for kind, (lens, *limits) in _WANTED.items():
+def _spheres(artist: Artist, seed: int) -> Iterator[Quantity]:
+    for kind, (lens, *most) in _WANTED.items():
         misses = projection_identity(artist, lens, seed=seed)
-        yield JudgedMisses(f"{artist.name} against projectPoints, {kind}", misses, (limits[0], limits[1]))
-
-
-def _overlays(count: int, seed: int) -> Iterator[JudgedMisses]:
-    for distance in _OVERLAY_DISTANCES:
-        misses = overlay_error(distance, count, seed=seed)
-        yield JudgedMisses(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+        yield from _figures(f"{artist.name} against projectPoints, {kind}", misses, (most[0], most[1]))
 
 
 def projection(effort: Effort) -> Iterator[Quantity]:
-    """Middles of spheres that painter and rays draw for users, against OpenCV's projection."""
-    for name in ("painter", "ray"):
-        for row in _spheres(make_artist(name)[0], effort.seed):
-            yield from row.quantities()
+    """Middles of spheres that the painter draws, against OpenCV's projection."""
+    yield from _spheres(PainterArtist(), effort.seed)
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:
     """The same by MuJoCo's renderer.
 
     Raises:
-        NotMeasuredError: OpenGL does not work here.
+        CameraError: OpenGL does not work here.
     """
     artist, notice = make_artist("gl")
     if notice:
-        raise NotMeasuredError(notice)
-    for row in _spheres(artist, effort.seed):
-        yield from row.quantities()
+        raise CameraError(notice)
+    try:
+        yield from _spheres(artist, effort.seed)
+    finally:
+        artist.close()
 
 
 def overlay(effort: Effort) -> Iterator[Quantity]:
     """Points of a robot, up to 300 mm above and 150 mm beside a 2×2 board, drawn with the pose seen."""
-    for row in _overlays(effort.count(60), effort.seed):
-        yield from row.quantities()
+    for distance in _OVERLAY_DISTANCES:
+        misses = overlay_error(distance, effort.count(60), seed=effort.seed)
+        yield from _figures(f"overlay on a 2×2 board at {distance} m", misses, _OVERLAY_WANTED)
+
+
+def latency(effort: Effort) -> Iterator[Quantity]:
+    """What is left of a delay by each of Azuma's remedies; nothing is wanted of them."""
+    for name, misses in latency_errors(seconds=1.1 if effort.quick else 4.0).items():
+        yield from _figures(name, misses, (None, None))
 
 
 def calibration(effort: Effort) -> Iterator[Quantity]:
@@ -534,7 +473,7 @@ def calibration(effort: Effort) -> Iterator[Quantity]:
             # Other seeds, other sets: none is measured twice.
             seed = _SETS * (effort.seed - 1) + trial + 1
             views = pattern_set(pattern, STANDARD_CAMERA, _VIEWS, seed=seed, sensor=WEBCAM)
-            found = [seen for view in views if (seen := pattern.find(view.image)) is not None]
+            found = [seen for image, _ in views if (seen := pattern.find(image)) is not None]
             result = calibrate(found, STANDARD_CAMERA.size)
             lens, true = result.intrinsics, STANDARD_CAMERA
             focal.append(max(abs(lens.fx / true.fx - 1.0), abs(lens.fy / true.fy - 1.0)))
@@ -561,26 +500,3 @@ def handeye(effort: Effort) -> Iterator[Quantity]:
     for k, what in enumerate(("position", "orientation")):
         ratio = factor(rms(error[:, k]) / rms(sigma[:, k]))
         yield Quantity(f"stated {what} off by a factor of", ratio, "", 2.0)
-
-
-# ------------------------------------------------------------------------------------------
-# ``robot-ik ar --self-test``: the drawings' rows in brief.
-
-
-def self_test(progress: Progress) -> tuple[list[JudgedMisses], str]:
-    """All figures, and one line where OpenGL is missing; empty: it is there."""
-    rows: list[JudgedMisses] = []
-    notice = ""
-    for k, name in enumerate(("painter", "ray", "gl")):
-        progress(name, 2 * k / 9)
-        artist, missing = make_artist(name)
-        notice = missing or notice
-        if not missing:
-            rows += _spheres(artist, 3)
-        getattr(artist, "close", lambda: None)()
-    progress("board", 6 / 9)
-    rows += _overlays(20, 0)
-    progress("delay", 8 / 9)
-    for name, misses in latency_errors().items():
-        rows.append(JudgedMisses(f"66 ms behind a moving hand: {name}", misses, None))
-    return rows, notice

@@ -21,7 +21,6 @@ from robot_ik.camera.synthetic.datasets import (
     STANDARD_DISTANCES,
     STANDARD_SIZE,
     marker_light,
-    markers_centre,
     photograph,
     random_pose,
 )
@@ -111,11 +110,10 @@ def measured(
             begun, lights = rng.bit_generator.state, {}
             for bleed in {condition.sensor.bleed for condition in conditions}:  # on the same wall
                 rng.bit_generator.state = begun
-                lights[bleed] = marker_light(
+                lights[bleed], centre = marker_light(
                     STANDARD_CAMERA, placed, rng, dictionary=DICTIONARY, margin=GAP / STANDARD_SIZE,
                     sensor=replace(LINEAR, bleed=bleed),
                 )  # fmt: skip
-            centre = markers_centre(STANDARD_CAMERA, placed)
             for condition in conditions:
                 noise = np.random.default_rng([seed, number, round(1e3 * distance)])
                 image = photograph(lights[condition.sensor.bleed], centre, noise, condition.sensor)
@@ -160,8 +158,7 @@ def _figures(condition: Condition, errors: Errors, board: bool) -> Iterator[Quan
         off = errors.metres.get(distance, [float("nan")])
         yield Quantity(f"{what}, position at {distance} m, RMS", 1e3 * rms(off), "mm", most)
     nees = float(np.mean(errors.nees))
-    yield Quantity(f"{what}, squared error over the stated", nees, "", _NEES[1])
-    yield Quantity(f"{what}, the same, at least", nees, "", least=_NEES[0])
+    yield Quantity(f"{what}, squared error over the stated", nees, least=_NEES[0], most=_NEES[1])
     yield Quantity(f"{what}, not found", errors.missed, "", 0)
     if errors.outward:
         yield Quantity(

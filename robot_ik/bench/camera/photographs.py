@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.bench.camera import Effort, NotMeasuredError
+from robot_ik.bench.camera import Effort
 from robot_ik.bench.camera.accuracy import frame_of, outward
 from robot_ik.bench.quantity import Quantity
 from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, FoundPattern
@@ -25,7 +25,7 @@ from robot_ik.camera.detection import largest_dictionaries
 from robot_ik.camera.image import IMAGE_SUFFIXES, natural_sort, read_image, to_gray
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CalibrationError
+from robot_ik.errors import CalibrationError, CameraError
 from robot_ik.jobs.pictures import MarkerFinder
 from robot_ik.ports import Image
 
@@ -47,15 +47,15 @@ def photographs(effort: Effort) -> Iterator[Quantity]:
     """What the tests ask of OpenCV's samples, a user's folder: false finds, calibration, markers' positions.
 
     Raises:
-        NotMeasuredError: No folder is given, or it holds no pictures.
+        CameraError: No folder is given, or it holds no pictures.
     """
     if not effort.photographs:
-        raise NotMeasuredError("it needs photographs of yours: --photographs FOLDER")
+        raise CameraError("it needs photographs of yours: --photographs FOLDER")
     folder = Path(effort.photographs)
     files = [f for f in natural_sort(folder.glob("*")) if f.suffix.lower() in IMAGE_SUFFIXES]
     pictures = [to_gray(read_image(f)) for f in files]
     if not pictures:
-        raise NotMeasuredError(f"no pictures in {folder}")
+        raise CameraError(f"no pictures in {folder}")
     boards = [(one, view) for one in pictures if (view := CHESSBOARD.find(one)) is not None]
     if boards:
         finds = sum(any_finds(one) for one, _ in boards[:_ASKED])
@@ -176,7 +176,5 @@ def first_command(effort: Effort) -> Iterator[Quantity]:
             env=bare, cwd=folder, capture_output=True, check=False, timeout=_PATIENCE,
         )  # fmt: skip
         took = time.monotonic() - began
-    yield Quantity(
-        "first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS, timed=True
-    )
+    yield Quantity("first command (robot-ik ar), nothing compiled before", took, "s", _FIRST_SECONDS)
     yield Quantity("its exit code", done.returncode, "", 0)

@@ -26,7 +26,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.marker_goals import LatestGoals, MarkerGoalSource
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import look_at
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.goals import PoseGoal
@@ -46,7 +46,7 @@ CAMERAS = (
 _TRACK_WANTED = {640: (1.5, 6.0), 1280: (3.0, 15.0)}
 _LOOP_WANTED = {640: 60.0, 1280: 30.0}
 _DELAY_WANTED_MS = 15.0
-# Joint angles at which the tool is in the middle of its workspace: a robot that is drawn and asked for goals.
+# Robots that are drawn; the arm is asked for goals, too.
 _ARM, _FIGURE = "puma560", "humanoid"
 
 
@@ -60,7 +60,7 @@ def moving_frames(camera: CameraIntrinsics, count: int, seed: int) -> list[Frame
         pose = Pose(
             position, Pose(wxyz=(0, 1, 0, 0)).compose(Pose(wxyz=rotation_exp([0.5, 0.2, angle]))).wxyz
         )
-        image = render_marker(camera, pose, rng, size=_SIZE, dictionary=_DICTIONARY, marker_id=_MARKER)
+        image = render_markers(camera, {_MARKER: (_SIZE, pose)}, rng, dictionary=_DICTIONARY)
         frames.append(frame_of(image, k, k * _PERIOD))
     return frames
 
@@ -74,8 +74,8 @@ class ElapsedTimes:
 
     def figures(self, what: str, wanted: float | None) -> Iterator[Quantity]:
         """Both; the bound is for the processor's."""
-        yield Quantity(what, self.processor, "ms", wanted, timed=True)
-        yield Quantity(f"{what}, by the clock", self.clock, "ms", timed=True)
+        yield Quantity(what, self.processor, "ms", wanted)
+        yield Quantity(f"{what}, by the clock", self.clock, "ms")
 
 
 def milliseconds(work: Callable[[Any], object], items: Sequence[Any]) -> ElapsedTimes:
@@ -190,8 +190,8 @@ def loop(effort: Effort) -> Iterator[Quantity]:
         took = milliseconds(step, frames)
         what = f"whole loop, {camera.width}×{camera.height}"
         wanted = _LOOP_WANTED[camera.width]
-        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted, timed=True)
-        yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s", timed=True)
+        yield Quantity(what, 1e3 / took.processor, "frames/s", least=wanted)
+        yield Quantity(f"{what}, by the clock", 1e3 / took.clock, "frames/s")
 
 
 class _Camera:
@@ -235,8 +235,6 @@ def delay(effort: Effort) -> Iterator[Quantity]:
         made, used = goals.made.summary(), goals.used.summary()
         size = f"{camera.width}×{camera.height}"
         wanted = _DELAY_WANTED_MS
-        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted, timed=True)
-        yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms", timed=True)
-        yield Quantity(
-            f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms", timed=True
-        )
+        yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted)
+        yield Quantity(f"grab to goal, {size}, p95", 1e3 * made.p95, "ms")
+        yield Quantity(f"age of the picture at a tick of 100 Hz, {size}, p50", 1e3 * used.p50, "ms")

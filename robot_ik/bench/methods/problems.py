@@ -24,13 +24,6 @@ from robot_ik.robot import Robot
 SLACK = 1e-9
 
 
-def apart(a: Array, b: Array) -> tuple[float, float]:
-    """Metres and radians between two poses (4, 4)."""
-    # The chord between the rotations: exact near zero, where an arc cosine is not.
-    chord = float(np.linalg.norm(a[:3, :3] - b[:3, :3])) / (2.0 * math.sqrt(2.0))
-    return float(np.linalg.norm(a[:3, 3] - b[:3, 3])), 2.0 * math.asin(min(1.0, chord))
-
-
 #: Largest step of the tool between two warm poses: the pace of a slow hand at 100 Hz.
 WARM_METRES, WARM_RADIANS = 0.005, math.radians(0.5)
 #: A joint of the set ``limits`` is within this share of its range from an end of it.
@@ -190,18 +183,19 @@ def warm(robot: Robot, count: int, rng: np.random.Generator) -> ProblemSet:
     """Poses along a smooth joint path about home, each at most 5 mm and 0.5° from the one before it."""
     path = _path(robot, rng)
     t, dt = 0.0, 0.02
-    pose, first = robot.measure(path(0.0)).matrix, path(0.0)
+    pose, first = robot.measure(path(0.0)), path(0.0)
     targets: list[Array] = []
     witnesses: list[Array] = []
     while len(targets) < count:
         for _ in range(60):  # until the step is just as long as it may be
-            there = robot.measure(path(t + dt)).matrix
-            ratio = _step(pose, there)
+            there = robot.measure(path(t + dt))
+            metres, radians = there.distance(pose)
+            ratio = max(metres / WARM_METRES, radians / WARM_RADIANS)  # of the longest that is allowed
             if 0.98 < ratio <= 1.0:
                 break
             dt *= min(1.5, 0.99 / ratio) if ratio > 0.0 else 1.5
         t, pose = t + dt, there
-        targets.append(there)
+        targets.append(there.matrix)
         witnesses.append(path(t))
     return ProblemSet("warm", np.array(targets).reshape(-1, 4, 4), np.array(witnesses), first, tracking=True)
 
@@ -220,12 +214,6 @@ def _path(robot: Robot, rng: np.random.Generator) -> Callable[[float], Array]:
     index = np.arange(robot.nv)
     pace, phase = 1.0 + 0.37 * np.sqrt(index + 1.0), 0.9 * index + rng.uniform(0.0, 2.0 * math.pi)
     return lambda t: robot.clip(robot.integrate(middle, amplitude * np.sin(pace * t + phase)))
-
-
-def _step(a: Array, b: Array) -> float:
-    """Length of the step between two poses (4, 4), as a share of the longest that is allowed."""
-    metres, radians = apart(a, b)
-    return max(metres / WARM_METRES, radians / WARM_RADIANS)
 
 
 #: Every kind of problem set, by name.

@@ -135,8 +135,6 @@ class Growth(_Data):
     across: Literal["joints", "goals"]
     size: int
     step_us: float
-    call_us: float
-    converged: float
 
 
 class Batch(_Data):

@@ -5,15 +5,15 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
 from robot_ik.bench.methods import growth
-from robot_ik.bench.methods.problems import SLACK, ProblemSet, apart, make_set
+from robot_ik.bench.methods.problems import SLACK, ProblemSet, make_set
 from robot_ik.bench.methods.results import JUMP, Cell, Curve, Results, Settings
 from robot_ik.errors import GoalError, UnsupportedJointError
+from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.ports import Array
@@ -46,29 +46,28 @@ class Bench:
         if problem is None:
             return
         previous, deadline = self.problems.first, time.perf_counter() + settings.seconds
-        with _no_garbage():
-            for index, target in enumerate(self.problems.targets):
-                start = previous if self.problems.tracking else self.problems.first
-                target, start = target.copy(), start.copy()
-                began = time.perf_counter_ns()
-                problem.retarget(target)
-                solution = self.solver.solve(problem, start)
-                q = solution.q
-                took = (time.perf_counter_ns() - began) / 1e3
-                good = self._keep(settings, took, solution, target)
-                if self.problems.tracking:
-                    step = float(np.abs(q - previous).max())
-                    if good:
-                        self.cell.largest_step = max(self.cell.largest_step, step)
-                        self.cell.jumps += step > JUMP
-                    # Lost: put back on the path, so that one miss is one miss.
-                    previous = q if good else self.problems.witnesses[index]
-                progress((index + 1) / len(self.problems))
-                if time.perf_counter() > deadline and index >= 9:
-                    break
+        for index, target in enumerate(self.problems.targets):
+            start = previous if self.problems.tracking else self.problems.first
+            target, start = target.copy(), start.copy()
+            began = time.perf_counter_ns()
+            problem.retarget(target)
+            solution = self.solver.solve(problem, start)
+            q = solution.q
+            took = (time.perf_counter_ns() - began) / 1e3
+            good = self._keep(settings, took, solution, target)
+            if self.problems.tracking:
+                step = float(np.abs(q - previous).max())
+                if good:
+                    self.cell.largest_step = max(self.cell.largest_step, step)
+                    self.cell.jumps += step > JUMP
+                # Lost: put back on the path, so that one miss is one miss.
+                previous = q if good else self.problems.witnesses[index]
+            progress((index + 1) / len(self.problems))
+            if time.perf_counter() > deadline and index >= 9:
+                break
 
     def _keep(self, settings: Settings, took: float, solution: Solution, target: Array) -> bool:
-        metres, radians = apart(self.robot.measure(solution.q).matrix, target)
+        metres, radians = self.robot.measure(solution.q).distance(Pose.from_matrix(target))
         if self.cell.goal == "position":
             radians = 0.0
         slack = 1.0 + SLACK
@@ -86,19 +85,6 @@ class Bench:
         cell.success.append(good)
         cell.microseconds.append(round(took, 2))
         return good
-
-
-@contextmanager
-def _no_garbage() -> Iterator[None]:
-    """No collection of garbage while the clock runs."""
-    gc.collect()
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
 
 
 def prepare(solver: Solver, robot: Robot, problems: ProblemSet, settings: Settings) -> Bench:
@@ -192,9 +178,9 @@ class Campaign:
         Yields:
             Why something could not be measured.
         """
-        # What compiling left behind need not be collected again before each method's run.
+        # Nothing is collected while a clock runs.
         gc.collect()
-        gc.freeze()
+        gc.disable()
         try:
             self._sets(benches, results, progress)
             if "kernels" in self.sets:
@@ -202,7 +188,7 @@ class Campaign:
             if "batch" in self.sets:
                 yield from self._batches(results, progress)
         finally:
-            gc.unfreeze()
+            gc.enable()
 
     def _sets(self, benches: Sequence[Bench], results: Results, progress: Progress) -> None:
         for done, bench in enumerate(benches):

@@ -16,15 +16,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 
-from robot_ik.bench.methods.problems import apart
 from robot_ik.bench.methods.results import JUMP, this_machine
 from robot_ik.bench.peers import worker
-from robot_ik.bench.peers.tasks import ARMS, FIGURE, Sites, write_task
-from robot_ik.files import make_folder, plain, write_atomically
+from robot_ik.bench.peers.tasks import ARMS, FIGURE, site_names, write_task
+from robot_ik.files import make_folder
+from robot_ik.geometry import Pose
+from robot_ik.jobs.results import save_json
 from robot_ik.ports import Array
+from robot_ik.robot import Robot, load_robot
 
 #: Libraries that share an environment have the name of the first.
 _SHARED = {"placo_restarts": "placo"}
@@ -49,24 +50,24 @@ def judged(folder: Path) -> dict[str, Any]:
     report: dict[str, Any] = json.loads((folder / "report.json").read_text(encoding="utf-8"))
     if not report.get("supported"):
         return report
-    sites = Sites(mujoco.MjModel.from_xml_path(str(folder / "model.xml")))
+    robot = load_robot(folder / "model.xml")
     problems, solutions = np.load(folder / "problems.npz"), np.load(folder / "solutions.npz")
     if "probes" in solutions:
-        own = [sites.poses(q)[0] for q in problems["probes"]]
+        own = [robot.measure(q, site_names(robot)[0]).matrix for q in problems["probes"]]
         off = float(np.abs(np.array(own) - solutions["probes"]).max()) if len(own) else 0.0
         report["forward_off"] = off
         if not off <= SAME_ROBOT:
             return report | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
     report["sets"] = {}
     for key in [name.removesuffix("_q") for name in solutions.files if name.endswith("_q")]:
-        report["sets"][key] = _cell(sites, key, problems, solutions)
+        report["sets"][key] = _cell(robot, key, problems, solutions)
     return report
 
 
-def _cell(sites: Sites, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
+def _cell(robot: Robot, key: str, problems: Any, solutions: Any) -> dict[str, Any]:
     q, wall, cpu = (solutions[f"{key}_{part}"] for part in ("q", "wall", "cpu"))
     targets, starts = problems[f"{key}_targets"][: len(q)], problems[f"{key}_starts"][: len(q)]
-    marks = np.array([_mark(sites, one, target) for one, target in zip(q, targets, strict=True)])
+    marks = np.array([_mark(robot, one, target) for one, target in zip(q, targets, strict=True)])
     cell = {
         "n": len(q),
         "success": float(marks[:, 0].mean()),
@@ -76,23 +77,21 @@ def _cell(sites: Sites, key: str, problems: Any, solutions: Any) -> dict[str, An
         "cpu_p99_us": float(np.percentile(cpu, 99)),
     }
     if key == "warm":
-        moved = np.abs(q - starts)[:, -len(sites.lower) :].max(axis=1)
+        moved = np.abs(q - starts)[:, 7 * (robot.nq > robot.nv) :].max(axis=1)  # not of a free base
         cell["jumps"] = int((moved[marks[:, 0] > 0] > JUMP).sum())
     return cell
 
 
-def _mark(sites: Sites, q: Array, target: Array) -> tuple[bool, bool]:
+def _mark(robot: Robot, q: Array, target: Array) -> tuple[bool, bool]:
     """Whether a solution (nq,) is a success, and whether it is exact."""
-    if not np.isfinite(q).all():
+    if not np.isfinite(q).all() or robot.outside(q, _SLACK):
         return False, False
-    hinges = q[-len(sites.lower) :]
-    if (hinges < sites.lower - _SLACK).any() or (hinges > sites.upper + _SLACK).any():
-        return False, False
+    there = [robot.measure(q, site) for site in site_names(robot)]
     if target.shape[-1] == 3:
-        good = bool(np.linalg.norm(sites.positions(q) - target, axis=1).max() <= POINTS)
+        off = [pose.position for pose in there] - target
+        good = bool(np.linalg.norm(off, axis=1).max() <= POINTS)
         return good, good
-    there = sites.poses(q)[0]
-    metres, radians = apart(there, target)
+    metres, radians = there[0].distance(Pose.from_matrix(target))
     return (metres <= SUCCESS[0] and radians <= SUCCESS[1], metres <= EXACT[0] and radians <= EXACT[1])
 
 
@@ -250,7 +249,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         asked.libraries, asked.robots, asked.out, asked.environments,
         count=asked.count, rounds=asked.rounds, seconds=asked.seconds, seed=asked.seed,
     )  # fmt: skip
-    write_atomically(asked.out / "peers.json", json.dumps(plain(found), indent=1, ensure_ascii=False) + "\n")
+    save_json(asked.out / "peers.json", found)
     for kind in ("missing", "failed"):
         for name, why in found[kind].items():
             say(f"{kind}: {name}: {why}")

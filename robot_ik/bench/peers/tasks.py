@@ -64,7 +64,8 @@ def write_task(name: str, folder: Path, count: int, seed: int) -> Path:
         "angle": TIGHT[1],
     }
     write_atomically(folder / "task.json", json.dumps(plain(facts)))
-    arrays = _four_goals(robot, model, count, seed) if figure else _poses(robot, count, seed)
+    made = load_robot(folder / "model.xml")
+    arrays = _four_goals(made, count, seed) if figure else _poses(robot, count, seed)
     np.savez(folder / "problems.npz", **arrays)  # type: ignore[arg-type]
     return folder
 
@@ -112,11 +113,15 @@ def _singular(robot: Robot) -> dict[str, dict[str, float]]:
     return {"wrist": {robot.joints[4]: 0.0}, "elbow": {robot.joints[2]: stretched}}
 
 
-def _four_goals(robot: Robot, model: mujoco.MjModel, count: int, seed: int) -> dict[str, Array]:
-    """Positions (n, 4, 3) of hands and feet at random joint angles, and along a smooth path."""
-    rng, sites = np.random.default_rng([seed, 4]), Sites(model)
-    home = np.asarray(robot.qpos(robot.home))
-    lower, upper = sites.lower, sites.upper
+def site_names(robot: Robot) -> list[str]:
+    """Of a plain robot: where its goals are."""
+    return [robot.model.site(k).name for k in range(robot.model.nsite)]
+
+
+def _four_goals(robot: Robot, count: int, seed: int) -> dict[str, Array]:
+    """Positions (n, 4, 3) of a plain figure's sites at random joint angles, and along a smooth path."""
+    rng, sites, home = np.random.default_rng([seed, 4]), site_names(robot), robot.home
+    lower, upper = robot.lower[6:], robot.upper[6:]
     cold = np.repeat(home[None], count, axis=0)
     cold[:, _BASE:] += _AWAY * (rng.uniform(lower, upper, (count, len(lower))) - home[_BASE:])
     cold[:, :3] += rng.uniform(-_BASE_M, _BASE_M, (count, 3))
@@ -128,36 +133,11 @@ def _four_goals(robot: Robot, model: mujoco.MjModel, count: int, seed: int) -> d
     warm[:, _BASE:] = middle + swing * np.sin(pace * times + phase)
     return {
         "probes": np.empty((0, len(home))),
-        "cold_targets": np.array([sites.positions(q) for q in cold]),
+        "cold_targets": np.array([[robot.measure(q, site).position for site in sites] for q in cold]),
         "cold_starts": np.repeat(home[None], count, axis=0),
-        "warm_targets": np.array([sites.positions(q) for q in warm[1:]]),
+        "warm_targets": np.array([[robot.measure(q, site).position for site in sites] for q in warm[1:]]),
         "warm_starts": warm[:-1],
     }
-
-
-class Sites:
-    """Where MuJoCo has the sites of a plain model.
-
-    Attributes:
-        lower, upper: (n,) limits of its hinges, rad.
-    """
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self.lower, self.upper = model.jnt_range[model.jnt_type == _HINGE].T
-
-    def poses(self, q: Array) -> Array:
-        """(sites, 4, 4) at ``q`` (nq,)."""
-        self._data.qpos[:] = q
-        mujoco.mj_kinematics(self._model, self._data)
-        found = np.tile(np.eye(4), (self._model.nsite, 1, 1))
-        found[:, :3, :3] = self._data.site_xmat.reshape(-1, 3, 3)
-        found[:, :3, 3] = self._data.site_xpos
-        return found
-
-    def positions(self, q: Array) -> Array:
-        """(sites, 3) at ``q`` (nq,)."""
-        return self.poses(q)[:, :3, 3]
 
 
 # ------------------------------------------------------------------------------------- descriptions
@@ -244,7 +224,9 @@ def frames_of(model: mujoco.MjModel) -> Array:
         here[:3, :3], here[:3, 3] = rotation_z_to(axis), point
         found.append(np.linalg.inv(before) @ here)
         before = here
-    found.append(np.linalg.inv(before) @ Sites(model).poses(data.qpos)[0])
+    end = np.eye(4)
+    end[:3, :3], end[:3, 3] = data.site_xmat[0].reshape(3, 3), data.site_xpos[0]
+    found.append(np.linalg.inv(before) @ end)
     return np.array(found)
 
 

@@ -6,13 +6,13 @@ K. Šimunić, *Interactive inverse kinematic model*, FER Zagreb 2012.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from robot_ik.bench.theses.tracking import Track, track
-from robot_ik.geometry import Pose
+from robot_ik.bench.theses.tracking import SCHEMA, Track, track
 from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.jobs import Progress, share_of
 from robot_ik.jobs.results import png_of, require_plots
@@ -85,14 +85,12 @@ class S12Report:
 
     Attributes:
         tracks: How a method fared, by (variant, method, case number).
-        witness_miss: Farthest that a witness is from its target in a case, metres.
         complete: All has been run.
     """
 
     frames: int = FRAMES
     seed: int = 0
     tracks: dict[tuple[str, str, int], Track] = field(default_factory=dict)
-    witness_miss: dict[int, float] = field(default_factory=dict)
     complete: bool = False
 
     @property
@@ -167,7 +165,6 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
         arm = make_arm(case.limited)
         witnesses = make_witnesses(arm, case, report.frames, report.seed)
         targets = [arm.forward(q) for q in witnesses]
-        report.witness_miss[case.number] = _witness_miss(arm, witnesses, targets)
         for variant in VARIANTS:
             budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
             for name in variant.methods:
@@ -182,11 +179,31 @@ def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -
     return report
 
 
-def _witness_miss(arm: Robot, witnesses: Array, targets: list[Pose]) -> float:
-    """Farthest that a witness is from its target by MuJoCo's forward pass, metres; all are inside limits."""
-    assert not any(arm.outside(q) for q in witnesses)
-    there = (arm.measure(q, "tip") for q in witnesses)
-    return max(pose.distance(target)[0] for pose, target in zip(there, targets, strict=True))
+def s12_summary(report: S12Report) -> dict[str, Any]:
+    """The content of ``s12.json``: metres, shares of 1, milliseconds."""
+    return {
+        "schema": SCHEMA,
+        "experiment": "s12",
+        "complete": report.complete,
+        "passed": report.passed,
+        "seed": report.seed,
+        "frames": report.frames,
+        "tolerance_position_m": TOLERANCE.position,
+        "must_pass": MUST_PASS,
+        "cases": [{"case": case.number, "title": case.title} for case in CASES],
+        "tracks": list(s12_rows(report)),
+    }
+
+
+def s12_rows(report: S12Report) -> Iterator[dict[str, Any]]:
+    """His cells, then ours: parameters, method, case, t (ms), N, η (share)."""
+    for name, cells in HIS.items():
+        for number, (t, n, eta) in enumerate(cells, 1):
+            row = {"parameters": "S12", "method": name, "case": number}
+            yield row | {"milliseconds": t, "n": n, "solved": eta / 100.0}
+    for (variant, name, number), found in report.tracks.items():
+        row = {"parameters": variant, "method": name, "case": number}
+        yield row | {"milliseconds": found.milliseconds, "n": steps_of(name, found), "solved": found.share}
 
 
 # ------------------------------------------------------------------------------------------

@@ -10,6 +10,9 @@ from robot_ik.ports import Array
 from robot_ik.problem import Problem
 from robot_ik.solvers.base import Solver
 
+#: Version of the experiments' JSON files; raised when a field changes its meaning.
+SCHEMA = 1
+
 # Updates the progress bar this often, frames: an update costs more than a solve.
 _LOOK = 25
 

@@ -1,21 +1,16 @@
 """The pretty back end: MuJoCo's OpenGL renderer behind a calibrated lens, where the machine has one.
 
 Whether OpenGL works is tried in a child process with a time limit, because a driver that fails may abort the
-process that asks; the answer is kept for this machine.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on
+process that asks.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on
 import, and a renderer is given the context that was tried instead.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import importlib
-import json
 import os
-import sys
-import tempfile
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -26,13 +21,12 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
 from robot_ik.camera.drawing.painter import Layer
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.drawing.renderers import ARTISTS, Artist, RobotView
+from robot_ik.camera.drawing.renderers import Artist, PainterArtist, RobotView
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image
-from robot_ik.reading import read_json
 
 #: Back ends in the order in which they are tried; what the user has chosen comes first.
 TRIED = ("egl", "osmesa")
@@ -46,38 +40,18 @@ _LARGEST = 3000
 def choose_gl() -> tuple[str, str]:
     """Which OpenGL draws here: a value of ``MUJOCO_GL``, empty for none; and why.
 
-    It is the first back end that draws a picture in a child process, asked once on a machine.  A failure is
-    not kept longer than the process: the library may be installed in the meantime.
+    It is the first back end that draws a picture in a child process.
     """
     asked = os.environ.get("MUJOCO_GL", "").lower()
     if asked in GL_OFF and asked:
         return "", f"MUJOCO_GL={asked} forbids it"
-    cache = _cache_file(asked)
-    try:
-        kept = read_json(cache, "what worked before")
-        return str(kept["backend"]), "worked before"
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
     reasons = []
     for backend in (asked,) if asked else TRIED:
         probe = probe_gl(backend, timeout=_PROBE_LIMIT)
         if probe.ok:
-            with contextlib.suppress(OSError):  # then it is asked again
-                cache.write_text(json.dumps({"backend": backend}))
             return backend, probe.text
         reasons.append(f"{backend}: {probe.text}")
     return "", "; ".join(reasons)
-
-
-def _cache_file(asked: str) -> Path:
-    # another Python, MuJoCo or display may find another driver
-    key = f"{sys.executable} {mujoco.__version__} {asked} {os.environ.get('DISPLAY', '')}"
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robot-ik"
-    try:
-        base.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        base = Path(tempfile.gettempdir())
-    return base / f"gl-{hashlib.sha256(key.encode()).hexdigest()[:12]}.json"
 
 
 def make_artist(name: str) -> tuple[Artist, str]:
@@ -86,13 +60,13 @@ def make_artist(name: str) -> tuple[Artist, str]:
     Raises:
         CameraError: Unknown name.
     """
-    if name in ARTISTS:
-        return ARTISTS[name](), ""
+    if name == "painter":
+        return PainterArtist(), ""
     if name != "gl":
-        raise CameraError(f"unknown back end {name!r}", hint=f"known: {', '.join(ARTISTS)}, gl")
+        raise CameraError(f"unknown back end {name!r}", hint="known: painter, gl")
     backend, reason = choose_gl()
     if not backend:
-        return ARTISTS["painter"](), f"no OpenGL here ({reason}): the painter draws instead"
+        return PainterArtist(), f"no OpenGL here ({reason}): the painter draws instead"
     return GlArtist(backend), ""
 
 

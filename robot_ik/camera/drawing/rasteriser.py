@@ -194,23 +194,6 @@ def fill_faces(
 
 
 @kernel
-def hide_lines(points, inverse, slack, depth, left, top, seen):
-    """``seen`` (n,): which points (n, 2) in pixels, at one over depth ``inverse`` (n,), nothing hides.
-
-    A point on an outline is seen if one of the nine pixels around it lets it through.
-    """
-    height, width = depth.shape[:2]
-    for i in range(len(points)):
-        column = math.floor(points[i, 0] + 0.5) - left
-        row = math.floor(points[i, 1] + 0.5) - top
-        seen[i] = False
-        for y in range(max(row - 1, 0), min(row + 2, height)):
-            for x in range(max(column - 1, 0), min(column + 2, width)):
-                if depth[y, x] <= inverse[i] * (1.0 + slack):
-                    seen[i] = True
-
-
-@kernel
 def transform_vertices(vertices, owner, rotation, position, placed):
     """``placed`` (v, 3): ``vertices`` (v, 3) turned and moved with their geom ``owner`` (v,)."""
     for k in range(len(vertices)):

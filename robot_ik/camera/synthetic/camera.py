@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Literal, Protocol
+from typing import Literal
 
 import cv2
 import mujoco
@@ -29,6 +29,7 @@ from robot_ik.camera.synthetic.sensor import WEBCAM, SensorModel
 from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Clock
+from robot_ik.robot import Robot
 
 # Pixels by which the piece of noise is larger that pictures share: 257² parts.
 _LARGER = 256
@@ -64,21 +65,6 @@ _VISIBLE_PART = 0.02
 _MARGIN_CELLS = 1.5
 # Brightness lost in the corners of the picture.
 _VIGNETTE = 0.10
-
-
-class SceneRobot(Protocol):
-    """What of ``robot_ik.robot.Robot`` the camera needs; objects without joints have it, too."""
-
-    @property
-    def model(self) -> mujoco.MjModel: ...
-
-    def qpos(self, q: Array) -> Array:
-        """Full (model.nq,) of the active joints' ``q``."""
-        ...
-
-    def forward(self, q: Array, frame: str | None = None) -> Pose:
-        """Pose of a frame in the world."""
-        ...
 
 
 def look_at(position: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
@@ -126,10 +112,9 @@ class SyntheticMarker:
     margin: float | None = None
     condition: Condition = "printed"
 
-    def pose_world(self, robot: SceneRobot, q: Array, now: float) -> Pose:
+    def pose_world(self, scene: SyntheticScene, q: Array, now: float) -> Pose:
         """Where it is when the robot stands at ``q`` and the time is ``now``."""
-        pose = self.pose(now) if callable(self.pose) else self.pose
-        return pose if self.frame is None else robot.forward(q, self.frame).compose(pose)
+        return scene.placed(self.pose(now) if callable(self.pose) else self.pose, self.frame, q)
 
 
 @dataclass(frozen=True)
@@ -137,18 +122,20 @@ class SyntheticScene:
     """What the synthetic camera looks at.
 
     Attributes:
-        robot: Model, configuration and frames.
+        robot: What moves; objects that do not move come as their model.
         intrinsics: The lens.
-        pose_world_camera: OpenCV camera axes seen from the world.
+        pose_world_camera: OpenCV camera axes seen from the world, or from ``camera_frame``.
         markers: Each id once per dictionary.
         table: ``None`` for no table.
+        camera_frame: Robot frame that carries the camera; ``None``: it stands in the world.
     """
 
-    robot: SceneRobot
+    robot: Robot | mujoco.MjModel
     intrinsics: CameraIntrinsics
     pose_world_camera: Pose
     markers: tuple[SyntheticMarker, ...] = ()
     table: SceneTable | None = None
+    camera_frame: str | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "markers", tuple(self.markers))
@@ -170,13 +157,35 @@ class SyntheticScene:
         changed = tuple(replace(m, **changes) if m.id in ids else m for m in self.markers)  # type: ignore[arg-type]
         return replace(self, markers=changed)
 
+    @property
+    def model(self) -> mujoco.MjModel:
+        """Of the robot, or the objects."""
+        return self.robot.model if isinstance(self.robot, Robot) else self.robot
+
+    def qpos(self, q: Array) -> Array:
+        """Of ``model`` (nq,) when the robot stands at ``q``."""
+        return self.robot.qpos(q) if isinstance(self.robot, Robot) else np.array(self.robot.qpos0)
+
+    def camera(self, q: Array) -> Pose:
+        """``pose_world_camera`` when the robot stands at ``q`` (nq,)."""
+        return self.placed(self.pose_world_camera, self.camera_frame, q)
+
+    def placed(self, pose: Pose, frame: str | None, q: Array) -> Pose:
+        """A pose in the world of what stands there, or is carried by a ``frame`` of the robot at ``q``."""
+        if frame is None:
+            return pose
+        assert isinstance(self.robot, Robot), "what does not move has no frame that carries anything"
+        return self.robot.forward(q, frame).compose(pose)
+
 
 class SyntheticSource(FrameSource):
     """Photographs of a ``SyntheticScene``: a ``FrameSource`` with ``truth``.
 
+    A camera that the robot carries sees another empty scene in each picture, which takes longer.
+
     Args:
-        scene: What to look at; may be replaced between pictures (``source.scene = ...``) as long as camera
-            and robot stay the same.
+        scene: What to look at; may be replaced between pictures (``source.scene = ...``) as long as lens,
+            table and robot stay the same.
         true_q: Where the robot really is, (nq,), asked at each picture.
         seed: Of the sensor noise; picture k of two sources with one seed is the same.
         sensor: What the camera makes of the light; a webcam when not given.
@@ -202,7 +211,7 @@ class SyntheticSource(FrameSource):
         self._true_q, self._sensor, self._seed = true_q, sensor, seed
         self._clock, self._quality = clock, QUALITIES[quality]
         self._sequence = 0
-        self._photographer: Photographer | None = None
+        self._photographer: tuple[Pose, Photographer] | None = None
         self._vignette: NDArray[np.float32] | None = None
 
     def read(self) -> Frame:
@@ -218,28 +227,24 @@ class SyntheticSource(FrameSource):
             noise = _sensor_noise(self.size, self._seed, self._sequence, self._quality.same_noise)
         now = time.monotonic() if self._clock is None else self._clock.now()
         q = np.array(self._true_q(), dtype=float)
-        self._aim(q)
-        scene = self.scene
-        poses = [m.pose_world(scene.robot, q, now) for m in scene.markers]
+        scene, camera = self.scene, self.scene.camera(q)
+        poses = [m.pose_world(scene, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
-        light, _, painted = self._camera().expose(scene.robot.qpos(q), self._quality, sheets)
-        frame = Frame(self._develop(light, noise), now, self._sequence, self._truth(q, poses, painted))
+        light, _, painted = self._at(camera).expose(scene.qpos(q), self._quality, sheets)
+        truth = self._truth(q, camera, poses, painted)
+        frame = Frame(self._develop(light, noise), now, self._sequence, truth)
         self._sequence += 1
         return frame
 
-    def _aim(self, q: Array) -> None:
-        """Moves the camera to where it is when the robot stands at ``q`` (nq,)."""
-
-    def _camera(self) -> Photographer:
-        if self._photographer is None:
-            scene = self.scene
-            pose, lens = scene.pose_world_camera, scene.intrinsics
-            distance = _subject_distance(scene)
-            x, y, z = pose.apply([0.0, 0.0, distance]).tolist()
-            lights = Lights.beside(pose, distance)
-            still = still_picture(lens, pose, scene.table, lights, (x, y, z))
-            self._photographer = Photographer(scene.robot.model, lens, pose, lights, still)
-        return self._photographer
+    def _at(self, camera: Pose) -> Photographer:
+        if self._photographer is None or self._photographer[0] != camera:
+            scene, lens = self.scene, self.scene.intrinsics
+            distance = _subject_distance(scene, camera)
+            x, y, z = camera.apply([0.0, 0.0, distance]).tolist()
+            lights = Lights.beside(camera, distance)
+            still = still_picture(lens, camera, scene.table, lights, (x, y, z))
+            self._photographer = camera, Photographer(scene.model, lens, camera, lights, still)
+        return self._photographer[1]
 
     def _develop(self, light: NDArray[np.float32], noise: NDArray[np.float32] | None) -> NDArray[np.uint8]:
         """Lens and sensor: vignette, then what the model of the sensor says."""
@@ -250,9 +255,10 @@ class SyntheticSource(FrameSource):
             self._vignette = np.dstack([plain, plain, plain])
         return self._sensor.developed(self._sensor.scattered(cv2.multiply(light, self._vignette)), noise)
 
-    def _truth(self, q: Array, poses: list[Pose], painted: list[SeenPrint | None]) -> dict[str, object]:
-        scene = self.scene
-        inverse = scene.pose_world_camera.inverse()
+    def _truth(
+        self, q: Array, camera: Pose, poses: list[Pose], painted: list[SeenPrint | None]
+    ) -> dict[str, object]:
+        scene, inverse = self.scene, camera.inverse()
         seen = [
             (m, p, mark.visible)
             for m, p, mark in zip(scene.markers, poses, painted, strict=True)
@@ -260,7 +266,7 @@ class SyntheticSource(FrameSource):
         ]
         return {
             "q": q,
-            "pose_world_camera": scene.pose_world_camera,
+            "pose_world_camera": camera,
             "pose_world_marker": {m.id: p for m, p, _ in seen},
             "pose_camera_marker": {m.id: inverse.compose(p) for m, p, _ in seen},
             "corners": {
@@ -282,43 +288,11 @@ def _placed(marker: SyntheticMarker, pose: Pose) -> PlacedPrint:
     return PlacedPrint(sheet, pose.compose(PRINT_MARKER), marker.frame is not None)
 
 
-def _subject_distance(scene: SyntheticScene) -> float:
+def _subject_distance(scene: SyntheticScene, camera: Pose) -> float:
     """How far from the lens the objects of interest are: the table, else the robot's middle, metres."""
-    inverse = scene.pose_world_camera.inverse()
+    inverse = camera.inverse()
     if scene.table is not None:
         centre = np.array([np.mean(scene.table.x), np.mean(scene.table.y), scene.table.height])
     else:
-        centre = np.array(scene.robot.model.stat.center, dtype=float)
+        centre = np.array(scene.model.stat.center, dtype=float)
     return float(max(inverse.apply(centre)[2], 0.3))
-
-
-class CarriedSource(SyntheticSource):
-    """Photographs of a ``SyntheticScene`` by a camera that a frame of the robot carries.
-
-    Each picture is of a new scene, so it takes longer than with a camera that stands.
-
-    Args:
-        scene: What to look at; its ``pose_world_camera`` is that of the last picture.
-        frame: Of the robot, which carries the camera.
-        pose_frame_camera: Where on it.
-        true_q: Where the robot really is, (nq,).
-        seed: Of the sensor noise.
-        clock: As for ``SyntheticSource``.
-    """
-
-    def __init__(
-        self,
-        scene: SyntheticScene,
-        frame: str,
-        pose_frame_camera: Pose,
-        true_q: Callable[[], Array],
-        *,
-        seed: int = 0,
-        clock: Clock | None = None,
-    ) -> None:
-        super().__init__(scene, true_q, seed, clock=clock, quality="fast")
-        self.frame, self.pose_frame_camera = frame, pose_frame_camera
-
-    def _aim(self, q: Array) -> None:
-        pose = self.scene.robot.forward(q, self.frame).compose(self.pose_frame_camera)
-        self.scene, self._photographer = replace(self.scene, pose_world_camera=pose), None

@@ -55,45 +55,17 @@ class MarkerView:
     pose: Pose
 
 
-def render_marker(
-    camera: CameraIntrinsics,
-    pose: Pose,
-    rng: np.random.Generator,
-    *,
-    size: float = STANDARD_SIZE,
-    dictionary: str = "DICT_4X4_50",
-    marker_id: int = 0,
-    sensor: SensorModel = LINEAR,
-) -> Image:
-    """One picture (height, width) uint8 of a printed marker at ``pose`` (``pose_camera_marker``)."""
-    return render_markers(camera, {marker_id: (size, pose)}, rng, dictionary=dictionary, sensor=sensor)
-
-
 def render_markers(
     camera: CameraIntrinsics,
     markers: Mapping[int, tuple[float, Pose]],
     rng: np.random.Generator,
     *,
-    dictionary: str = "DICT_4X4_50",
     sensor: SensorModel = LINEAR,
-    margin: float = _PAPER_MARGIN,
-    cover: Array | None = None,
+    **options: Any,
 ) -> Image:
-    """One picture (height, width) uint8 of printed markers: a board, or the faces of a cube that show.
-
-    Args:
-        camera: The optics.
-        markers: Id -> (side in metres, ``pose_camera_marker``); they must not overlap.
-        rng: Of wall, light and noise.
-        dictionary: Of all markers.
-        sensor: Blur, noise, light.
-        margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
-        cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
-    """
-    light = marker_light(
-        camera, markers, rng, dictionary=dictionary, sensor=sensor, margin=margin, cover=cover
-    )
-    return photograph(light, markers_centre(camera, markers), rng, sensor)
+    """One picture (height, width) uint8 of printed markers; ``options`` as of ``marker_light``."""
+    light, centre = marker_light(camera, markers, rng, sensor=sensor, **options)
+    return photograph(light, centre, rng, sensor)
 
 
 def marker_light(
@@ -105,8 +77,20 @@ def marker_light(
     sensor: SensorModel = LINEAR,
     margin: float = _PAPER_MARGIN,
     cover: Array | None = None,
-) -> Array:
-    """Light (h, w) before the lens, 0 to 255; arguments as in ``render_markers``."""
+) -> tuple[Array, Array]:
+    """Light (h, w) before the lens, 0 to 255, of printed markers: a board, or the faces of a cube that show.
+
+    And the pixel (2,) in their middle; that of the picture where there are none.
+
+    Args:
+        camera: The optics.
+        markers: Id -> (side in metres, ``pose_camera_marker``); they must not overlap.
+        rng: Of wall, light and noise.
+        dictionary: Of all markers.
+        sensor: Blur, noise, light.
+        margin: White paper round each marker, in its size; at most the gap to the next marker's ink.
+        cover: (k, 2) pixels: the outline of something grey that hides what is behind it.
+    """
     canvas = _wall(camera, rng, sensor)
     # All of the paper before any ink: one marker's paper must not bleach the edge of the next.
     papers = [(blank_paper(size * (1.0 + 2.0 * margin)), pose) for size, pose in markers.values()]
@@ -117,14 +101,8 @@ def marker_light(
         _lay(canvas, sheet, pose.compose(PRINT_MARKER), camera, sensor)
     if cover is not None:
         cv2.fillPoly(canvas, [np.rint(cover).astype(np.int32)], 0.5 * (sensor.black + sensor.white))
-    return canvas
-
-
-def markers_centre(camera: CameraIntrinsics, markers: Mapping[int, tuple[float, Pose]]) -> Array:
-    """Pixel (2,) in the middle of markers; of the picture where there are none."""
-    if not markers:
-        return np.array([0.5 * camera.width, 0.5 * camera.height])
-    return np.asarray(np.mean([camera.project(pose.position) for _, pose in markers.values()], axis=0))
+    middles = [camera.project(pose.position) for _, pose in markers.values()]
+    return canvas, np.mean(middles or [0.5 * np.array(camera.size)], axis=0)
 
 
 def photograph(canvas: Array, centre: Array, rng: np.random.Generator, sensor: SensorModel) -> Image:
@@ -204,12 +182,14 @@ def standard_set(
     """The pictures of the standard set at one distance; the same seed gives the same pictures.
 
     ``distance`` is the depth of the marker's centre in metres (the set has 0.3, 0.6 and 1.0), ``tilt_deg``
-    the range of tilts in degrees; the rest as in ``render_marker``.
+    the range of tilts in degrees; the rest as in ``render_markers``.
     """
     rng = np.random.default_rng([seed, round(distance * 1000)])
     for _ in range(count):
         pose = random_pose(camera, rng, distance, tilt_deg=tilt_deg)
-        image = render_marker(camera, pose, rng, dictionary=dictionary, marker_id=marker_id, sensor=sensor)
+        image = render_markers(
+            camera, {marker_id: (STANDARD_SIZE, pose)}, rng, dictionary=dictionary, sensor=sensor
+        )
         yield MarkerView(image, camera.project(pose.apply(marker_points(STANDARD_SIZE))), pose)
 
 
@@ -218,14 +198,6 @@ def standard_set(
 #
 # White round the print, in squares.
 _MARGIN = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class PatternView:
-    """A picture (height, width) uint8 and the true ``pose_camera_board``."""
-
-    image: Image
-    pose: Pose
 
 
 @lru_cache(maxsize=4)
@@ -294,12 +266,12 @@ def pattern_set(
     *,
     seed: int = 0,
     sensor: SensorModel = LINEAR,
-) -> Iterator[PatternView]:
-    """Pictures as a calibration wants them; the same seed gives the same ones."""
+) -> Iterator[tuple[Image, Pose]]:
+    """Pictures as a calibration wants them, each with its true ``pose_camera_board``; by the seed alone."""
     rng = np.random.default_rng([seed, count])
     for _ in range(count):
         pose = pattern_pose(pattern, camera, rng)
-        yield PatternView(render_pattern(pattern, camera, pose, rng, sensor), pose)
+        yield render_pattern(pattern, camera, pose, rng, sensor), pose
 
 
 # ------------------------------------------------------------------------------------------
@@ -371,7 +343,6 @@ _ORBIT_ID, _ORBIT_DICTIONARY = 7, "DICT_5X5_50"
 _ORBIT_S = 4.0
 # Pictures for which a board is held in one place: what is still can be told from what moves.
 _HELD = 3
-_FACING = Pose.from_rotation(np.diag([1.0, -1.0, -1.0]))
 
 Pictures = Iterator[tuple[Image, dict[str, object]]]
 """Pictures (height, width) uint8 without an end, each with its truth."""
@@ -434,9 +405,13 @@ def _orbit(rng: np.random.Generator, sensor: SensorModel) -> Pictures:
         tilt = np.deg2rad(30.0 + 15.0 * np.sin(0.37 * phase))
         tilt_rotation = Pose(wxyz=rotation_exp([tilt * np.cos(phase), tilt * np.sin(phase), 0.0]))
         position = (0.04 * np.sin(phase), 0.03 * np.cos(phase), 0.45 + 0.12 * np.sin(0.61 * phase))
-        pose = Pose(position, _FACING.compose(tilt_rotation).wxyz)
-        image = render_marker(
-            STANDARD_CAMERA, pose, rng, dictionary=_ORBIT_DICTIONARY, marker_id=_ORBIT_ID, sensor=sensor
+        pose = Pose(position, PRINT_MARKER.compose(tilt_rotation).wxyz)
+        image = render_markers(
+            STANDARD_CAMERA,
+            {_ORBIT_ID: (STANDARD_SIZE, pose)},
+            rng,
+            dictionary=_ORBIT_DICTIONARY,
+            sensor=sensor,
         )
         yield image, {"pose_camera_marker": {_ORBIT_ID: pose}}
 

@@ -157,19 +157,15 @@ class SceneTable:
     Attributes:
         height: Of its top above the world's origin plane.
         x, y: Where its top begins and ends.
-        floor: Height of the floor.
     """
 
     height: float = 0.0
     x: tuple[float, float] = (-0.6, 0.6)
     y: tuple[float, float] = (-0.6, 0.6)
-    floor: float | None = None
 
     @property
     def floor_height(self) -> float:
         """The floor is at 0 below a raised table, 0.7 m below one whose top is the origin plane."""
-        if self.floor is not None:
-            return self.floor
         return 0.0 if self.height > 0.2 else self.height - 0.7
 
 
@@ -338,6 +334,7 @@ class _StillScene:
 
     def _exact_where(self, parts: list[Float32], geom: NDArray[np.int32], depth: Array) -> None:
         """Legs and table sides pixel by pixel, and edges with four rays a pixel."""
+        h, w = depth.shape
         inverse = 1.0 / np.where(np.isfinite(depth), depth, 1e3)
         # 1/depth is linear in the picture on a plane: its second difference shows edges only
         crease = np.zeros(depth.shape, dtype=bool)
@@ -346,7 +343,8 @@ class _StillScene:
         crease |= cv2.morphologyEx(geom.astype(np.int16), cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)) > 0
         sides = geom > 1
         rows, columns = np.nonzero(geom == 1)
-        heights = self._heights(rows, columns, depth[rows, columns])
+        rays = world_directions(self._camera, self._field.box(0, 0, w, h)[rows, columns])
+        heights = self._camera.position[2] + depth[rows, columns] * rays[:, 2]
         sides[rows, columns] = np.abs(heights - self._top) > 1e-4
         one = np.array([[0.0, 0.0]])
         four = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
@@ -357,10 +355,3 @@ class _StillScene:
                 shares = self._shade(self._field.points(pixels)).reshape(-1, len(shift), 3, 3).mean(axis=1)
                 for k in range(3):
                     parts[k][rows, columns] = shares[:, k]
-
-    def _heights(self, rows: NDArray[np.intp], columns: NDArray[np.intp], depth: Array) -> Array:
-        """World heights (n,) of what pixels see at ``depth`` (n,)."""
-        w, h = self._field.intrinsics.size
-        normalized = self._field.box(0, 0, w, h)[rows, columns]
-        up = self._camera.rotation[2]
-        return np.asarray(self._camera.position[2] + depth * (normalized @ up[:2] + up[2]))

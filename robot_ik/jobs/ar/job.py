@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,7 @@ from robot_ik.camera.drawing.gl import make_artist
 from robot_ik.camera.drawing.painter import project, surface_points
 from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar
+from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Sync
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.errors import ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
@@ -52,9 +53,8 @@ class ArRequest:
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        backend: ``painter``, ``ray`` or ``gl``.
+        backend: ``painter`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
-        delay: Made-up delay of recorded pictures, s, for ``sync="latest"``.
         alpha: 1 hides what is behind the robot.
         out: Film, picture or folder.
         seconds: How long; 0 to the end of what is recorded, or on the synthetic table of the motion.
@@ -75,7 +75,6 @@ class ArRequest:
     occluders: Path | None = None
     occluder_geoms: tuple[str, ...] = ()
     latency_options: LatencyOptions = field(default_factory=LatencyOptions)
-    delay: float = 0.0
     alpha: float = 1.0
     shadow: bool = True
     out: Path = Path("ar.mp4")
@@ -148,7 +147,7 @@ def run_ar(
             if request.motion == "follow":  # it reaches with the arm as it is drawn
                 motion = _motion(request, robot, figure, mover, stack)
         artist, notice = make_artist(request.backend)
-        stack.callback(getattr(artist, "close", lambda: None))
+        stack.callback(artist.close)
         report = ArReport(artist.name, figure.scale, _joined(notice, motion.notice))
         registrar = _registrar(request, opened.intrinsics, artist, figure)
         _draw(report, request, robot, motion, opened, registrar, sink, compiling, progress)
@@ -217,7 +216,7 @@ def _draw(
     errors: list[float] = []
     begin: float | None = None
     try:
-        for tracked, shown in _pairs(opened.frames, request):
+        for tracked, shown in _pairs(opened.frames, request.latency_options.sync):
             begin = tracked.time if begin is None else begin
             start = time.perf_counter()
             seen = registrar.track(tracked)
@@ -362,27 +361,12 @@ def _limited(source: FrameSource, seconds: float) -> Iterator[Frame]:
         yield frame
 
 
-def _pairs(frames: Iterator[Frame], request: ArRequest) -> Iterator[tuple[Frame, Frame]]:
+def _pairs(frames: Iterator[Frame], sync: Sync) -> Iterator[tuple[Frame, Frame]]:
     """Pictures to track and pictures to show; the same ones unless the video does not wait.
 
-    The picture shown comes ``delay`` after the one tracked; without a number it is the next one read, which
-    of a live camera is the newest when tracking and drawing are done.
+    Then the next one read is shown, which of a live camera is the newest when tracking and drawing are done.
     """
-    if request.latency_options.sync == "tracked":
-        for frame in frames:
-            yield frame, frame
-        return
-    kept: list[Frame] = []
-    for frame in frames:
-        kept.append(frame)
-        if request.delay == 0.0:
-            if len(kept) > 1:
-                yield kept.pop(0), frame
-            continue
-        old = [k for k, one in enumerate(kept) if one.time <= frame.time - request.delay + 1e-9]
-        if old:
-            del kept[: old[-1]]
-            yield kept[0], frame
+    return ((frame, frame) for frame in frames) if sync == "tracked" else itertools.pairwise(frames)
 
 
 def _registrar(

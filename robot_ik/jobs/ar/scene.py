@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import mujoco
@@ -15,7 +15,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource, look_at
 from robot_ik.camera.synthetic.scene import SceneTable
 from robot_ik.geometry import Pose, rotation_exp
-from robot_ik.ports import Array, VirtualClock
+from robot_ik.ports import VirtualClock
 
 #: The board of the scene: 2 x 2 markers of 50 mm, 12.5 mm apart, as `robot-ik camera print board` prints it.
 BOARD = "grid:2x2:50:12.5"
@@ -27,21 +27,6 @@ _SHEET = 49
 # Of the board's motion, seconds.
 _PERIOD = 5.0
 _EYE, _TARGET = (0.10, -0.80, 0.62), (0.0, 0.06, 0.10)
-
-
-@dataclass(frozen=True, eq=False)
-class TableObjects:
-    """What really stands on the table, as the synthetic camera wants it: a robot without joints."""
-
-    model: mujoco.MjModel = field(default_factory=lambda: mujoco.MjSpec().compile())
-
-    def qpos(self, q: Array) -> Array:
-        """It stands as the model says."""
-        return np.array(self.model.qpos0)
-
-    def forward(self, q: Array, frame: str | None = None) -> Pose:
-        """No frame moves."""
-        return Pose()
 
 
 @dataclass(frozen=True)
@@ -116,7 +101,7 @@ def synthetic_scene(
     if follow:
         markers.append(SyntheticMarker(FOLLOWED[0], FOLLOWED[1], carried_marker, dictionary=_DICTIONARY))
     scene = SyntheticScene(
-        TableObjects() if occluders is None else TableObjects(occluders),
+        mujoco.MjSpec().compile() if occluders is None else occluders,
         lens(width, height),
         look_at(eye, target),
         tuple(markers),

@@ -16,7 +16,7 @@ from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene, SyntheticSource
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import Layout
 from robot_ik.errors import CameraError, ConfigError
@@ -160,8 +160,10 @@ def _carried_camera(
         )
         for id, (side, pose) in layout.items()
     )  # fmt: skip
-    synthetic = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=scene.table)
-    source = CarriedSource(synthetic, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
+    synthetic = SyntheticScene(
+        setup.robot, STANDARD_CAMERA, camera, markers, table=scene.table, camera_frame=setup.frame
+    )
+    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock, quality="fast")
     task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, scene.table)
     return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), stack.enter_context(source), truth)
 

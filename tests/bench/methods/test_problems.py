@@ -15,7 +15,6 @@ from robot_ik.bench.methods.problems import (
     WARM_METRES,
     WARM_RADIANS,
     ProblemSet,
-    apart,
     make_set,
 )
 from robot_ik.bench.peers.tasks import plain_mjcf
@@ -148,15 +147,8 @@ def test_a_robot_without_such_problems_says_why() -> None:
 def test_a_judge_is_not_fooled() -> None:
     arm = robot("puma560")
     q = arm.home
-    there = arm.measure(q).matrix
-    np.testing.assert_allclose(there, mujoco_pose(arm, q), atol=1e-14)
-    assert apart(there, there) == (0.0, 0.0) and not arm.outside(q, SLACK)
-    target = there.copy()
-    target[:3, 3] += (3e-4, 0, 4e-4)
-    rotated = target.copy()
-    rotated[:3, :3] = target[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
-    assert apart(there, target) == pytest.approx((5e-4, 0.0))
-    assert apart(there, rotated)[1] == pytest.approx(np.pi / 2)
+    np.testing.assert_allclose(arm.measure(q).matrix, mujoco_pose(arm, q), atol=1e-14)
+    assert not arm.outside(q, SLACK)
     past = q.copy()
     past[0] = arm.upper[0] + 1e-6
     assert arm.outside(past, SLACK)

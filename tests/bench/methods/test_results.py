@@ -66,7 +66,7 @@ def test_growth_is_drawn(results: Results) -> None:
     from robot_ik.bench.methods.results import Growth
 
     points = [
-        Growth(solver="lm", across=across, size=n, step_us=float(n), call_us=1.0, converged=1.0)
+        Growth(solver="lm", across=across, size=n, step_us=float(n))
         for across in ("joints", "goals")
         for n in (1, 2, 4)
     ]

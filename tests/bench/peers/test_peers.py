@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
+import robot_ik as rik
 from robot_ik.bench.peers import worker
 from robot_ik.bench.peers.__main__ import compare, main, merged
-from robot_ik.bench.peers.tasks import ARMS, Sites, frames_of, roll_pitch_yaw, urdf_of, write_task
+from robot_ik.bench.peers.tasks import ARMS, frames_of, roll_pitch_yaw, urdf_of, write_task
 
 COUNT = 20
 PEERS = """
@@ -84,7 +85,10 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> None:
     folder = write_task(name, tmp_path, COUNT, seed=1)
     task = worker.Task.load(folder)
-    plain = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    robot, plain = (
+        rik.load_robot(folder / "model.xml"),
+        mujoco.MjModel.from_xml_path(str(folder / "model.xml")),
+    )
     text = (folder / "model.urdf").read_text(encoding="utf-8")
     text = text.replace('name="plain">', 'name="plain"><mujoco><compiler fusestatic="false"/></mujoco>')
     read = mujoco.MjModel.from_xml_string(text)
@@ -95,7 +99,7 @@ def test_every_form_of_a_robot_is_the_same_robot(name: str, tmp_path: Path) -> N
         for joint, angle in zip(task.joints, q[base:], strict=True):
             data.joint(joint).qpos[:] = angle
         mujoco.mj_kinematics(read, data)
-        there = Sites(plain).poses(q)
+        there = [robot.measure(q, site).matrix for site in task.sites]
         if task.free_base:  # a URDF has no base that floats: seen from the body that does
             root = mujoco.MjData(plain)
             root.qpos[:] = q

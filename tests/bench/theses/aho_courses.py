@@ -13,8 +13,6 @@ from itertools import pairwise
 import numpy as np
 from aho_update import DIAGONAL, Array, Chain, Frame, Update, X, Y, Z, follow, rotation_matrix
 
-from robot_ik.bench.theses.a00 import arc_joint_angle
-
 
 @dataclass(eq=False)
 class Course:
@@ -62,6 +60,22 @@ def bent(joints: int, link: Array, tip: Array, normal: Array) -> list[Array]:
         *(rotation_matrix(normal, 0.5 * bend * (joints - 1 - 2 * k)) @ first for k in range(joints)),
     ]
     return [before.T @ after for before, after in pairwise(worlds)]
+
+
+def arc_joint_angle(links: int, chord: float) -> float:
+    """Angle from one link to the next, rad, for which the arc's ends are ``chord`` metres apart."""
+    if links == 1:
+        if abs(chord - 1.0) > 1e-9:
+            raise ValueError(f"one link of 1 m cannot span {chord:.6g} m")
+        return 0.0
+    if chord > links + 1e-9:
+        raise ValueError(f"{links} links of 1 m cannot span {chord:.6g} m")
+    low, high = 0.0, 2.0 * math.pi / links  # straight … closed to a polygon
+    for _ in range(54):  # as many halvings as a double has bits, and one
+        middle = 0.5 * (low + high)
+        spanned = math.sin(0.5 * links * middle) / math.sin(0.5 * middle) if middle > 0.0 else float(links)
+        low, high = (middle, high) if spanned > chord else (low, middle)
+    return 0.5 * (low + high)
 
 
 def circle(

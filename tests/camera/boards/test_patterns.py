@@ -49,10 +49,10 @@ def test_a_charuco_board_is_opencvs(columns: int, rows: int, legacy: bool) -> No
 
 def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
     errors = []
-    for view in pattern_set(CHESSBOARD, STANDARD_CAMERA, 2, seed=3):
-        found = CHESSBOARD.find(view.image)
+    for image, pose in pattern_set(CHESSBOARD, STANDARD_CAMERA, 2, seed=3):
+        found = CHESSBOARD.find(image)
         assert found is not None
-        true = STANDARD_CAMERA.project(view.pose.apply(found.points_board))
+        true = STANDARD_CAMERA.project(pose.apply(found.points_board))
         errors.append(found.pixels - true)
         assert 0.6 < found.blur < 1.2
     off = np.concatenate(errors)
@@ -63,12 +63,12 @@ def test_corners_of_a_chessboard_are_found_to_hundredths_of_a_pixel() -> None:
 
 def test_a_start_that_is_half_a_pixel_off_ends_at_the_same_corner() -> None:
     """Some releases of OpenCV give ChArUco corners half a pixel off."""
-    (view,) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, sensor=SensorModel(noise=2.0))
-    found = CHESSBOARD.find(view.image)
+    ((image, _),) = pattern_set(CHESSBOARD, STANDARD_CAMERA, 1, seed=5, sensor=SensorModel(noise=2.0))
+    found = CHESSBOARD.find(image)
     assert found is not None
     grid = np.stack([found.ids % 9, found.ids // 9], axis=1).astype(float)
     for shift in ((0.5, 0.5), (-0.5, 0.5), (1.0, 0.0)):
-        pixels, good, _ = refine_corners(view.image, found.pixels + shift, grid, 0.45)
+        pixels, good, _ = refine_corners(image, found.pixels + shift, grid, 0.45)
         assert good.all()
         assert np.abs(pixels - found.pixels).max() < 0.02
 

@@ -12,25 +12,27 @@ from robot_ik.camera.boards.patterns import CharucoPattern, ChessboardPattern, P
 from robot_ik.camera.boards.tone import Tone, measure_tone
 from robot_ik.camera.corner_refinement import expected_shift
 from robot_ik.camera.intrinsics import CameraIntrinsics
-from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, PatternView, pattern_pose, render_pattern
+from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, pattern_pose, render_pattern
 from robot_ik.camera.synthetic.sensor import LINEAR, TONES, WEBCAM, SensorModel
 from robot_ik.errors import CameraError
+from robot_ik.geometry import Pose
+from robot_ik.ports import Image
 
 CHESSBOARD, CHARUCO = ChessboardPattern(9, 6, 0.025), CharucoPattern(7, 5, 0.03, 0.022)
 QUIET = replace(LINEAR, noise=1.0)
 
 
-def seen(pattern: Pattern, sensor: SensorModel, seed: int = 3) -> PatternView:
+def seen(pattern: Pattern, sensor: SensorModel, seed: int = 3) -> tuple[Image, Pose]:
     rng = np.random.default_rng(seed)
     pose = pattern_pose(pattern, STANDARD_CAMERA, rng, fill=(0.8, 0.9))
-    return PatternView(render_pattern(pattern, STANDARD_CAMERA, pose, rng, sensor), pose)
+    return render_pattern(pattern, STANDARD_CAMERA, pose, rng, sensor), pose
 
 
 def tone_of(pattern: Pattern, sensor: SensorModel) -> Tone:
-    view = seen(pattern, sensor)
-    found = pattern.find(view.image)
+    image, _ = seen(pattern, sensor)
+    found = pattern.find(image)
     assert found is not None
-    tone = measure_tone(view.image, found.pixels, found.ids, pattern.corners[0], pattern.plain)
+    tone = measure_tone(image, found.pixels, found.ids, pattern.corners[0], pattern.plain)
     assert tone is not None
     return tone
 
@@ -38,10 +40,10 @@ def tone_of(pattern: Pattern, sensor: SensorModel) -> Tone:
 @pytest.mark.parametrize("pattern", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
 @pytest.mark.parametrize("name", ["linear", "gamma 2.2", "srgb", "s-curve"])
 def test_saddles_are_where_they_are_under_every_tone_curve(pattern: Pattern, name: str) -> None:
-    view = seen(pattern, replace(WEBCAM, tone=name))
-    found = pattern.find(view.image)
+    image, pose = seen(pattern, replace(WEBCAM, tone=name))
+    found = pattern.find(image)
     assert found is not None
-    off = found.pixels - STANDARD_CAMERA.project(view.pose.apply(found.points_board))
+    off = found.pixels - STANDARD_CAMERA.project(pose.apply(found.points_board))
     assert np.sqrt(np.mean(off**2)) < 0.05
     assert np.abs(off.mean(axis=0)).max() < 0.02
 

@@ -47,7 +47,7 @@ def views(camera: CameraIntrinsics, count: int, seed: int = 0, **wishes: object)
 def pictures() -> list[tuple[Pose, FoundPattern]]:
     """Twenty pictures of a ChArUco board: where it was, and its corners."""
     board = CharucoPattern(8, 6, 0.03, 0.022)
-    found = [(v.pose, board.find(v.image)) for v in pattern_set(board, STANDARD_CAMERA, 20, seed=1)]
+    found = [(pose, board.find(image)) for image, pose in pattern_set(board, STANDARD_CAMERA, 20, seed=1)]
     return [(pose, corners) for pose, corners in found if corners is not None]
 
 

@@ -31,23 +31,11 @@ SMALL = CameraIntrinsics(320, 240, 400.0, 400.0, 159.5, 119.5, (-0.18, 0.06, 0.0
 OVERHEAD = look_at((0.05, -0.4, 0.6), (0.0, 0.0, 0.0))
 
 
-class Prop:
-    """The least that a scene needs of a robot: a model without joints that stands about."""
-
-    def __init__(self, body: str = "") -> None:
-        self.model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-
-    def qpos(self, q: np.ndarray) -> np.ndarray:
-        return np.zeros(0)
-
-    def forward(self, q: np.ndarray, frame: str | None = None) -> Pose:
-        return Pose()
-
-
 def desk(
     *markers: SyntheticMarker, body: str = "", lens: CameraIntrinsics = LENS, camera: Pose = OVERHEAD
 ) -> SyntheticScene:
-    return SyntheticScene(Prop(body), lens, camera, markers, SceneTable(0.0, (-0.5, 0.5), (-0.4, 0.5)))
+    objects = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    return SyntheticScene(objects, lens, camera, markers, SceneTable(0.0, (-0.5, 0.5), (-0.4, 0.5)))
 
 
 def photograph(scene: SyntheticScene, **options: object) -> SyntheticSource:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from robot_ik.camera.synthetic.camera import CarriedSource, SyntheticMarker, SyntheticScene
+from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose, rotation_exp
@@ -17,10 +17,12 @@ def test_each_picture_is_taken_from_where_the_hand_is() -> None:
     carried = Pose((0.1, 0.0, -0.05), rotation_exp([0.0, -0.2, 0.3]))
     here = robot.home
     board = robot.forward(here, "gripper").compose(carried).compose(Pose((0.02, 0.01, 0.5), (0, 1, 0, 0)))
-    scene = SyntheticScene(robot, lens, Pose(), (SyntheticMarker(7, 0.1, board),))
+    markers = (SyntheticMarker(7, 0.1, board),)
+    scene = SyntheticScene(robot, lens, carried, markers, camera_frame="gripper")
     places = iter([here, robot.clip(here + np.array([0.03, -0.02, 0.02, 0.02, 0.02, 0.3]))])
     tracker, poses = MarkerTracker(lens, "DICT_5X5_50", {7: 0.1}), []
-    with CarriedSource(scene, "gripper", carried, lambda: next(places), clock=VirtualClock(2.0)) as source:
+    clock = VirtualClock(2.0)
+    with SyntheticSource(scene, lambda: next(places), clock=clock, quality="fast") as source:
         for number in range(2):
             frame = source.read()
             assert (frame.size, frame.sequence, frame.time) == ((320, 240), number, 2.0)

@@ -33,21 +33,15 @@ class Drawn(FrameSource):
     live = True
     blind = False
 
-    def __init__(self, scene: SyntheticScene, *places: Any, seed: int = 0, **rest: Any) -> None:
-        *carried, self.true_q = places
-        self.scene, self.carried = scene, carried
+    def __init__(self, scene: SyntheticScene, true_q: Any, seed: int = 0, **rest: Any) -> None:
+        self.scene, self.true_q = scene, true_q
         self.size = scene.intrinsics.size
         self.rng = np.random.default_rng(seed)
 
     def read(self) -> Frame:
         q, scene = self.true_q(), self.scene
-        camera = scene.pose_world_camera
-        if self.carried:
-            frame, pose = self.carried
-            camera = scene.robot.forward(q, frame).compose(pose)
-        seen = {
-            m.id: (m.size, camera.inverse().compose(m.pose_world(scene.robot, q, 0.0))) for m in scene.markers
-        }
+        camera = scene.camera(q)
+        seen = {m.id: (m.size, camera.inverse().compose(m.pose_world(scene, q, 0.0))) for m in scene.markers}
         facing = {
             id: (size, pose)
             for id, (size, pose) in sorted(seen.items(), key=lambda one: -one[1][1].position[2])
@@ -81,7 +75,6 @@ def _drawn(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(handeye, "scene_for", small)
     monkeypatch.setattr(handeye, "SyntheticSource", Drawn)
-    monkeypatch.setattr(handeye, "CarriedSource", Drawn)
 
 
 def test_a_standing_camera_is_found_by_an_arm_of_servos(tmp_path: Path) -> None:
