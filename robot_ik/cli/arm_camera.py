@@ -173,8 +173,7 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
             known = SampleSet.load(options.samples)
             report: HandEyeReport | None = handeye.handeye_from_samples(known, lens)
         else:
-            job = partial(handeye.run_handeye, request, dry_run=options.dry_run)
-            report = measured(job, kept, "camera handeye")
+            report = measured(partial(handeye.run_handeye, request), kept, "camera handeye")
         if report is None:
             return console.INTERRUPTED
         if report.result is not None:

@@ -91,11 +91,11 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:
-        known = VerifySamples.load(options.samples)
-        report = verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
+        samples = VerifySamples.load(options.samples)
+        report = verify_from_samples(samples, request, board_sigma=bool(options.board_sigma))
     else:
-        job = partial(run_verify, request, dry_run=options.dry_run)
-        made = measured(job, options.out, "camera verify --fit" if options.fit else "camera verify")
+        command = "camera verify --fit" if options.fit else "camera verify"
+        made = measured(partial(run_verify, request), options.out, command)
         if made is None:
             return console.INTERRUPTED
         report = made
@@ -167,7 +167,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         options,
         **arm_camera_values(options, "zeros"),
         extrinsics=options.camera_extrinsics,
-        pose_frame_board=pose_option(options.board_pose, "--board-pose"),
+        pose_other_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         rehearsal=Rehearsal(joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset)),
     )
@@ -180,7 +180,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
 def print_report(report: VerifyReport, allowed_mm: float) -> None:
     """Errors of each pose, sums by region, offsets."""
     console.show(_poses(report), _regions("the arm as it is", report.judged(corrected=False)))
-    if report.known.by_arm:
+    if report.samples.by_arm:
         console.show(
             "The camera's pose was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
@@ -239,7 +239,7 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
 def _offset_table(report: VerifyReport) -> Any:
     fit = report.fit
     assert fit is not None
-    truth = report.known.true_offsets
+    truth = report.samples.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
     rows = []
     for k, name in enumerate(fit.joints):
@@ -254,19 +254,17 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     found: dict[str, Any] = {
         "schema": 1,
         "job": "verify",
-        "robot": report.known.samples.robot,
+        "robot": report.samples.robot,
         "joints": report.robot.joints,
-        "frame": report.known.samples.frame,
+        "frame": report.samples.frame,
         "stations": report.stations,
         "unseen": report.unseen,
     }
     if verdict is None:
         return found
     found |= verdict
-    found["extrinsics_by_arm"] = report.known.by_arm
-    found["poses"] = [
-        _error(one) | {"q": q} for one, q in zip(report.errors, report.known.samples.q, strict=True)
-    ]
+    found["extrinsics_by_arm"] = report.samples.by_arm
+    found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
     found["unsure"] = report.unsure
     found["regions"] = _sums(report.judged(corrected=False))
     fit = report.fit
@@ -275,7 +273,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
         found["fit"] = {
             "offsets_rad": fit.offsets,
             "sigma_rad": [sigma if name in fit.found else None for name, sigma in sigmas],
-            "true_rad": report.known.true_offsets,
+            "true_rad": report.samples.true_offsets,
             "held": [{"joint": one.joint, "why": one.text} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,

@@ -349,11 +349,11 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         board = _mounted(scene.cube_offset, _MOUNTED, rng)
         request = VerifyRequest(
             _VERIFIED_ROBOT, views=_VIEWS, fit=True, seed=seed, rehearsal=Rehearsal(offsets),
-            frame=scene.cube_frame, pose_frame_board=board, board_sigma=_MOUNTED,
+            frame=scene.cube_frame, pose_other_board=board, board_sigma=_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
-        assert report.fit is not None and report.known.true_offsets is not None
-        worst.append(float(np.abs(report.fit.offsets - report.known.true_offsets).max()))
+        assert report.fit is not None and report.samples.true_offsets is not None
+        worst.append(float(np.abs(report.fit.offsets - report.samples.true_offsets).max()))
         largest.append(summary(report.judged(corrected=True)).largest)
         for _ in range(_SPOILT):
             off, sigma = _spoilt(report, rng)
@@ -369,13 +369,13 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
 
 def _spoilt(report: VerifyReport, rng: np.random.Generator) -> tuple[Array, Array]:
     """Errors and standard deviations (nv,) with noise in corners and joints."""
-    known, samples, views = report.known, report.known.samples, []
+    samples, views = report.samples, []
     for q, view in zip(samples.q, samples.views, strict=True):
         pixels = view.pixels + rng.normal(0, _PIXEL, view.pixels.shape)
         said = q + rng.normal(0, _JOINT, q.shape)
         views.append(CalibrationStation(said, BoardView(view.points, pixels, view.pose_camera_board, _PIXEL)))
     fit = fit_zero_offsets(
-        views, report.robot, samples.frame, samples.intrinsics, camera=known.camera, board=known.board
+        views, report.robot, samples.frame, samples.intrinsics, camera=samples.camera, board=samples.board
     )
-    assert known.true_offsets is not None and fit.found == report.robot.joints
-    return fit.offsets - known.true_offsets, fit.sigma
+    assert samples.true_offsets is not None and fit.found == report.robot.joints
+    return fit.offsets - samples.true_offsets, fit.sigma
