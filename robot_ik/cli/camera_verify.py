@@ -228,8 +228,8 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
     columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
     rows = [
         (
-            one.name, one.count, f"{1e3 * one.rms:.2f}", f"{1e3 * one.median:.2f}",
-            f"{1e3 * one.largest:.2f}", f"{math.degrees(one.angle):.3f}", f"{1e3 * one.sigma:.2f}",
+            one.name, one.poses, f"{1e3 * one.rms_m:.2f}", f"{1e3 * one.median_m:.2f}",
+            f"{1e3 * one.largest_m:.2f}", f"{math.degrees(one.rms_rad):.3f}", f"{1e3 * one.sigma_m:.2f}",
         )
         for one in regions(errors)
     ]  # fmt: skip
@@ -251,6 +251,8 @@ def _offset_table(report: VerifyReport) -> Any:
 
 def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
     """Everything, in metres and rad; ``verdict`` None for a dry run."""
+    from robot_ik.jobs.arm_camera.verify import regions
+
     found: dict[str, Any] = {
         "schema": 1,
         "job": "verify",
@@ -266,7 +268,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     found["extrinsics_by_arm"] = report.samples.by_arm
     found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
     found["unsure"] = report.unsure
-    found["regions"] = _sums(report.judged(corrected=False))
+    found["regions"] = regions(report.judged(corrected=False))
     fit = report.fit
     if fit is not None:
         sigmas = zip(fit.joints, np.asarray(fit.sigma).tolist(), strict=True)
@@ -280,7 +282,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
             "residual_px": fit.residual_px,
             "outliers": fit.outliers,
             "poses": [_error(one) for one in fit.errors],
-            "regions": _sums(report.judged(corrected=True)),
+            "regions": regions(report.judged(corrected=True)),
         }
     return found
 
@@ -290,15 +292,3 @@ def _error(one: PoseError) -> dict[str, Any]:
         "position_m": one.position, "off_m": one.vector, "off_rad": one.angle,
         "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
     }  # fmt: skip
-
-
-def _sums(errors: Sequence[PoseError]) -> list[dict[str, Any]]:
-    from robot_ik.jobs.arm_camera.verify import regions
-
-    return [
-        {
-            "name": one.name, "poses": one.count, "rms_m": one.rms, "median_m": one.median,
-            "largest_m": one.largest, "rms_rad": one.angle, "sigma_m": one.sigma,
-        }
-        for one in regions(errors)
-    ]  # fmt: skip

@@ -233,9 +233,8 @@ def print_report(report: ReachReport) -> None:
         (one.joint, " … ".join(_limit(v, one.unit) for v in one.used), _narrowed(one))
         for one in report.setup.limits
     ]
-    verdict = report.decision
-    outcome = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
-    result = Text.assemble(outcome, f"  {verdict.text}" if verdict.text else "")
+    outcome = ("REACHED", "bold green") if report.reached else ("NOT REACHED", "bold red")
+    result = Text.assemble(outcome, f"  {report.verdict}" if report.verdict else "")
     parts = (_goal_rows, _solve_rows, _motion_rows, _judgement_rows)
     rows = [*(row for part in parts for row in part(report)), ("result", result)]
     console.show(

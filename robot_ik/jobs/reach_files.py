@@ -23,8 +23,7 @@ from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import apart
-from robot_ik.files import timestamp, write_atomically
-from robot_ik.geometry import Pose
+from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.jobs.films import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
 from robot_ik.jobs.results import save_json
@@ -146,7 +145,7 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "camera": request.camera if report.vision is not None else None,
         "marker": _marker_facts(report),
         "goal": None if report.target is None or report.goal is None else {
-            **_pose(report.target),
+            **plain(report.target),
             "position_asked": report.goal.has_position,
             "angle_asked": report.goal.has_angle,
             "free_axis": getattr(report.goal, "free_axis", None),
@@ -190,14 +189,13 @@ def _delays(report: ReachReport) -> dict[str, Any]:
 
 
 def _marker_facts(report: ReachReport) -> dict[str, Any] | None:
-    if report.seen is None:
+    if (seen := report.seen) is None:
         return None
-    seen = report.seen
     return {
         "id": seen.observation.id,
-        "camera": _pose(seen.observation.pose),
-        "world": _pose(seen.pose_world_marker),
-        "true_world": None if seen.true_pose is None else _pose(seen.true_pose),
+        "camera": seen.observation.pose,
+        "world": seen.pose_world_marker,
+        "true_world": seen.true_pose,
         "corners_px": seen.observation.corners,
         "reprojection_error_px": seen.observation.reprojection_error,
         "ambiguity": seen.observation.ambiguity,
@@ -206,8 +204,7 @@ def _marker_facts(report: ReachReport) -> dict[str, Any] | None:
 
 
 def _solution_facts(report: ReachReport) -> dict[str, Any] | None:
-    solution = report.solution
-    if solution is None:
+    if (solution := report.solution) is None:
         return None
     return {
         "solver": solution.solver,
@@ -232,12 +229,8 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
         "allowed_angle_rad": judged.allowed.angle,
         "sigma_position_m": judged.sigma.position,
         "sigma_angle_rad": judged.sigma.angle,
-        "tool": _pose(judged.pose),
+        "tool": judged.pose,
     }
-
-
-def _pose(pose: Pose) -> dict[str, Any]:
-    return {"position": pose.position, "wxyz": pose.wxyz}
 
 
 def save_film(report: ReachReport, path: Path) -> Path | None:

@@ -354,7 +354,7 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         report = run_verify(request)
         assert report.fit is not None and report.samples.true_offsets is not None
         worst.append(float(np.abs(report.fit.offsets - report.samples.true_offsets).max()))
-        largest.append(summary(report.judged(corrected=True)).largest)
+        largest.append(summary(report.judged(corrected=True)).largest_m)
         for _ in range(_SPOILT):
             off, sigma = _spoilt(report, rng)
             spoilt.append(off)

@@ -52,18 +52,18 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class Region:
-    """Some of the poses: RMS, median and largest of the distances, metres; RMS of the angles, rad.
+    """Some of the poses: RMS, median and largest of the distances; RMS of the angles.
 
-    ``sigma`` is the RMS of the stated standard deviations, metres.
+    ``sigma_m`` is the RMS of the stated standard deviations.
     """
 
     name: str
-    count: int
-    rms: float
-    median: float
-    largest: float
-    angle: float
-    sigma: float
+    poses: int
+    rms_m: float
+    median_m: float
+    largest_m: float
+    rms_rad: float
+    sigma_m: float
 
 
 def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
@@ -171,13 +171,13 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
 
     def passed(self, allowed: float, *, corrected: bool = False) -> bool:
         """Whether no pose is farther off than ``allowed`` metres."""
-        return summary(self.judged(corrected=corrected)).largest <= allowed
+        return summary(self.judged(corrected=corrected)).largest_m <= allowed
 
     @property
     def better(self) -> bool:
         """Whether the zeros that were found explain poses that they were not found from."""
         return self.fit is not None and (
-            summary(self.judged(corrected=True)).rms < summary(self.judged(corrected=False)).rms
+            summary(self.judged(corrected=True)).rms_m < summary(self.judged(corrected=False)).rms_m
         )
 
     def offsets(self) -> dict[str, float]:

@@ -93,8 +93,8 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
     assert (np.abs(fit.offsets - truth) < 4 * fit.sigma).all()
     # The error map shows what is wrong, and that it is gone.
     assert not report.passed(5e-3) and report.passed(5e-3, corrected=True)
-    assert summary(report.judged(corrected=False)).rms > 5e-3
-    assert summary(report.judged(corrected=True)).rms < 1e-3
+    assert summary(report.judged(corrected=False)).rms_m > 5e-3
+    assert summary(report.judged(corrected=True)).rms_m < 1e-3
     assert report.better and not report.samples.by_arm and report.unsure == ()
     # With the new zeros the servos' registers mean the joints' true angles, to a tick.
     now = zeros_moved(report.config, report.offsets())
@@ -195,9 +195,9 @@ def test_sums_are_over_halves_of_the_space() -> None:
         for x, off in ((0.1, 1e-3), (0.2, 2e-3), (0.5, 4e-3))
     ]
     whole, near, far = regions(errors)
-    assert (whole.name, whole.count, near.count, far.count) == ("all", 3, 2, 1)
-    assert whole.rms == pytest.approx(np.sqrt(7e-6)) and whole.median == 2e-3 and whole.largest == 4e-3
-    assert near.name == "x < 300 mm" and near.largest == 2e-3 and far.rms == pytest.approx(4e-3)
+    assert (whole.name, whole.poses, near.poses, far.poses) == ("all", 3, 2, 1)
+    assert whole.rms_m == pytest.approx(np.sqrt(7e-6)) and whole.median_m == 2e-3 and whole.largest_m == 4e-3
+    assert near.name == "x < 300 mm" and near.largest_m == 2e-3 and far.rms_m == pytest.approx(4e-3)
 
 
 def test_the_picture_shows_the_arm_as_it_is_and_corrected(report: VerifyReport) -> None:
