@@ -108,11 +108,13 @@ class Hand:
         self._q = self._robot.home.copy()
         self.pose = self._robot.forward(self._q)
 
-    def engage(self, angles: Angles) -> None:
+    def engage(self, angles: Angles) -> Pose:
+        """Where it is at ``angles``, from where it is led on."""
         self._q = self._robot.home.copy()
         self._q[self._order] = [angles[name] for name in self.names]
         self._q = self._robot.clip(self._q)
         self.pose = self._robot.forward(self._q)
+        return self.pose
 
     def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
         """Joint -> rad that bring the hand there, or as near as it comes.
@@ -159,8 +161,7 @@ class LeaderArm(Operator):
         if by == "joints":
             self._joints = JointCoupling(arm.config, follower)
         else:
-            self._robot = load_robot(robot_named_in(arm.config), joints=arm.config.names)
-            self._hand = Hand(follower)
+            self._leader, self._hand = Hand(arm.config), Hand(follower)
         if force:
             self._require_gentle()
 
@@ -177,7 +178,7 @@ class LeaderArm(Operator):
     def engage(self, follower: Angles) -> None:
         if self._joints is None:
             self._hand.engage(follower)
-            self._begin = self._pose(self._read()), self._hand.pose
+            self._begin = self._leader.engage(self._read()), self._hand.pose
         elif self._force and self._arm.state is ArmState.CONNECTED:
             self._arm.enable()
             currents = {j.name: j.current for j in self._arm.config.joints if j.current is not None}
@@ -189,8 +190,8 @@ class LeaderArm(Operator):
             return self._joints.follower(here)
         assert self._begin is not None
         leader, hand = self._begin
-        seen = self._pose(here)
-        step = self._scale * (np.array(seen.position) - leader.position)
+        seen = self._leader.engage(here)
+        step = self._scale * (seen.position - leader.position)
         rotation = seen.rotation @ leader.rotation.T @ hand.rotation
         return self._hand.go(Pose.from_rotation(rotation, hand.position + step))
 
@@ -216,12 +217,6 @@ class LeaderArm(Operator):
             return self._last[0]
         self._last = self._arm.positions(), now
         return self._last[0]
-
-    def _pose(self, angles: Angles) -> Pose:
-        q = self._robot.home.copy()
-        for k, name in enumerate(self._robot.joints):
-            q[k] = angles.get(name, q[k])
-        return self._robot.forward(q)
 
 
 JOINT_KEYS = ("qa", "ws", "ed", "rf", "tg", "yh", "uj", "ik", "ol")
@@ -328,12 +323,9 @@ class Blend:
         self._begin, self.seconds = now, approach_profile(distance, config.whole).duration
 
     def __call__(self, there: Angles, now: float) -> dict[str, float]:
-        left = 0.0 if self.over(now) else 1.0 - float(minimum_jerk((now - self._begin) / self.seconds))
+        passed = now - self._begin
+        left = 0.0 if passed >= self.seconds else 1.0 - float(minimum_jerk(passed / self.seconds))
         return {name: value + left * self._apart.get(name, 0.0) for name, value in there.items()}
-
-    def over(self, now: float) -> bool:
-        """Whether nothing lies between any more."""
-        return now - self._begin >= self.seconds
 
 
 @dataclass
@@ -342,7 +334,6 @@ class TeleopReport:
 
     Attributes:
         engaged, lost: How often leader and follower were engaged, and the leader was lost.
-        lag: Largest distance of a follower's joint from what it was led to, once engaged, rad or m.
         delay: Median seconds from reading the leader to the follower's packet.
         end: Why it ended, as text.
     """
@@ -351,19 +342,8 @@ class TeleopReport:
     engaged: int = 0
     lost: int = 0
     seconds: float = 0.0
-    lag: float = 0.0
     delay: float = 0.0
     end: str = ""
-
-
-@dataclass(frozen=True)
-class TeleopTick:
-    """One tick, for a display: time, what was commanded, where the follower is, whether it is led."""
-
-    time: float
-    commanded: Angles
-    measured: Angles
-    led: bool
 
 
 _DELAYS = 4096  # samples of which the median is taken
@@ -376,7 +356,6 @@ def teleoperate(
     seconds: float | None = None,
     patience: float = 10.0,
     over: Callable[[], bool] = lambda: False,
-    on_tick: Callable[[TeleopTick], None] = lambda tick: None,
 ) -> TeleopReport:
     """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
@@ -386,7 +365,6 @@ def teleoperate(
         seconds: How long; None: until ``over``, which is asked once a tick.
         patience: s to wait for a leader that was lost.
         over: See ``seconds``.
-        on_tick: Called after each tick; must be quick.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.
@@ -417,15 +395,10 @@ def teleoperate(
             _wait_for(operator, follower, patience)
             schedule.origin = clock.now() - report.ticks / rate
             continue
-        commanded = blend(wanted, now)
-        follower.send(commanded, now)
+        follower.send(blend(wanted, now), now)
         if len(delays) < _DELAYS:
             delays.append(time.perf_counter() - read)
-        measured = follower.positions()
-        operator.feel(measured)
-        if blend.over(now):
-            report.lag = max([report.lag, *(abs(measured[n] - commanded[n]) for n in commanded)])
-        on_tick(TeleopTick(now - begin, commanded, measured, blend.over(now)))
+        operator.feel(follower.positions())
     report.seconds = clock.now() - begin
     report.delay = float(np.median(delays)) if delays else 0.0
     report.end = "it was ended" if over() else "the time was over"
