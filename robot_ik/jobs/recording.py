@@ -6,11 +6,9 @@ them.  A file that was cut off is mended by ``mcap recover``.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,15 +41,7 @@ class Moment:
     robot: int = 0
 
 
-class Recording(Closing, ABC):
-    """Takes moments as they come, and is closed at the end."""
-
-    @abstractmethod
-    def write(self, moment: Moment) -> None:
-        """One row more."""
-
-
-class TableRecording(Recording):
+class TableRecording(Closing):
     """A CSV file: a row a moment; what is not known stays empty."""
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
@@ -62,6 +52,7 @@ class TableRecording(Recording):
         self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
 
     def write(self, moment: Moment) -> None:
+        """One row more."""
         both, goal = (moment.commanded, moment.measured), moment.goal
         sides = [self._blank if q is None else q.tolist() for q in both]
         aim = [""] * len(_GOAL) if goal is None else [*goal.position.tolist(), *goal.wxyz.tolist()]
@@ -71,28 +62,28 @@ class TableRecording(Recording):
         self._file.close()
 
 
-_TIME = "int32 sec\nuint32 nanosec"
-_HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
-_RULE = "=" * 80
+_PARTS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+}
 
 
-def _schema(text: str, **parts: str) -> str:
+def _schema(text: str, *contained: str) -> str:
     """A message with the messages that it contains, as MCAP keeps ROS 2's."""
-    known = {"builtin_interfaces/Time": _TIME, **{k.replace("__", "/"): v for k, v in parts.items()}}
-    return "\n".join([text, *(f"{_RULE}\nMSG: {name}\n{part}" for name, part in known.items())])
+    parts = (f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in ("builtin_interfaces/Time", *contained))
+    return "\n".join([text, *parts])
 
 
 MESSAGES: Mapping[str, str] = {
     "sensor_msgs/msg/JointState": _schema(
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
-        std_msgs__Header=_HEADER,
+        "std_msgs/Header",
     ),
     "geometry_msgs/msg/PoseStamped": _schema(
-        "std_msgs/Header header\ngeometry_msgs/Pose pose",
-        std_msgs__Header=_HEADER,
-        geometry_msgs__Pose="geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-        geometry_msgs__Point="float64 x\nfloat64 y\nfloat64 z",
-        geometry_msgs__Quaternion="float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+        "std_msgs/Header header\ngeometry_msgs/Pose pose", *list(_PARTS)[1:]
     ),
     "rcl_interfaces/msg/Log": _schema(
         "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
@@ -103,7 +94,7 @@ MESSAGES: Mapping[str, str] = {
 _INFO = 20  # of rcl_interfaces/msg/Log
 
 
-class McapRecording(Recording):
+class McapRecording(Closing):
     """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
 
     Of several robots side by side each has its topics below ``/robot_1`` and so on.
@@ -123,6 +114,7 @@ class McapRecording(Recording):
         self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
 
     def write(self, moment: Moment) -> None:
+        """One moment more."""
         stamp = self._begin + round(1e9 * moment.now)
         when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
         head = {"stamp": when, "frame_id": FRAME}
@@ -157,9 +149,11 @@ def _opened(path: Path, mode: str) -> Any:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-@contextlib.contextmanager
-def open_recording(path: Path, joints: Sequence[str]) -> Iterator[Recording]:
-    """A recording by the ending of its name, closed with the block.
+Recording = TableRecording | McapRecording
+
+
+def open_recording(path: Path, joints: Sequence[str]) -> Recording:
+    """A recording by the ending of its name; a context manager.
 
     Raises:
         ConfigError: Another ending.
@@ -169,9 +163,7 @@ def open_recording(path: Path, joints: Sequence[str]) -> Iterator[Recording]:
     if path.suffix not in SUFFIXES:
         problem = f"the format is not clear from the name {path.name!r}"
         raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
-    kind = TableRecording if path.suffix == ".csv" else McapRecording
-    with contextlib.closing(kind(path, joints)) as recording:
-        yield recording
+    return TableRecording(path, joints) if path.suffix == ".csv" else McapRecording(path, joints)
 
 
 class RecordingSink:
