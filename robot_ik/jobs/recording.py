@@ -41,7 +41,15 @@ class Moment:
     robot: int = 0
 
 
-class TableRecording(Closing):
+class Recording(Closing):
+    """Takes moments as they come, and is closed at the end."""
+
+    def write(self, moment: Moment) -> None:
+        """One more."""
+        raise NotImplementedError
+
+
+class TableRecording(Recording):
     """A CSV file: a row a moment; what is not known stays empty."""
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
@@ -52,7 +60,6 @@ class TableRecording(Closing):
         self._rows.writerow(["time_s", "robot", *names, *_GOAL, "text"])
 
     def write(self, moment: Moment) -> None:
-        """One row more."""
         both, goal = (moment.commanded, moment.measured), moment.goal
         sides = [self._blank if q is None else q.tolist() for q in both]
         aim = [""] * len(_GOAL) if goal is None else [*goal.position.tolist(), *goal.wxyz.tolist()]
@@ -94,7 +101,7 @@ MESSAGES: Mapping[str, str] = {
 _INFO = 20  # of rcl_interfaces/msg/Log
 
 
-class McapRecording(Closing):
+class McapRecording(Recording):
     """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
 
     Of several robots side by side each has its topics below ``/robot_1`` and so on.
@@ -114,7 +121,6 @@ class McapRecording(Closing):
         self._schemas = {name: self._writer.register_msgdef(name, text) for name, text in MESSAGES.items()}
 
     def write(self, moment: Moment) -> None:
-        """One moment more."""
         stamp = self._begin + round(1e9 * moment.now)
         when = {"sec": stamp // 1_000_000_000, "nanosec": stamp % 1_000_000_000}
         head = {"stamp": when, "frame_id": FRAME}
@@ -147,9 +153,6 @@ def _opened(path: Path, mode: str) -> Any:
         return open(path, mode, newline="" if mode == "w" else None)
     except OSError as error:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
-
-
-Recording = TableRecording | McapRecording
 
 
 def open_recording(path: Path, joints: Sequence[str]) -> Recording:
