@@ -133,7 +133,8 @@ def _table(report: ReachReport) -> str:
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:
     """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says more."""
-    request, setup, run = report.request, report.setup, report.execution
+    request, setup, run, following = report.request, report.setup, report.execution, report.following
+    seen, solution = report.seen, report.solution
     return {
         "schema": SCHEMA,
         "job": "reach",
@@ -143,7 +144,16 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
         "bus": request.bus,
         "camera": request.camera if report.vision is not None else None,
-        "marker": _marker_facts(report),
+        "marker": None if seen is None else {
+            "id": seen.observation.id,
+            "camera": seen.observation.pose,
+            "world": seen.pose_world_marker,
+            "true_world": seen.true_pose,
+            "corners_px": seen.observation.corners,
+            "reprojection_error_px": seen.observation.reprojection_error,
+            "ambiguity": seen.observation.ambiguity,
+            "covariance": seen.observation.covariance,
+        },
         "goal": None if report.target is None or report.goal is None else {
             **plain(report.target),
             "position_asked": report.goal.has_position,
@@ -151,7 +161,16 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "free_axis": getattr(report.goal, "free_axis", None),
         },
         "limits": [asdict(limit) for limit in setup.limits],
-        "solution": _solution_facts(report),
+        "solution": None if solution is None else {
+            "solver": solution.solver,
+            "status": solution.status.name.lower(),
+            "q": solution.q,
+            "iterations": solution.iterations,
+            "restarts": solution.restarts,
+            "microseconds": report.microseconds,
+            "miss_position_m": solution.miss.position,
+            "miss_angle_rad": solution.miss.angle,
+        },
         "motion": None if run is None else {
             "duration_s": run.duration,
             "rate_hz": run.rate,
@@ -159,13 +178,13 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "tracking_error_rad": run.tracking_error,
             "samples": len(run.times),
         },
-        "following": None if report.following is None else {
-            "ticks": report.following.ticks,
-            "solved": report.following.solved,
-            "held": report.following.held,
-            "capped": report.following.capped,
-            "rate_hz": report.following.rate,
-            "tracking_error_rad": report.following.tracking_error,
+        "following": None if following is None else {
+            "ticks": following.ticks,
+            "solved": following.solved,
+            "held": following.held,
+            "capped": following.capped,
+            "rate_hz": following.rate,
+            "tracking_error_rad": following.tracking_error,
             "behind_median_m": None if report.behind is None else report.behind[0],
             "behind_largest_m": None if report.behind is None else report.behind[1],
             **_delays(report),
@@ -186,36 +205,6 @@ def _delays(report: ReachReport) -> dict[str, Any]:
         for part in ("p50", "p95"):
             facts[f"{name}_{part}_s"] = getattr(delays, part) if delays.count else None
     return facts
-
-
-def _marker_facts(report: ReachReport) -> dict[str, Any] | None:
-    if (seen := report.seen) is None:
-        return None
-    return {
-        "id": seen.observation.id,
-        "camera": seen.observation.pose,
-        "world": seen.pose_world_marker,
-        "true_world": seen.true_pose,
-        "corners_px": seen.observation.corners,
-        "reprojection_error_px": seen.observation.reprojection_error,
-        "ambiguity": seen.observation.ambiguity,
-        "covariance": seen.observation.covariance,
-    }
-
-
-def _solution_facts(report: ReachReport) -> dict[str, Any] | None:
-    if (solution := report.solution) is None:
-        return None
-    return {
-        "solver": solution.solver,
-        "status": solution.status.name.lower(),
-        "q": solution.q,
-        "iterations": solution.iterations,
-        "restarts": solution.restarts,
-        "microseconds": report.microseconds,
-        "miss_position_m": solution.miss.position,
-        "miss_angle_rad": solution.miss.angle,
-    }
 
 
 def _judgement(judged: Judgement | None) -> dict[str, Any] | None:

@@ -144,6 +144,7 @@ def decide(
         followed: The goal moved.
     """
     account = "by the servos' own account" if servos else "by the model's joint angles"
+    explained = ("the servos' ticks" if servos else "the solver's tolerance") + " and the camera"
     if not read_back.passed:
         if stopped_short:
             return False, stopped_short
@@ -152,16 +153,12 @@ def decide(
         return False, f"{off}: {why}"
     if by_camera is not None:
         if by_camera.passed:
-            return True, f"within what {_explained(servos)} explain"
+            return True, f"within what {explained} explain"
         hint = "check zeros, horns and limits" if servos else "check the camera's calibration and place"
-        return False, f"farther off than {_explained(servos)} can explain: {hint}"
+        return False, f"farther off than {explained} can explain: {hint}"
     if blind:
         return True, f"{account}: {blind}"
     if servos and seen_goal:
         missing = "no marker of the gripper is in view, so where the tool is remains unproven"
         return False, missing
     return True, f"{account}: no marker of the gripper is in view"
-
-
-def _explained(servos: bool) -> str:
-    return "the servos' ticks and the camera" if servos else "the solver's tolerance and the camera"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,22 +71,13 @@ class WithoutTruth(FrameSource):
         self._source.close()
 
 
-@dataclass(frozen=True)
-class WanderingMarker:
-    """Pose of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
-
-    home: Pose
-    begin: float
-    seconds: float
-    size: float
-
-    def __call__(self, now: float) -> Pose:
-        """``pose_world_marker`` at ``now`` seconds."""
-        share = np.clip((now - self.begin) / max(self.seconds - REST_SECONDS, 0.1), 0.0, 1.0)
-        smooth = share * share * (3.0 - 2.0 * share)
-        x = self.size * np.sin(2.0 * np.pi * smooth)
-        y = self.size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
-        return self.home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
+def wandering(home: Pose, begin: float, seconds: float, size: float, now: float) -> Pose:
+    """Pose at ``now`` of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
+    share = np.clip((now - begin) / max(seconds - REST_SECONDS, 0.1), 0.0, 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    x = size * np.sin(2.0 * np.pi * smooth)
+    y = size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
+    return home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
 
 
 # How often a camera or a film is asked again before a marker counts as not there.
@@ -142,7 +134,7 @@ class Vision:
     lead: float = 0.0
     cover_gripper: bool = False
     delays: tuple[Delays, Delays] | None = field(default=None, init=False)
-    path: WanderingMarker | None = field(default=None, init=False)
+    path: Callable[[float], Pose] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
@@ -229,7 +221,7 @@ class Vision:
             self.get_ready_to_follow()
             assert self._moving is not None
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
-            self.path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
+            self.path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
             self._moving.scene = shown.with_marker(self.scene.marker_id, pose=self.path)
             source = WithoutTruth(self._moving)
         goals = _ArmGoals(self, source, follow=True)

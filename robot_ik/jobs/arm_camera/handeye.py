@@ -122,12 +122,12 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
         )  # fmt: skip
     scene = scene_for(setup.robot, setup.frame)
     made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
-    return made(request, setup, scene, stack)
+    found = made(request, setup, scene)
+    stack.enter_context(found.source)
+    return found
 
 
-def _standing_camera(
-    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
-) -> HandEyeScene:
+def _standing_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
     """The scene's camera looks at the markers on the tool."""
     truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
     source = SyntheticSource(
@@ -135,12 +135,10 @@ def _standing_camera(
     )
     board = MarkerBoard(dict(scene.cube), scene.dictionary)
     task = ViewTask(_roughly(request, truth), scene.cube_frame, board.layout, scene.intrinsics, scene.table)
-    return HandEyeScene(task, board, stack.enter_context(source), truth)
+    return HandEyeScene(task, board, source, truth)
 
 
-def _carried_camera(
-    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
-) -> HandEyeScene:
+def _carried_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
     """A camera beside the tool looks at a board of markers on the table."""
     camera = _beside_the_tool(setup.robot, setup.frame)
     truth = Mount(camera, scene.pose_world_marker, "eye_in_hand")
@@ -156,7 +154,7 @@ def _carried_camera(
     synthetic = SyntheticScene(setup.robot, STANDARD_CAMERA, Pose(), markers, table=scene.table)
     source = CarriedSource(synthetic, setup.frame, camera, setup.true_q, seed=request.seed, clock=setup.clock)
     task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, scene.table)
-    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), stack.enter_context(source), truth)
+    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), source, truth)
 
 
 def _beside_the_tool(robot: Robot, frame: str) -> Pose:

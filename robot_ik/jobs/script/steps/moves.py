@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -370,36 +370,26 @@ class FollowStep(Framed, Action):
                 true = tick.goal.target.position
             behind.append(1e3 * float(np.linalg.norm(place - true)))
 
+        setup = now.setup
         with self._goals(now, frame) as goals:
             report = follow(
-                goals,
-                now.robot,
-                now.solver,
-                now.setup.sinks,
-                rate=now.config.rate_hz,
-                clock=now.setup.clock,
-                duration=self.seconds,
-                start=now.start(),
-                tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.content.speed,
-                source=now.arm,
-                on_tick=note,
-            )
+                goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
+                duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
+                speed=self.speed or now.script.content.speed, source=now.arm, on_tick=note,
+            )  # fmt: skip
         self._judge(now, report, behind, result)
         if self.needs_camera:
             self._judge_at_end(now, result)
 
-    @contextlib.contextmanager
-    def _goals(self, now: RunState, frame: str) -> Iterator[Any]:
+    def _goals(self, now: RunState, frame: str) -> contextlib.AbstractContextManager[Any]:
         if self.needs_camera:
             assert now.vision is not None
-            with now.vision.following(now.setup.clock, self.seconds) as goals:
-                yield goals
-            return
+            return now.vision.following(now.setup.clock, self.seconds)
         assert self.center is not None and self.radius is not None and self.period is not None
         make = CurveSource.circle if self.path == "circle" else CurveSource.lemniscate
         normal = self.normal or (0.0, 0.0, 1.0)
-        yield make(frame, self.center, self.radius, self.period, normal=normal, wxyz=self.wxyz)
+        curve = make(frame, self.center, self.radius, self.period, normal=normal, wxyz=self.wxyz)
+        return contextlib.nullcontext(curve)
 
     def _judge(self, now: RunState, report: FollowReport, behind: list[float], result: StepResult) -> None:
         now.status = "" if report.last is None else report.last.status.name
