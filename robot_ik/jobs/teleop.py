@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,16 +83,12 @@ class JointCoupling:
         self._ranges = {joint.name: (joint.limits, other.joint(joint.name).limits) for joint, other in both}
 
     def follower(self, leader: Angles) -> dict[str, float]:
-        return {n: _onto(leader[n], *self._ranges[n]) for n in self.names}
+        """Of the follower; beyond an end of a range it stays there."""
+        return {n: float(np.interp(leader[n], *self._ranges[n])) for n in self.names}
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        return {n: _onto(follower[n], *self._ranges[n][::-1]) for n in self.names}
-
-
-def _onto(value: float, one: tuple[float, float], other: tuple[float, float]) -> float:
-    """From one range to the other; beyond an end it stays there."""
-    share = min(1.0, max(0.0, (value - one[0]) / (one[1] - one[0])))
-    return other[0] * (1.0 - share) + other[1] * share
+        """Of the leader, likewise."""
+        return {n: float(np.interp(follower[n], *self._ranges[n][::-1])) for n in self.names}
 
 
 class Hand:
@@ -428,20 +424,18 @@ def open_pair(
     leader_bus: str,
     follower_bus: str,
     on_exit: str = "",
-    starts: Sequence[Array | None] = (None, None),
 ) -> tuple[Arm | None, Arm]:
     """Both arms, disconnected; simulated ones in one process share a clock, and it is virtual.
 
     ``leader`` None: a person leads, by keys or a gamepad, and time is real: nobody leads in virtual time.
-    ``on_exit`` is how the follower is left, empty: as its file says; ``starts`` (n,) rad where simulated
-    servos of leader and follower stand at first.
+    ``on_exit`` is how the follower is left, empty: as its file says.
     """
     in_process = leader is not None and leader_bus == follower_bus == "sim"
     clock: Clock = VirtualClock() if in_process else RealClock()
 
-    def made(config: ArmConfig, bus: str, start: Array | None, way_out: str | None) -> Arm:
-        servos = VirtualBus.from_config(config, clock, start) if bus_row(bus).virtual else None
+    def made(config: ArmConfig, bus: str, way_out: str | None) -> Arm:
+        servos = VirtualBus.from_config(config, clock) if bus_row(bus).virtual else None
         return open_arm(config, bus, virtual_bus=servos, on_exit=way_out)
 
-    first = None if leader is None else made(leader, leader_bus, starts[0], "torque_off")
-    return first, made(follower, follower_bus, starts[1], on_exit or None)
+    first = None if leader is None else made(leader, leader_bus, "torque_off")
+    return first, made(follower, follower_bus, on_exit or None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm, ports
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.teleop import (
     Blend,
     JointCoupling,
@@ -36,10 +37,14 @@ def arm_file(name: str) -> ArmConfig:
 
 @contextmanager
 def pair(leader: str, follower: str, starts: tuple[Array | None, Array | None]) -> Iterator[tuple[Arm, Arm]]:
-    first, second = open_pair(arm_file(leader), arm_file(follower), "sim", "sim", "hold", starts)
-    assert first is not None
-    with ExitStack() as stack:
-        yield stack.enter_context(first), stack.enter_context(second)
+    clock = VirtualClock()
+
+    def made(name: str, start: Array | None, on_exit: str) -> Arm:
+        servos = VirtualBus.from_config(arm_file(name), clock, start)
+        return open_arm(arm_file(name), "sim", virtual_bus=servos, on_exit=on_exit)
+
+    with made(leader, starts[0], "torque_off") as first, made(follower, starts[1], "hold") as second:
+        yield first, second
 
 
 def guide(arm: Arm, q: Array) -> None:
