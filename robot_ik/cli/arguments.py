@@ -350,7 +350,7 @@ def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
     if not numbers:
         return None
     if len(numbers) not in (3, 7):
-        raise wrong(key, f"{len(numbers)} numbers", "x y z in metres, and an orientation as w x y z")
+        raise wrong(key, f"{len(numbers)} numbers", "3: x y z in metres, or 7: then w x y z")
     try:
         return Pose(numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0))
     except ValueError as error:

@@ -23,7 +23,14 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
-from robot_ik.cli.arm_camera import ArmCameraOptions, arm_camera_values, measured, numbers_of_seen, show_plan
+from robot_ik.cli.arm_camera import (
+    ArmCameraOptions,
+    arm_camera_values,
+    measured,
+    numbers_of_seen,
+    planned_values,
+    show_plan,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
@@ -95,10 +102,7 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
         report = verify_from_samples(samples, request, board_sigma=bool(options.board_sigma))
     else:
         command = "camera verify --fit" if options.fit else "camera verify"
-        made = measured(partial(run_verify, request), options.out, command)
-        if made is None:
-            return console.INTERRUPTED
-        report = made
+        report = measured(partial(run_verify, request), options.out, command)
     if options.dry_run:
         if options.json:
             console.print_json(as_json(report, None))
@@ -253,15 +257,7 @@ def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, A
     """Everything, in metres and rad; ``verdict`` None for a dry run."""
     from robot_ik.jobs.arm_camera.verify import regions
 
-    found: dict[str, Any] = {
-        "schema": 1,
-        "job": "verify",
-        "robot": report.samples.robot,
-        "joints": report.robot.joints,
-        "frame": report.samples.frame,
-        "stations": report.stations,
-        "unseen": report.unseen,
-    }
+    found = planned_values(report, "verify")
     if verdict is None:
         return found
     found |= verdict

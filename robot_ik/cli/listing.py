@@ -100,8 +100,11 @@ def catalogue_facts() -> list[dict[str, Any]]:
     rows = []
     for name, folder in catalogue().items():
         path, file = read_robot_file(folder / "robot.toml")
-        # Without a group of that name all joints of the model are active.
-        joints = list(file.groups.get("arm", ())) or _joints_of(path)
+        joints = list(file.groups.get("arm", ()))
+        if not joints:  # all of the model are active
+            world = ElementTree.parse(path).getroot().find("worldbody")
+            assert world is not None
+            joints = [j.get("name", "") for j in world.iter() if j.tag in ("joint", "freejoint")]
         arm = folder / "arm.toml"
         rows.append(
             {
@@ -113,13 +116,6 @@ def catalogue_facts() -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _joints_of(model: Path) -> list[str]:
-    """Names of the joints in an MJCF file of the catalogue, in declared order."""
-    world = ElementTree.parse(model).getroot().find("worldbody")
-    assert world is not None
-    return [joint.get("name", "") for joint in world.iter() if joint.tag in ("joint", "freejoint")]
 
 
 def robot_facts(robot: Robot) -> dict[str, Any]:

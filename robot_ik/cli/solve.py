@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import XYZ_WXYZ, pose_option, require, several, single, wrong
+from robot_ik.cli.arguments import XYZ_WXYZ, require, several, single, wrong
 from robot_ik.cli.listing import joint_kinds
 
 if TYPE_CHECKING:
@@ -98,9 +98,9 @@ def make_goal(numbers: Sequence[float], frame: str | None = None) -> PositionGoa
     """
     from robot_ik.goals import PoseGoal, PositionGoal
 
-    example = "for example: --goal -0.4 -0.1 0.7"
-    require(len(numbers) > 0, "--goal", "no goal is given", XYZ_WXYZ, example)
-    pose_option(tuple(numbers), "--goal")  # says what is wrong with them
+    given = f"{len(numbers)} numbers" if numbers else "no goal is given"
+    allowed, example = "3: x y z in metres, or 7: then w x y z", "for example: --goal -0.4 -0.1 0.7"
+    require(len(numbers) in (3, 7), "--goal", given, allowed, example)
     return PositionGoal(frame, numbers) if len(numbers) == 3 else PoseGoal(frame, numbers[:3], numbers[3:])
 
 

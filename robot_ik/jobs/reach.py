@@ -331,12 +331,10 @@ class _Reach:
         caps = setup.caps(report.request.speed)
         if report.request.line:
             target = goal.target
-            if (
-                not goal.has_angle
-            ):  # a position says nothing of the rotation on the way: the tool keeps its own
-                target = Pose(target.position, report.robot.forward(start, report.frame).wxyz)
-            elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
-                target = Pose(target.position, report.robot.forward(solution.q, report.frame).wxyz)
+            if not goal.has_angle or getattr(goal, "free_axis", None) is not None:
+                # Of the rotation nothing is said: the tool keeps its own; or in part: as the solution has it.
+                q = solution.q if goal.has_angle else start
+                target = Pose(target.position, report.robot.forward(q, report.frame).wxyz)
             report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
         else:
             report.trajectory = joint_move(report.robot, start, solution.q, **caps)

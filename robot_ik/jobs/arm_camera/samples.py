@@ -79,15 +79,8 @@ class SampleSet:
     def as_values(self) -> dict[str, Any]:
         """What the file holds."""
         rows = [
-            {
-                "q": q,
-                "points": view.points,
-                "pixels": view.pixels,
-                "sigma": view.sigma,
-                "bias": view.bias,
-                "position": view.pose_camera_board.position,
-                "wxyz": view.pose_camera_board.wxyz,
-            }
+            {"q": q, **{key: getattr(view, key) for key in ("points", "pixels", "sigma", "bias")}}
+            | plain(view.pose_camera_board)
             for q, view in zip(self.q, self.views, strict=True)
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}

@@ -54,8 +54,6 @@ class Clearance:
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
         box = model.geom_aabb[self._geoms]
         self._corners = box[:, None, :3] + signs * box[:, None, 3:]  # (g, 8, 3) in the geoms' frames
-        self._allowed: set[tuple[int, int]] = set()
-        self._on_table: set[int] = set()
         self._place(free)
         self._allowed, self._on_table = self._touching(), self._at_table()
 
@@ -123,19 +121,19 @@ def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], cleara
             break
         order.append(nearest)
         left.remove(nearest)
+
+    def length(stations: Sequence[int]) -> float:
+        return float(sum(cost[a, b] for a, b in itertools.pairwise(stations)))
+
     improved = True
     while improved:
         improved = False
         for i in range(1, len(order) - 1):
             for j in range(i + 1, len(order)):
                 trial = [*order[:i], *order[i : j + 1][::-1], *order[j + 1 :]]
-                if _length(trial, cost) < _length(order, cost) - 1e-9:
+                if length(trial) < length(order) - 1e-9:
                     order, improved = trial, True
     return [k - 1 for k in order[1:]]
-
-
-def _length(order: Sequence[int], cost: Array) -> float:
-    return float(sum(cost[a, b] for a, b in itertools.pairwise(order)))
 
 
 # Part of the picture's width and height that is kept free at each side: the guess may be off by so much.
