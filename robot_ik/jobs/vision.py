@@ -25,6 +25,7 @@ from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
@@ -116,7 +117,6 @@ class Vision:
         scene: What stands round the arm, the camera where it really stands and with its own lens.
         why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
         synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
-        seed: Of the synthetic camera's noise.
         when_lost, lead: For following.
         cover_gripper: From the first picture of the gripper on its markers are hidden (a rehearsal).
         delays: After following: from grab to goal, and the age of the picture at each tick.
@@ -129,7 +129,6 @@ class Vision:
     _: KW_ONLY
     why_blind: str = ""
     synthetic: SyntheticSource | None = None
-    seed: int = 0
     when_lost: WhenLost = WhenLost()  # noqa: RUF009 - frozen
     lead: float = 0.0
     cover_gripper: bool = False
@@ -139,12 +138,11 @@ class Vision:
     def __post_init__(self) -> None:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
-        self._source = WithoutTruth(self.source)
+        self.pictures = WithoutTruth(self.source)
         sides = {id: side for id, (side, _) in self.scene.cube.items()}
         self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
-        self._goals = _ArmGoals(self, self._source)
+        self._goals = _ArmGoals(self)
         self._followed: SeenTarget | None = None
-        self._moving: SyntheticSource | None = None
 
     @property
     def live(self) -> bool:
@@ -153,11 +151,11 @@ class Vision:
 
     @property
     def last_image(self) -> Any:
-        return self._source.image
+        return self.pictures.image
 
     def picture(self) -> Any:
         """Takes a picture and looks for nothing."""
-        return self._source.read().image
+        return self.pictures.read().image
 
     def find_target(self) -> SeenTarget:
         """The target marker in the next pictures.
@@ -174,7 +172,7 @@ class Vision:
                 break
             if isinstance(goal, PoseGoal | PositionGoal) and self._goals.seen is not None:
                 return self._goals.seen
-            if self._source.exhausted:
+            if self.pictures.exhausted:
                 break
             tries -= 1
         raise self._not_found()
@@ -193,7 +191,7 @@ class Vision:
         """The gripper's markers in a new picture; None when none is in view."""
         if self.cover_gripper and self.synthetic is not None:
             self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
-        return self._cubes.observe_body(self._source.read(), dict(self.scene.cube))
+        return self._cubes.observe_body(self.pictures.read(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
@@ -203,36 +201,30 @@ class Vision:
 
     def get_ready_to_follow(self) -> None:
         """Does what would keep an arm with torque waiting: the first picture of a scene takes longest."""
-        if self.synthetic is None or self._moving is not None:
-            return
-        self._moving = SyntheticSource(
-            self.synthetic.scene, self.setup.true_q, seed=self.seed, clock=self.setup.clock, quality="fast"
-        )
-        self._moving.read()
+        if self.synthetic is not None:
+            usual, self.synthetic.quality = self.synthetic.quality, QUALITIES["fast"]
+            self.synthetic.read()
+            self.synthetic.quality = usual
 
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
-        source, home = self._source, None
-        if self.synthetic is not None:
-            shown = self.synthetic.scene
-            home = next(m.pose for m in shown.markers if m.id == self.scene.marker_id)
+        synthetic, id, goals = self.synthetic, self.scene.marker_id, _ArmGoals(self, follow=True)
+        if synthetic is not None:
+            home = next(m.pose for m in synthetic.scene.markers if m.id == id)
             assert isinstance(home, Pose)
-            self.get_ready_to_follow()
-            assert self._moving is not None
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
             self.path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
-            self._moving.scene = shown.with_marker(self.scene.marker_id, pose=self.path)
-            source = WithoutTruth(self._moving)
-        goals = _ArmGoals(self, source, follow=True)
+            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path)
+            usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.made.summary(), goals.used.summary()
-        if self.synthetic is None:
+        if synthetic is None:
             self._followed = goals.seen
         elif self.path is not None:
-            pose = self.path(clock.now())
-            self.synthetic.scene = self.synthetic.scene.with_marker(self.scene.marker_id, pose=pose)
+            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path(clock.now()))
+            synthetic.quality = usual
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
@@ -265,11 +257,11 @@ class _ArmGoals(MarkerGoalSource):
     Each picture for itself, unless to ``follow``.
     """
 
-    def __init__(self, vision: Vision, pictures: WithoutTruth, *, follow: bool = False) -> None:
+    def __init__(self, vision: Vision, *, follow: bool = False) -> None:
         scene = vision.scene
         sizes = {scene.marker_id: scene.marker_size}
         super().__init__(
-            pictures,
+            vision.pictures,
             MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
             scene.pose_world_camera,
             scene.marker_id,
@@ -281,14 +273,14 @@ class _ArmGoals(MarkerGoalSource):
             when_lost=vision.when_lost if follow else WhenLost(),
             clock=vision.setup.clock,
         )
-        self._vision, self._pictures = vision, pictures
+        self._vision = vision
         self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
         super().observe(now, wait=wait)
         goal, last, scene = self.measured, self.last, self._vision.scene
         if goal is not None and isinstance(last, MarkerObservation):
-            true_poses = (self._pictures.truth or {}).get("pose_world_marker", {})
+            true_poses = (self._vision.pictures.truth or {}).get("pose_world_marker", {})
             pose = scene.pose_world_camera.compose(last.pose)
             self.seen = SeenTarget(self._vision.for_arm(goal), last, pose, true_poses.get(scene.marker_id))
 
@@ -322,7 +314,7 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
     metal = setup.arm is not None and setup.arm.virtual_bus is None
     return Vision(
         scene, source, setup, synthetic=source,
-        why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
+        why_blind="the synthetic camera cannot see real servos" if metal else "",
         when_lost=_when_lost(request, setup), lead=request.lead,
         cover_gripper=request.rehearsal.cover_gripper,
     )  # fmt: skip

@@ -55,7 +55,7 @@ def open_camera(
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     stack.enter_context(source)
-    vision = Vision(scene, source, setup, synthetic=source, seed=seed)
+    vision = Vision(scene, source, setup, synthetic=source)
     vision.picture()
     return vision
 
