@@ -184,8 +184,9 @@ def make_request(options: ReachOptions) -> ReachRequest:
         knows = "the synthetic camera has the lens and the place of the robot's scene"
         require(not getattr(options, name), f"--{name.replace('_', '-')}", knows, "with a real --camera")
     rehearse, at = options.rehearse, options.rehearse.marker_at
-    allowed = "3 or 4: x y z in metres, yaw in degrees"
-    require(len(at) in (0, 3, 4), "--rehearse.marker-at", f"{len(at)} numbers", allowed)
+    allowed = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
+    right = len(at) in (0, 3, 4) and all(map(math.isfinite, at))
+    require(right, "--rehearse.marker-at", " ".join(map(str, at)), allowed)
     rehearsal = request_of(
         Rehearsal,
         rehearse,

@@ -298,29 +298,37 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
     Raises:
         CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
     """
+    synthetic: SyntheticSource | None = None
     if request.camera != "synthetic":
-        return None if request.goal is not None else _real_vision(request, setup, stack)
-    try:
-        scene = _scene(request, setup)
-    except CameraError:
-        if request.goal is None:
-            raise
-        return None  # a goal was given, and nothing can be seen: the read-back must do
-    synthetic = scene.synthetic(setup.robot)
-    if request.rehearsal.blank_marker:
-        synthetic = synthetic.with_marker(scene.marker_id, condition="blank")
-    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
-    stack.enter_context(source)
-    metal = setup.arm is not None and setup.arm.virtual_bus is None
+        if request.goal is not None:
+            return None
+        scene, source, why = _real_camera(request, setup, stack)
+    else:
+        try:
+            scene = _scene(request, setup)
+        except CameraError:
+            if request.goal is None:
+                raise
+            return None  # a goal was given, and nothing can be seen: the read-back must do
+        stage = scene.synthetic(setup.robot)
+        if request.rehearsal.blank_marker:
+            stage = stage.with_marker(scene.marker_id, condition="blank")
+        synthetic = SyntheticSource(stage, setup.true_q, seed=request.seed, clock=setup.clock)
+        source = stack.enter_context(synthetic)
+        metal = setup.arm is not None and setup.arm.virtual_bus is None
+        why = "the synthetic camera cannot see real servos" if metal else ""
+    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
-        scene, source, setup, synthetic=source,
-        why_blind="the synthetic camera cannot see real servos" if metal else "",
-        when_lost=_when_lost(request, setup), lead=request.lead,
+        scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,
+        when_lost=WhenLost(request.when_lost, request.lost_after, park),
         cover_gripper=request.rehearsal.cover_gripper,
     )  # fmt: skip
 
 
-def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> Vision:
+def _real_camera(
+    request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
+) -> tuple[Scene, FrameSource, str]:
+    """The scene with the camera's place and lens, the camera, and why it cannot judge the arm."""
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
         raise ConfigError(
@@ -348,14 +356,7 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exi
         why = "the arm is simulated, so a real camera cannot see it"
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"
-    return Vision(
-        scene, source, setup, why_blind=why, when_lost=_when_lost(request, setup), lead=request.lead
-    )
-
-
-def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
-    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
-    return WhenLost(request.when_lost, request.lost_after, park)
+    return scene, source, why
 
 
 def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
@@ -364,14 +365,8 @@ def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     scene = replace(scene, **changes)
-    if (place := request.rehearsal.marker_at) is None:
-        return scene
-    if not np.isfinite(place).all():
-        raise ConfigError(
-            f"no marker can be put at {place}",
-            file="command line", key="--rehearse.marker-at", allowed="finite numbers",
-        )  # fmt: skip
-    return scene.with_marker_at(*place)
+    place = request.rehearsal.marker_at
+    return scene if place is None else scene.with_marker_at(*place)
 
 
 def open_calibrated(
