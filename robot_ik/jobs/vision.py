@@ -200,9 +200,10 @@ class Vision:
         return body.inverse().compose(robot.forward(q, self.setup.frame))
 
     def get_ready_to_follow(self) -> None:
-        """Does what would keep an arm with torque waiting: the first picture of a scene takes longest."""
-        if self.synthetic is not None:
-            usual, self.synthetic.quality = self.synthetic.quality, QUALITIES["fast"]
+        """Does what would keep an arm with torque waiting: the first picture of a quality takes longest."""
+        fast = QUALITIES["fast"]
+        if self.synthetic is not None and self.synthetic.quality is not fast:
+            usual, self.synthetic.quality = self.synthetic.quality, fast
             self.synthetic.read()
             self.synthetic.quality = usual
 

@@ -363,11 +363,7 @@ class FollowStep(Framed, Action):
             if tick.time < self.catch_up_s or (tick.goal is None and not self.needs_camera):
                 return
             place = now.robot.forward(tick.measured, frame).position
-            if now.vision is not None and now.vision.path is not None and self.needs_camera:
-                marker = now.vision.path(now.setup.clock.now())  # which only the scene knows
-                true = marker.compose(now.vision.scene.pose_marker_tool).position
-            else:
-                true = tick.goal.target.position
+            true = _marked_place(now) if self.needs_camera else tick.goal.target.position
             behind.append(1e3 * float(np.linalg.norm(place - true)))
 
         setup = now.setup
@@ -378,8 +374,14 @@ class FollowStep(Framed, Action):
                 speed=self.speed or now.script.content.speed, source=now.arm, on_tick=note,
             )  # fmt: skip
         self._judge(now, report, behind, result)
-        if self.needs_camera:
-            self._judge_at_end(now, result)
+        if not self.needs_camera:
+            return
+        setup.repeat(_ARRIVE)
+        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.arm.read().q).position - _marked_place(now)))
+        result.numbers["off_mm"] = round(off, 4)
+        result.found += f"; {off:.2f} mm from where it truly lies"
+        if off > self.tolerance_mm:
+            raise StepFailed(result.found)
 
     def _goals(self, now: RunState, frame: str) -> contextlib.AbstractContextManager[Any]:
         if self.needs_camera:
@@ -405,16 +407,9 @@ class FollowStep(Framed, Action):
         if worst > self.tolerance_mm:
             raise StepFailed(f"lost the goal: {result.found}")
 
-    def _judge_at_end(self, now: RunState, result: StepResult) -> None:
-        """Where the marker really lies in the end, which only the scene knows."""
-        assert now.vision is not None
-        now.setup.repeat(_ARRIVE)
-        seen = now.vision.find_target_again()
-        assert seen.true_pose is not None
-        true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
-        at = now.robot.measure(now.arm.read().q, now.setup.frame)
-        off = 1e3 * float(np.linalg.norm(at.position - true.position))
-        result.numbers["off_mm"] = round(off, 4)
-        result.found += f"; {off:.2f} mm from where it truly lies"
-        if off > self.tolerance_mm:
-            raise StepFailed(result.found)
+
+def _marked_place(now: RunState) -> Array:
+    """(3,) m where the tool should be above the marker that is followed; only the scene knows."""
+    assert now.vision is not None and now.vision.path is not None
+    marker = now.vision.path(now.setup.clock.now())
+    return marker.compose(now.vision.scene.pose_marker_tool).position
