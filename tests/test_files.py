@@ -111,7 +111,13 @@ def _samples() -> SampleSet:
 def _verify() -> VerifySamples:
     known = KnownPose.within(Pose(), 1e-3, 1e-3)
     rows = tuple(servo_values(joint) for joint in ARM.joints)
-    return VerifySamples(_samples(), known, known, False, np.zeros(ROBOT.nv), rows)
+    made = VerifySamples(
+        "puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS,
+        camera=known, board=known, by_arm=False, true_offsets=np.zeros(ROBOT.nv), servos=rows,
+    )  # fmt: skip
+    for q, view in zip(_samples().q, _samples().views, strict=True):
+        made.add(q, view)
+    return made
 
 
 def _motion() -> Trajectory:

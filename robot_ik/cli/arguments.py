@@ -149,7 +149,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
     gathered = gather(kind, tokens)
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
-        raise _Mistake(kind, prog, gathered, said).error()
+        raise _mistake(kind, prog, gathered, said)
     return options
 
 
@@ -164,29 +164,23 @@ def _refuse_empty(prog: str, tokens: Sequence[str]) -> None:
 
 
 def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
-    """The arguments; an option of any number of values (``RATE …``) stands once in them, with all its values.
+    """The arguments, options of any number of values (``RATE …``) last, each once with all of its values.
 
     ``--baud 57600 --baud 1000000`` is ``--baud 57600 1000000``; tyro would take the last one alone.
     """
-    flags = [_flag(token) for token in tokens]
-    repeated = {flag for flag in flags if flag and flags.count(flag) > 1} & set(_endless_options(kind))
-    kept: list[str] = []
-    values: dict[str, list[str]] = {flag: [] for flag in flags if flag in repeated}
-    into = kept
-    for flag, token in zip(flags, tokens, strict=True):
-        if flag in repeated:
-            into = values[flag]
-            into += [token.partition("=")[2]] if "=" in token else []
+    endless = set(_endless_options(kind))
+    into = kept = list[str]()
+    values: dict[str, list[str]] = {}
+    for token in tokens:
+        flag, given, value = token.partition("=")
+        if (flag := flag.replace("_", "-")) in endless:  # as tyro understands it
+            into = values.setdefault(flag, [])
+            into += [value] if given else []
             continue
         if token.startswith("-") and not _is_number(token):
             into = kept
         into.append(token)
     return kept + [token for flag, row in values.items() for token in (flag, *row)]
-
-
-def _flag(token: str) -> str:
-    """The option that an argument names, as tyro understands it; empty: it is none."""
-    return token.partition("=")[0].replace("_", "-") if token.startswith("--") else ""
 
 
 def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
@@ -249,9 +243,10 @@ def fold(text: str, width: int) -> str:
     lines = text.rstrip().splitlines()
     boxes = next((at for at in range(len(lines)) if _opens_a_box(lines, at)), len(lines))
     usage, *paragraphs = re.split(r"\n\s*\n", _ANSI.sub("", "\n".join(lines[:boxes])).strip())
-    head = [_fold_usage(usage, width)]
+    indent = " " * len("usage: robot-ik ")
+    head = [_folded(usage, width, subsequent_indent=indent, break_long_words=False)]
     head += [_fold_prose(paragraph.strip("\n"), min(width, _PROSE)) for paragraph in paragraphs]
-    return "\n\n".join([*(part for part in head if part), "\n".join(lines[boxes:])])
+    return "\n\n".join([*filter(None, head), "\n".join(lines[boxes:])])
 
 
 def _opens_a_box(lines: Sequence[str], at: int) -> bool:
@@ -259,15 +254,8 @@ def _opens_a_box(lines: Sequence[str], at: int) -> bool:
     return _ANSI.sub("", lines[at]).startswith("╭") or (len(below) > 8 and not below.strip("-"))
 
 
-def _fold_usage(usage: str, width: int) -> str:
-    """Broken between arguments, never within the brackets of one."""
-    depth, glued = 0, ""
-    for character in " ".join(usage.split()):
-        depth += (character in "[{") - (character in "]}")
-        glued += "\0" if character == " " and depth else character
-    indent = " " * (len("usage: robot-ik") + 1)
-    kept = {"break_long_words": False, "break_on_hyphens": False}
-    return textwrap.fill(glued, width, subsequent_indent=indent, **kept).replace("\0", " ")  # type: ignore[arg-type]
+def _folded(text: str, width: int, **how: Any) -> str:
+    return textwrap.fill(" ".join(text.split()), width, break_on_hyphens=False, **how)
 
 
 def _fold_prose(paragraph: str, width: int) -> str:
@@ -279,7 +267,7 @@ def _fold_prose(paragraph: str, width: int) -> str:
         if line and not example:
             text.append(line)
             continue
-        folded += textwrap.wrap(" ".join(" ".join(text).split()), width, break_on_hyphens=False)
+        folded += [_folded(" ".join(text), width)] if text else []
         folded += ["    " + line.strip()] if example else []
         text = []
     return "\n".join(folded)
@@ -288,90 +276,63 @@ def _fold_prose(paragraph: str, width: int) -> str:
 # ------------------------------------------------------------------------------------- mistakes
 
 
-class _Mistake:
+def _mistake(kind: Any, prog: str, tokens: Sequence[str], said: str) -> ConfigError:
     """What tyro says about wrong arguments, as one sentence.
 
     Its text is for people and differs between versions: what is not recognized is passed on as it is.
     """
+    hint = f"all options: {prog} --help"
+    usage = _ANSI.sub("", _tyro(kind, prog, ["--help"], _ENDLESS)[1])
+    rows = [row for line in said.splitlines() if (row := line.strip("│ ")) and row[0] not in "╭╰"]
+    text = " ".join(" ".join(rows).split())
 
-    def __init__(self, kind: Any, prog: str, tokens: Sequence[str], said: str) -> None:
-        self._tokens = list(tokens)
-        self._hint = f"all options: {prog} --help"
-        self._help = _ANSI.sub("", _tyro(kind, prog, ["--help"], _ENDLESS)[1])
-        # The box without its frame: a title, then parts between rules.
-        rows = [line.strip("│ ").rstrip() for line in said.splitlines()]
-        self._rows = [row for row in rows if row]
-        parts = re.split(r"\n[─-]{8,}\n", "\n".join(row for row in rows if not row.startswith(("╭", "╰"))))
-        self._said = " ".join((parts[1] if len(parts) > 1 and "Options" in parts[0] else parts[0]).split())
-        self._all = " ".join(" ".join(rows).split())
-
-    def error(self) -> ConfigError:
-        """The first of the sentences that fits."""
-        for report in (self._unknown, self._missing, self._no_value, self._no_choice, self._unreadable):
-            if (found := report()) is not None:
-                return found
-        return wrong("", self._said, hint=self._hint)
-
-    def _metavar_text(self, flag: str) -> str:
+    def takes(flag: str) -> str:
         """What stands behind an option in the help, as text."""
-        found = re.search(rf"(?:^|, |│ |  ){re.escape(flag)} (\S.*?)(?:  |\s*│|$)", self._help, re.MULTILINE)
+        found = re.search(rf"(?:^|, |│ |  ){re.escape(flag)} (\S.*?)(?:  |\s*│|$)", usage, re.MULTILINE)
         return " ".join(_KINDS.get(token, token) for token in found[1].split()) if found else ""
 
-    def _unknown(self) -> ConfigError | None:
-        found = re.search(r"Unrecognized (?:or misplaced )?options: (.*?)(?:[─-]{8}|$)", self._all)
-        if found is None:
-            return None
-        tokens = [token for token in self._tokens if token in re.split(r"[,\s]+", found[1])]
-        flag = next((token for token in tokens if token.startswith("-")), None)
-        if flag is None:
-            return wrong("", f"{' '.join(tokens) or found[1]!r}: nothing more is taken here", hint=self._hint)
-        flags = re.findall(r"--[a-z][\w.-]*", self._help)
-        if (now := FORMER.get(flag)) in flags:
-            return wrong(flag, f"this option is called {now} now", hint=self._hint)
-        close = close_matches(flag, flags, 1)
-        meant = f"; did you mean {close[0]!r}?" if close else ""
-        return wrong("", f"unknown option {flag!r}{meant}", hint=self._hint)
-
-    def _missing(self) -> ConfigError | None:
-        rows = itertools.dropwhile(lambda row: not row.startswith("Missing from "), self._rows)
-        if next(rows, None) is None:
-            return None
-        shown = list(itertools.takewhile(lambda row: not row.startswith(("─", "--------")), rows))
+    if found := re.search(r"Unrecognized (?:or misplaced )?options: (.*?)(?:[─-]{8}|$)", text):
+        listed = re.split(r"[,\s]+", found[1])
+        return _unknown([token for token in tokens if token in listed] or listed, usage, hint)
+    if "Missing from " in text:
+        begun = itertools.dropwhile(lambda row: not row.startswith("Missing from "), rows)
+        shown = list(itertools.takewhile(lambda row: not row.startswith(("─", "--------")), begun))[1:]
         pairs = zip(shown[::2], shown[1::2], strict=False)
         missing = [f"{name} ({what.replace(' (required)', '')})" for name, what in pairs]
-        return wrong("", f"missing: {', '.join(missing)}", hint=self._hint)
-
-    def _no_value(self) -> ConfigError | None:
-        if not (found := re.search(r"Missing value for argument '([^']*)'", self._all)):
-            return None
-        return wrong(found[1], "a value is missing", self._metavar_text(found[1]), self._hint)
-
-    def _no_choice(self) -> ConfigError | None:
-        found = re.search(
-            r"invalid choice '(.*?)' for argument '([^']*)'\. Expected one of \((.*?)\)", self._all
-        )
-        if found is None:
-            return None
-        value, name, listed = found.groups()
-        choices = [token for token in re.findall(r"'([^']*)'", listed) if token]  # the empty one: not asked
+        return wrong("", f"missing: {', '.join(missing)}", hint=hint)
+    if found := re.search(r"Missing value for argument '([^']*)'", text):
+        return wrong(found[1], "a value is missing", takes(found[1]), hint)
+    choice = r"invalid choice '(.*?)' for argument '([^']*)'\. Expected one of \((.*?)\)"
+    if found := re.search(choice, text):
+        value, name, row = found.groups()
+        choices = [token for token in re.findall(r"'([^']*)'", row) if token]  # the empty one: not asked
         close = close_matches(value, choices, 1)
         meant = f" (did you mean {close[0]!r}?)" if close else ""
         key = name if name.startswith("-") else ""
-        return wrong(key, f"{value!r} is not a valid choice{meant}", ", ".join(choices), self._hint)
-
-    def _unreadable(self) -> ConfigError | None:
-        if not (found := re.search(r"Error parsing ([^\s:/]+)[^:]*: ", self._all)):
-            return None
-        flag = found[1]
-        behind = itertools.dropwhile(lambda token: token != flag, self._tokens)
-        given = list(itertools.takewhile(lambda token: not token.startswith("--"), list(behind)[1:]))
-        bad = re.findall(r"(?:to float|base 10): '([^']*)'", self._all)[-1:] or [
-            token for token in given if not re.fullmatch(r"[-+]?[\d.]+(e[-+]?\d+)?|nan|[-+]?inf", token)
-        ]
-        whole = " whole" if "base 10" in self._all else ""
+        return wrong(key, f"{value!r} is not a valid choice{meant}", ", ".join(choices), hint)
+    if found := re.search(r"Error parsing ([^\s:/]+)[^:]*: ", text):
+        flag, allowed = found[1], takes(found[1])
+        behind = list(itertools.dropwhile(lambda token: token != flag, tokens))[1:]
+        given = list(itertools.takewhile(lambda token: not token.startswith("--"), behind))
+        bad = re.findall(r"(?:to float|base 10): '([^']*)'", text)[-1:]
+        bad = bad or [token for token in given if not _is_number(token)]
+        whole = " whole" if "base 10" in text else ""
         problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
-        takes = self._metavar_text(flag)
-        return wrong(flag, problem, "" if bad and takes in _KINDS.values() else takes, self._hint)
+        return wrong(flag, problem, "" if bad and allowed in _KINDS.values() else allowed, hint)
+    return wrong("", re.split(r" [─-]{8,} ", text)[0], hint=hint)
+
+
+def _unknown(tokens: Sequence[str], usage: str, hint: str) -> ConfigError:
+    """Arguments that belong to no option; a close name of one is in ``usage``."""
+    flag = next((token for token in tokens if token.startswith("-")), None)
+    if flag is None:
+        return wrong("", f"{' '.join(tokens)!r}: nothing more is taken here", hint=hint)
+    flags = re.findall(r"--[a-z][\w.-]*", usage)
+    if (now := FORMER.get(flag)) in flags:
+        return wrong(flag, f"this option is called {now} now", hint=hint)
+    close = close_matches(flag, flags, 1)
+    meant = f"; did you mean {close[0]!r}?" if close else ""
+    return wrong("", f"unknown option {flag!r}{meant}", hint=hint)
 
 
 # ------------------------------------------------------------------------------------------
@@ -389,7 +350,7 @@ def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
     if not numbers:
         return None
     if len(numbers) not in (3, 7):
-        raise wrong(key, f"{len(numbers)} numbers", "x y z in metres, and an orientation as w x y z")
+        raise wrong(key, f"{len(numbers)} numbers", "3: x y z in metres, or 7: then w x y z")
     try:
         return Pose(numbers[:3], numbers[3:] or (1.0, 0.0, 0.0, 0.0))
     except ValueError as error:

@@ -32,7 +32,7 @@ from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed
 
 if TYPE_CHECKING:
-    from robot_ik.jobs.arm_camera.handeye import HandEyeReport, HandEyeRequest
+    from robot_ik.jobs.arm_camera.handeye import ArmCameraReport, HandEyeReport, HandEyeRequest
     from robot_ik.jobs.arm_camera.samples import SampleSet
     from robot_ik.ports import Array
 
@@ -89,8 +89,8 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
     }
 
 
-def measured(job: Callable[..., Report], file: Path, command: str) -> Report | None:
-    """Runs a job with its progress shown; None when it was interrupted, and how to go on is said.
+def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
+    """Runs a job with its progress shown; where that is interrupted, it says how to go on.
 
     Args:
         job: Takes ``progress``, and ``keep``, to which it hands all its samples after each station.
@@ -110,12 +110,12 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report | N
         with console.progress() as bar:
             return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
-        console.say(f"interrupted after {views} views", "yellow")
+        console.say(f"stopped after {views} views", "yellow")
         if views >= LEAST_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
             console.say(f"they are kept in {file}, but {LEAST_VIEWS} are the least that determine anything")
-        return None
+        raise
 
 
 def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
@@ -127,6 +127,12 @@ def show_plan(name: str, joints: Sequence[str], stations: Sequence[Array]) -> No
     """The joint angles of all stations."""
     rows = [(k, *(f"{math.degrees(v):.1f}" for v in q)) for k, q in enumerate(stations, 1)]
     console.show(console.table(name, *joints, rows=rows, title="planned, degrees"))
+
+
+def planned_values(report: ArmCameraReport[Any], job: str) -> dict[str, Any]:
+    """What JSON says of a run that was planned, measured or not."""
+    facts = {key: getattr(report.samples, key) for key in ("robot", "joints", "frame", "mounting")}
+    return {"schema": 1, "job": job, **facts, "stations": report.stations, "unseen": report.unseen}
 
 
 # ------------------------------------------------------------------------------------------
@@ -171,12 +177,9 @@ def run_handeye(options: CameraHandeyeOptions) -> int:
             assert options.samples is not None
             lens = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
             known = SampleSet.load(options.samples)
-            report: HandEyeReport | None = handeye.handeye_from_samples(known, lens)
+            report = handeye.handeye_from_samples(known, lens)
         else:
-            job = partial(handeye.run_handeye, request, dry_run=options.dry_run)
-            report = measured(job, kept, "camera handeye")
-        if report is None:
-            return console.INTERRUPTED
+            report = measured(partial(handeye.run_handeye, request), kept, "camera handeye")
         if report.result is not None:
             report.extrinsics().save(options.out)
     if options.json:
@@ -245,18 +248,10 @@ def _mm_deg(metres: float, radians: float) -> str:
 
 
 def _as_json(report: HandEyeReport, options: CameraHandeyeOptions) -> dict[str, Any]:
-    found: dict[str, Any] = {
-        "schema": 1,
-        "job": "handeye",
-        "mounting": report.samples.mounting,
-        "robot": report.samples.robot,
-        "stations": report.stations,
-        "unseen": report.unseen,
-    }
     result = report.result
     if result is None:
-        return found
-    return found | {
+        return planned_values(report, "handeye")
+    return planned_values(report, "handeye") | {
         "parent": report.parent,
         "file": options.out,
         "camera": result.pose_parent_camera,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -34,7 +34,6 @@ from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
     from robot_ik.camera.boards.board import Board, BoardView
-    from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
     from robot_ik.camera.device import CameraDevice
     from robot_ik.camera.intrinsics import CameraIntrinsics
     from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers
@@ -134,18 +133,17 @@ def run_detect(options: CameraDetectOptions) -> int:
     from robot_ik.camera.intrinsics import CameraIntrinsics
 
     intrinsics = None if options.intrinsics is None else CameraIntrinsics.load(options.intrinsics)
-    folder = options.draw
-    if folder is None:
+    if (folder := options.draw) is None:
         return _detect(options, intrinsics, None)
     from robot_ik.jobs.pictures import DrawingFolder
 
-    drawings = DrawingFolder(folder)
     for path in map(Path, options.images):  # drawings have the names of their pictures
         if folder.resolve() == (path if path.is_dir() else path.parent).resolve() and path.exists():
             raise OutputError(
                 f"the drawings would take the names of the pictures in {folder}",
                 hint="give another folder: --draw drawn",
             )
+    drawings = DrawingFolder(folder)
     with claimed_folder(folder, "*.png", overwrite=options.overwrite):
         code = _detect(options, intrinsics, drawings)
     if drawings.names:
@@ -157,14 +155,14 @@ def _detect(
     options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: DrawingFolder | None
 ) -> int:
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
-    rows = list(_searched_pictures(options, intrinsics, blank, drawings))
+    rows = _searched_pictures(options, intrinsics, blank, drawings)
     failed = [row for row in rows if row.error is not None]
     if failed and len(failed) == len(rows):  # nothing could be looked at: the first error stands for all
         error = failed[0].error
         assert error is not None
-        if len(failed) > 1:
-            others = console.count_of(len(failed) - 1, "other file")
-            error.args = (f"{error.args[0]}; {others} cannot be used either", *error.args[1:])
+        if others := len(failed) - 1:
+            besides = f"; {console.count_of(others, 'other file')} cannot be used either"
+            error.args = (error.args[0] + besides, *error.args[1:])
         raise error
     if options.json:
         images = [row.as_values() for row in rows]
@@ -179,7 +177,9 @@ def _detect(
         return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
     looked_at = console.count_of(len(rows) - len(failed), "picture")
-    return console.refused(f"{wanted} of {options.dictionary} in {looked_at}", _hint(options, blank))
+    hint = _of_other_markers(options.dictionary, blank, "leave --ids away to see which")
+    hint = hint or "is the marker too small, blurred, or without white all round it?"
+    return console.refused(f"{wanted} of {options.dictionary} in {looked_at}", hint)
 
 
 def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
@@ -192,16 +192,17 @@ def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
         console.say(f"  and {len(failed) - _MOST_NAMED} more; --json names all")
 
 
-def _hint(options: CameraDetectOptions, blank: Sequence[Any]) -> str:
-    """What may be wrong when no picture shows a marker that was asked for."""
+def _of_other_markers(dictionary: str, blank: Sequence[Any], others: str = "") -> str:
+    """What to do about markers that are in pictures where none was found; empty: there are no such.
+
+    ``others`` is for those of this ``dictionary``.
+    """
     from robot_ik.camera.detection import guess_dictionary
 
-    other = guess_dictionary(blank)
-    if other is None:
-        return "is the marker too small, blurred, or without white all round it?"
-    if other == options.dictionary:
-        return "other markers of this dictionary are there: leave --ids away to see which"
-    return f"there are markers of {other}: --dictionary {other}"
+    found = guess_dictionary(blank)
+    if found == dictionary:
+        return f"other markers of this dictionary are there: {others}" if others else ""
+    return f"there are markers of {found}, none of {dictionary}: --dictionary {found}" if found else ""
 
 
 def _searched_pictures(
@@ -209,7 +210,7 @@ def _searched_pictures(
     intrinsics: CameraIntrinsics | None,
     blank: deque[Any],
     drawings: DrawingFolder | None,
-) -> Iterator[PictureMarkers]:
+) -> list[PictureMarkers]:
     """Searches all pictures, draws them when wanted; keeps some of those without a marker in ``blank``."""
     from robot_ik.camera.bodies import load_bodies
     from robot_ik.errors import CameraError
@@ -219,6 +220,7 @@ def _searched_pictures(
         raise CameraError("no picture is given", hint="for example: robot-ik camera detect photo.jpg")
     bodies = () if options.bodies is None else tuple(load_bodies(options.bodies).values())
     finder = partial(MarkerFinder, options.dictionary, intrinsics, options.size, options.ids, bodies)
+    found = []
     with console.progress() as bar:
         for name in options.images:
             task = bar.add_task(name, total=None, note="")
@@ -226,8 +228,9 @@ def _searched_pictures(
                 bar.update(task, note=str(row.frame))
                 if row.image is not None and not row.values["markers"]:
                     blank.append(row.image)
-                yield replace(row, image=None)
+                found.append(replace(row, image=None))
             bar.remove_task(task)
+    return found
 
 
 # ------------------------------------------------------------------------------------ tables
@@ -336,9 +339,18 @@ def run_locate(options: CameraLocateOptions) -> int:
 
 def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
     from robot_ik.camera.calibration.extrinsics import locate_camera
+    from robot_ik.camera.sources import open_source
+    from robot_ik.jobs.pictures import board_views
 
     blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
-    views, searched = _board_views(options, board, intrinsics, blank)
+    with open_source(options.source) as source, console.progress() as bar:
+        task = bar.add_task("looking", total=options.frames, note="")
+        views, searched = board_views(
+            source, board, intrinsics, options.frames,
+            progress=lambda searched: bar.update(task, completed=searched),
+            left_out=lambda why: console.say(f"left out: {why}", "yellow"),
+            unseen=blank.append,
+        )  # fmt: skip
     if not views:
         raise MarkerNotFoundError(
             f"no board {options.board} in {console.count_of(searched, 'picture')} of {options.source}",
@@ -351,30 +363,41 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
         return console.NOT_ACHIEVED
     extrinsics.save(options.out)
     if options.json:
-        console.print_json(_as_json(extrinsics, options, len(views), searched))
+        facts = {
+            "schema": 1,
+            "job": "locate",
+            "file": options.out,
+            "parent": extrinsics.parent,
+            "camera": extrinsics.pose_parent_camera,
+            "sigma_position_m": extrinsics.sigma_position,
+            "sigma_angle_rad": extrinsics.sigma_angle,
+            "residual_px": extrinsics.residual_px,
+            "residual_mm": extrinsics.residual_mm,
+            "pictures": searched,
+            "used": len(views),
+        }
+        console.print_json(facts)
         return console.DONE
     sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
-    facts = (
+    rows = (
         (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
         ("stated uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
         ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
         ("pictures", f"{len(views)} of {searched} show the board"),
     )
-    console.show(console.facts(*facts))
+    console.show(console.facts(*rows))
     console.say(f"wrote {options.out}", "green")
     return console.DONE
 
 
 def _unseen_hint(board: Board, blank: Sequence[Any]) -> str:
     """What may be wrong when no picture shows the board: markers of another dictionary are named."""
-    from robot_ik.camera.detection import MarkerDetector, guess_dictionary
+    from robot_ik.camera.detection import MarkerDetector
 
-    dictionary = getattr(getattr(board, "pattern", board), "dictionary", "")
+    dictionary, hint = getattr(getattr(board, "pattern", board), "dictionary", ""), ""
     if dictionary and not any(MarkerDetector(dictionary, strict=True).detect(image) for image in blank):
-        other = guess_dictionary(blank)
-        if other is not None:
-            return f"there are markers of {other}, none of {dictionary}: --dictionary {other}"
-    return "check its sizes and dictionary, light and focus; the whole board should be in view"
+        hint = _of_other_markers(dictionary, blank)
+    return hint or "check its sizes and dictionary, light and focus; the whole board should be in view"
 
 
 def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
@@ -389,39 +412,6 @@ def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsi
         why = f"{moved}the board is not flat or not of this size, or the calibration is of another camera"
         console.say(f"doubtful: {where}: {why}", "yellow")
     return count
-
-
-def _board_views(
-    options: CameraLocateOptions, board: Board, intrinsics: CameraIntrinsics, blank: deque[Any]
-) -> tuple[list[BoardView], int]:
-    """The views of the board, and how many pictures were searched; some of those without it in ``blank``."""
-    from robot_ik.camera.sources import open_source
-    from robot_ik.jobs.pictures import board_views
-
-    with open_source(options.source) as source, console.progress() as bar:
-        task = bar.add_task("looking", total=options.frames, note="")
-        return board_views(
-            source, board, intrinsics, options.frames,
-            progress=lambda searched: bar.update(task, completed=searched),
-            left_out=lambda why: console.say(f"left out: {why}", "yellow"),
-            unseen=blank.append,
-        )  # fmt: skip
-
-
-def _as_json(found: CameraExtrinsics, options: CameraLocateOptions, used: int, searched: int) -> Any:
-    return {
-        "schema": 1,
-        "job": "locate",
-        "file": options.out,
-        "parent": found.parent,
-        "camera": found.pose_parent_camera,
-        "sigma_position_m": found.sigma_position,
-        "sigma_angle_rad": found.sigma_angle,
-        "residual_px": found.residual_px,
-        "residual_mm": found.residual_mm,
-        "pictures": searched,
-        "used": used,
-    }
 
 
 # ------------------------------------------------------------------------------------------

@@ -23,7 +23,14 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
-from robot_ik.cli.arm_camera import ArmCameraOptions, arm_camera_values, measured, numbers_of_seen, show_plan
+from robot_ik.cli.arm_camera import (
+    ArmCameraOptions,
+    arm_camera_values,
+    measured,
+    numbers_of_seen,
+    planned_values,
+    show_plan,
+)
 from robot_ik.environment import import_mujoco
 from robot_ik.files import claimed, make_folder, write_atomically
 
@@ -91,14 +98,11 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
     from robot_ik.jobs.arm_camera.verify import error_picture, run_verify, verify_from_samples
 
     if options.samples:
-        known = VerifySamples.load(options.samples)
-        report = verify_from_samples(known, request, board_sigma=bool(options.board_sigma))
+        samples = VerifySamples.load(options.samples)
+        report = verify_from_samples(samples, request, board_sigma=bool(options.board_sigma))
     else:
-        job = partial(run_verify, request, dry_run=options.dry_run)
-        made = measured(job, options.out, "camera verify --fit" if options.fit else "camera verify")
-        if made is None:
-            return console.INTERRUPTED
-        report = made
+        command = "camera verify --fit" if options.fit else "camera verify"
+        report = measured(partial(run_verify, request), options.out, command)
     if options.dry_run:
         if options.json:
             console.print_json(as_json(report, None))
@@ -167,7 +171,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
         options,
         **arm_camera_values(options, "zeros"),
         extrinsics=options.camera_extrinsics,
-        pose_frame_board=pose_option(options.board_pose, "--board-pose"),
+        pose_other_board=pose_option(options.board_pose, "--board-pose"),
         board_sigma=(1e-3 * sigma[0], math.radians(sigma[1])) if sigma else BOARD_SIGMA,
         rehearsal=Rehearsal(joint_degrees("--rehearse-zero-offset", options.rehearse_zero_offset)),
     )
@@ -180,7 +184,7 @@ def make_request(options: CameraVerifyOptions) -> VerifyRequest:
 def print_report(report: VerifyReport, allowed_mm: float) -> None:
     """Errors of each pose, sums by region, offsets."""
     console.show(_poses(report), _regions("the arm as it is", report.judged(corrected=False)))
-    if report.known.by_arm:
+    if report.samples.by_arm:
         console.show(
             "The camera's pose was found by moving this arm: what all poses are off by alike is in it.\n"
             "Of errors, only what changes from pose to pose shows; see robot-ik camera locate."
@@ -228,8 +232,8 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
     columns = ("board at", "poses", "RMS mm", "median", "max", "RMS deg", "sigma mm")
     rows = [
         (
-            one.name, one.count, f"{1e3 * one.rms:.2f}", f"{1e3 * one.median:.2f}",
-            f"{1e3 * one.largest:.2f}", f"{math.degrees(one.angle):.3f}", f"{1e3 * one.sigma:.2f}",
+            one.name, one.poses, f"{1e3 * one.rms_m:.2f}", f"{1e3 * one.median_m:.2f}",
+            f"{1e3 * one.largest_m:.2f}", f"{math.degrees(one.rms_rad):.3f}", f"{1e3 * one.sigma_m:.2f}",
         )
         for one in regions(errors)
     ]  # fmt: skip
@@ -239,7 +243,7 @@ def _regions(title: str, errors: Sequence[PoseError]) -> Any:
 def _offset_table(report: VerifyReport) -> Any:
     fit = report.fit
     assert fit is not None
-    truth = report.known.true_offsets
+    truth = report.samples.true_offsets
     columns = ("joint", "ahead by: deg", "sigma", "true") if truth is not None else ("joint", "deg", "sigma")
     rows = []
     for k, name in enumerate(fit.joints):
@@ -251,38 +255,30 @@ def _offset_table(report: VerifyReport) -> Any:
 
 def as_json(report: VerifyReport, verdict: dict[str, Any] | None) -> dict[str, Any]:
     """Everything, in metres and rad; ``verdict`` None for a dry run."""
-    found: dict[str, Any] = {
-        "schema": 1,
-        "job": "verify",
-        "robot": report.known.samples.robot,
-        "joints": report.robot.joints,
-        "frame": report.known.samples.frame,
-        "stations": report.stations,
-        "unseen": report.unseen,
-    }
+    from robot_ik.jobs.arm_camera.verify import regions
+
+    found = planned_values(report, "verify")
     if verdict is None:
         return found
     found |= verdict
-    found["extrinsics_by_arm"] = report.known.by_arm
-    found["poses"] = [
-        _error(one) | {"q": q} for one, q in zip(report.errors, report.known.samples.q, strict=True)
-    ]
+    found["extrinsics_by_arm"] = report.samples.by_arm
+    found["poses"] = [_error(one) | {"q": q} for one, q in zip(report.errors, report.samples.q, strict=True)]
     found["unsure"] = report.unsure
-    found["regions"] = _sums(report.judged(corrected=False))
+    found["regions"] = regions(report.judged(corrected=False))
     fit = report.fit
     if fit is not None:
         sigmas = zip(fit.joints, np.asarray(fit.sigma).tolist(), strict=True)
         found["fit"] = {
             "offsets_rad": fit.offsets,
             "sigma_rad": [sigma if name in fit.found else None for name, sigma in sigmas],
-            "true_rad": report.known.true_offsets,
+            "true_rad": report.samples.true_offsets,
             "held": [{"joint": one.joint, "why": one.text} for one in fit.unobservable],
             "singular_values": fit.singular_values,
             "joint_noise_rad": fit.joint_noise,
             "residual_px": fit.residual_px,
             "outliers": fit.outliers,
             "poses": [_error(one) for one in fit.errors],
-            "regions": _sums(report.judged(corrected=True)),
+            "regions": regions(report.judged(corrected=True)),
         }
     return found
 
@@ -292,15 +288,3 @@ def _error(one: PoseError) -> dict[str, Any]:
         "position_m": one.position, "off_m": one.vector, "off_rad": one.angle,
         "sigma_m": one.sigma, "sigma_rad": one.sigma_angle,
     }  # fmt: skip
-
-
-def _sums(errors: Sequence[PoseError]) -> list[dict[str, Any]]:
-    from robot_ik.jobs.arm_camera.verify import regions
-
-    return [
-        {
-            "name": one.name, "poses": one.count, "rms_m": one.rms, "median_m": one.median,
-            "largest_m": one.largest, "rms_rad": one.angle, "sigma_m": one.sigma,
-        }
-        for one in regions(errors)
-    ]  # fmt: skip

@@ -13,9 +13,8 @@ from rich.text import Text
 from tyro.conf import Positional, arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import Json, single
+from robot_ik.cli.arguments import Json, require, single
 from robot_ik.environment import NOTE, OK, PROBLEM, import_mujoco
-from robot_ik.errors import ConfigError
 from robot_ik.robot_file import SERVO_ROBOT, catalogue
 
 if TYPE_CHECKING:
@@ -101,8 +100,11 @@ def catalogue_facts() -> list[dict[str, Any]]:
     rows = []
     for name, folder in catalogue().items():
         path, file = read_robot_file(folder / "robot.toml")
-        # Without a group of that name all joints of the model are active.
-        joints = list(file.groups.get("arm", ())) or _joints_of(path)
+        joints = list(file.groups.get("arm", ()))
+        if not joints:  # all of the model are active
+            world = ElementTree.parse(path).getroot().find("worldbody")
+            assert world is not None
+            joints = [j.get("name", "") for j in world.iter() if j.tag in ("joint", "freejoint")]
         arm = folder / "arm.toml"
         rows.append(
             {
@@ -114,13 +116,6 @@ def catalogue_facts() -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def _joints_of(model: Path) -> list[str]:
-    """Names of the joints in an MJCF file of the catalogue, in declared order."""
-    world = ElementTree.parse(model).getroot().find("worldbody")
-    assert world is not None
-    return [joint.get("name", "") for joint in world.iter() if joint.tag in ("joint", "freejoint")]
 
 
 def robot_facts(robot: Robot) -> dict[str, Any]:
@@ -217,16 +212,10 @@ def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     from robot_ik.goals import GOALS
 
     served = [goal for goal in GOALS if issubclass(goal, kind.goals)]
+    blank = {"low": None, "high": None, "choices": (), "unit": "", "help": ""}
     options = [
-        {
-            "name": field.name,
-            "default": None if field.default is MISSING else field.default,
-            "low": field.metadata.get("low"),
-            "high": field.metadata.get("high"),
-            "choices": field.metadata.get("choices", ()),
-            "unit": field.metadata.get("unit", ""),
-            "help": field.metadata.get("help", ""),
-        }
+        {"name": field.name, "default": None if field.default is MISSING else field.default}
+        | {key: field.metadata.get(key, none) for key, none in blank.items()}
         for field in fields(kind)
     ]
     return {
@@ -279,19 +268,13 @@ def gallery_folder(arguments: Sequence[str]) -> str:
     Raises:
         ConfigError: More than one argument, or a robot's name, which belongs before the option.
     """
-    if len(arguments) > 1:
-        raise ConfigError(
-            f"{len(arguments)} arguments after --gallery: {' '.join(arguments)}",
-            file="robot-ik robots", key="--gallery", allowed="one folder, or nothing",
-            hint="one robot alone: robot-ik robots NAME --gallery [FOLDER]",
-        )  # fmt: skip
+    hint = "one robot alone: robot-ik robots NAME --gallery [FOLDER]"
+    many = f"{len(arguments)} arguments: {' '.join(arguments)}"
+    require(len(arguments) <= 1, "--gallery", many, "one folder, or nothing", hint)
     folder = arguments[0] if arguments else ""
-    if folder in catalogue() and not Path(folder).exists():
-        raise ConfigError(
-            f"{folder!r} is a robot, not a folder", file="robot-ik robots", key="--gallery",
-            allowed="a folder, or nothing",
-            hint=f"this robot alone: robot-ik robots {folder} --gallery; a folder so named: ./{folder}",
-        )  # fmt: skip
+    hint = f"this robot alone: robot-ik robots {folder} --gallery; a folder so named: ./{folder}"
+    free = folder not in catalogue() or Path(folder).exists()
+    require(free, "--gallery", f"{folder!r} is a robot, not a folder", "a folder, or nothing", hint)
     return folder
 
 
@@ -309,7 +292,18 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
         portraits, files = draw_gallery(robots, path, options.seed, console.shares_on(bar, "drawing"))
     drawn = list(zip(portraits, files, strict=False))
     if options.json:
-        rows = [_portrait_facts(portrait, file) for portrait, file in drawn]
+        rows = [
+            {
+                "name": portrait.robot.name,
+                "poses": portrait.captions,
+                "status": portrait.solution.status.name,
+                "solver": portrait.solution.solver,
+                "miss_m": portrait.solution.miss.position,
+                "miss_rad": portrait.solution.miss.angle,
+                "file": file,
+            }
+            for portrait, file in drawn
+        ]
         console.print_json({"schema": SCHEMA, "robots": rows, "sheet": files[-1]})
     else:
         cells = [(one.robot.name, *one.captions, _met(one), one.solution.solver, file) for one, file in drawn]
@@ -320,19 +314,6 @@ def _gallery(options: RobotsOptions, arguments: Sequence[str]) -> int:
 
 def _met(portrait: Portrait) -> str:
     return "met" if portrait.solution.converged else f"missed: {portrait.solution.status.name}"
-
-
-def _portrait_facts(portrait: Portrait, file: Path) -> dict[str, object]:
-    solution = portrait.solution
-    return {
-        "name": portrait.robot.name,
-        "poses": portrait.captions,
-        "status": solution.status.name,
-        "solver": solution.solver,
-        "miss_m": solution.miss.position,
-        "miss_rad": solution.miss.angle,
-        "file": file,
-    }
 
 
 # ------------------------------------------------------------------------------------------

@@ -216,7 +216,7 @@ def _group(name: str, command: CommandRow, rest: list[str]) -> int:
     else:
         asked = next((argument for argument in rest if not argument.startswith("-")), rest[0])
         text = unknown_name_text(what, asked, list(command.subcommands))
-    raise _wrong_command(text, f"robot-ik {name} --help")
+    raise RobotIkError(text, hint=f"see all commands with: robot-ik {name} --help")
 
 
 def _run(name: str, command: CommandRow, arguments: list[str], *, debug: bool) -> int:
@@ -250,11 +250,7 @@ def _unknown(name: str) -> RobotIkError:
         close = close_matches(name, ["--help", "--version", "--debug"])
         meant = f"; did you mean {close[0]!r}?" if close else ""
         text = f"unknown option {name!r} before the command{meant}"
-    return _wrong_command(text, "robot-ik --help")
-
-
-def _wrong_command(text: str, see: str) -> RobotIkError:
-    return RobotIkError(text, hint=f"see all commands with: {see}")
+    return RobotIkError(text, hint="see all commands with: robot-ik --help")
 
 
 def _print_group(name: str, command: CommandRow) -> None:

@@ -184,8 +184,9 @@ def make_request(options: ReachOptions) -> ReachRequest:
         knows = "the synthetic camera has the lens and the place of the robot's scene"
         require(not getattr(options, name), f"--{name.replace('_', '-')}", knows, "with a real --camera")
     rehearse, at = options.rehearse, options.rehearse.marker_at
-    allowed = "3 or 4: x y z in metres, yaw in degrees"
-    require(len(at) in (0, 3, 4), "--rehearse.marker-at", f"{len(at)} numbers", allowed)
+    allowed = "3 or 4 finite numbers: x y z in metres, yaw in degrees"
+    right = len(at) in (0, 3, 4) and all(map(math.isfinite, at))
+    require(right, "--rehearse.marker-at", " ".join(map(str, at)), allowed)
     rehearsal = request_of(
         Rehearsal,
         rehearse,
@@ -233,9 +234,8 @@ def print_report(report: ReachReport) -> None:
         (one.joint, " … ".join(_limit(v, one.unit) for v in one.used), _narrowed(one))
         for one in report.setup.limits
     ]
-    verdict = report.decision
-    outcome = ("REACHED", "bold green") if verdict.reached else ("NOT REACHED", "bold red")
-    result = Text.assemble(outcome, f"  {verdict.text}" if verdict.text else "")
+    outcome = ("REACHED", "bold green") if report.reached else ("NOT REACHED", "bold red")
+    result = Text.assemble(outcome, f"  {report.verdict}" if report.verdict else "")
     parts = (_goal_rows, _solve_rows, _motion_rows, _judgement_rows)
     rows = [*(row for part in parts for row in part(report)), ("result", result)]
     console.show(

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 
 from robot_ik.cli import console
-from robot_ik.cli.arguments import XYZ_WXYZ, several, single, wrong
+from robot_ik.cli.arguments import XYZ_WXYZ, require, several, single, wrong
 from robot_ik.cli.listing import joint_kinds
-from robot_ik.errors import InvalidGoalError
 
 if TYPE_CHECKING:
     from robot_ik.goals import PoseGoal, PositionGoal
@@ -95,19 +94,14 @@ def make_goal(numbers: Sequence[float], frame: str | None = None) -> PositionGoa
     No ``frame`` means the robot's tool.
 
     Raises:
-        InvalidGoalError: Another count, a number that is not finite, or a zero quaternion.
+        ConfigError, InvalidGoalError: Another count, a number that is not finite, or a zero quaternion.
     """
     from robot_ik.goals import PoseGoal, PositionGoal
 
-    if len(numbers) not in (3, 7):
-        given = f"was given {console.count_of(len(numbers), 'number')}" if numbers else "is missing"
-        raise InvalidGoalError(
-            f"--goal {given}; it takes 3 (x y z, metres) or 7 (x y z, then w x y z)",
-            hint="for example: --goal -0.4 -0.1 0.7",
-        )
-    if len(numbers) == 3:
-        return PositionGoal(frame, numbers)
-    return PoseGoal(frame, numbers[:3], numbers[3:])
+    given = f"{len(numbers)} numbers" if numbers else "no goal is given"
+    allowed, example = "3: x y z in metres, or 7: then w x y z", "for example: --goal -0.4 -0.1 0.7"
+    require(len(numbers) in (3, 7), "--goal", given, allowed, example)
+    return PositionGoal(frame, numbers) if len(numbers) == 3 else PoseGoal(frame, numbers[:3], numbers[3:])
 
 
 def solver_options(solver: str, items: Sequence[str]) -> dict[str, int | float | bool | str]:

@@ -28,7 +28,6 @@ from robot_ik.jobs.verdict import (
     SOLVE_TOLERANCE,
     Bound,
     Judgement,
-    Verdict,
     decide,
     judge_by_camera,
     judge_read_back,
@@ -137,10 +136,10 @@ class ReachReport:
         return None if self.goal is None else self.goal.target
 
     @property
-    def decision(self) -> Verdict:
+    def decision(self) -> tuple[bool, str]:
         """Did it arrive, and why so; text and exit code are its."""
         if self.problem is not None or self.read_back is None:
-            return Verdict(False, "")
+            return False, ""
         return decide(
             self.read_back,
             self.by_camera,
@@ -153,12 +152,12 @@ class ReachReport:
 
     @property
     def reached(self) -> bool:
-        return self.decision.reached
+        return self.decision[0]
 
     @property
     def verdict(self) -> str:
         """One sentence on that; empty where ``problem`` says it."""
-        return self.decision.text
+        return self.decision[1]
 
     def _stopped_short(self) -> str:
         """Which servo did not get to where it was sent, by its own account; empty: all did."""
@@ -332,12 +331,10 @@ class _Reach:
         caps = setup.caps(report.request.speed)
         if report.request.line:
             target = goal.target
-            if (
-                not goal.has_angle
-            ):  # a position says nothing of the rotation on the way: the tool keeps its own
-                target = Pose(target.position, report.robot.forward(start, report.frame).wxyz)
-            elif getattr(goal, "free_axis", None) is not None:  # the rotation that the solution has chosen
-                target = Pose(target.position, report.robot.forward(solution.q, report.frame).wxyz)
+            if not goal.has_angle or getattr(goal, "free_axis", None) is not None:
+                # Of the rotation nothing is said: the tool keeps its own; or in part: as the solution has it.
+                q = solution.q if goal.has_angle else start
+                target = Pose(target.position, report.robot.forward(q, report.frame).wxyz)
             report.trajectory = line_move(report.robot, start, target, frame=report.frame, **caps)
         else:
             report.trajectory = joint_move(report.robot, start, solution.q, **caps)

@@ -23,8 +23,7 @@ from robot_ik.camera.image import write_image
 from robot_ik.camera.marker_goals import Delays
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import apart
-from robot_ik.files import timestamp, write_atomically
-from robot_ik.geometry import Pose
+from robot_ik.files import plain, timestamp, write_atomically
 from robot_ik.jobs.films import Film
 from robot_ik.jobs.reach import ReachReport, window_scene
 from robot_ik.jobs.results import save_json
@@ -134,7 +133,8 @@ def _table(report: ReachReport) -> str:
 
 def reach_summary(report: ReachReport) -> dict[str, Any]:
     """The content of ``summary.json``: SI units, quaternions wxyz, world frame unless a key says more."""
-    request, setup, run = report.request, report.setup, report.execution
+    request, setup, run, following = report.request, report.setup, report.execution, report.following
+    seen, solution = report.seen, report.solution
     return {
         "schema": SCHEMA,
         "job": "reach",
@@ -144,15 +144,33 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
         "robot": {"name": report.robot.name, "joints": report.robot.joints, "frame": report.frame},
         "bus": request.bus,
         "camera": request.camera if report.vision is not None else None,
-        "marker": _marker_facts(report),
+        "marker": None if seen is None else {
+            "id": seen.observation.id,
+            "camera": seen.observation.pose,
+            "world": seen.pose_world_marker,
+            "true_world": seen.true_pose,
+            "corners_px": seen.observation.corners,
+            "reprojection_error_px": seen.observation.reprojection_error,
+            "ambiguity": seen.observation.ambiguity,
+            "covariance": seen.observation.covariance,
+        },
         "goal": None if report.target is None or report.goal is None else {
-            **_pose(report.target),
+            **plain(report.target),
             "position_asked": report.goal.has_position,
             "angle_asked": report.goal.has_angle,
             "free_axis": getattr(report.goal, "free_axis", None),
         },
         "limits": [asdict(limit) for limit in setup.limits],
-        "solution": _solution_facts(report),
+        "solution": None if solution is None else {
+            "solver": solution.solver,
+            "status": solution.status.name.lower(),
+            "q": solution.q,
+            "iterations": solution.iterations,
+            "restarts": solution.restarts,
+            "microseconds": report.microseconds,
+            "miss_position_m": solution.miss.position,
+            "miss_angle_rad": solution.miss.angle,
+        },
         "motion": None if run is None else {
             "duration_s": run.duration,
             "rate_hz": run.rate,
@@ -160,13 +178,13 @@ def reach_summary(report: ReachReport) -> dict[str, Any]:
             "tracking_error_rad": run.tracking_error,
             "samples": len(run.times),
         },
-        "following": None if report.following is None else {
-            "ticks": report.following.ticks,
-            "solved": report.following.solved,
-            "held": report.following.held,
-            "capped": report.following.capped,
-            "rate_hz": report.following.rate,
-            "tracking_error_rad": report.following.tracking_error,
+        "following": None if following is None else {
+            "ticks": following.ticks,
+            "solved": following.solved,
+            "held": following.held,
+            "capped": following.capped,
+            "rate_hz": following.rate,
+            "tracking_error_rad": following.tracking_error,
             "behind_median_m": None if report.behind is None else report.behind[0],
             "behind_largest_m": None if report.behind is None else report.behind[1],
             **_delays(report),
@@ -189,38 +207,6 @@ def _delays(report: ReachReport) -> dict[str, Any]:
     return facts
 
 
-def _marker_facts(report: ReachReport) -> dict[str, Any] | None:
-    if report.seen is None:
-        return None
-    seen = report.seen
-    return {
-        "id": seen.observation.id,
-        "camera": _pose(seen.observation.pose),
-        "world": _pose(seen.pose_world_marker),
-        "true_world": None if seen.true_pose is None else _pose(seen.true_pose),
-        "corners_px": seen.observation.corners,
-        "reprojection_error_px": seen.observation.reprojection_error,
-        "ambiguity": seen.observation.ambiguity,
-        "covariance": seen.observation.covariance,
-    }
-
-
-def _solution_facts(report: ReachReport) -> dict[str, Any] | None:
-    solution = report.solution
-    if solution is None:
-        return None
-    return {
-        "solver": solution.solver,
-        "status": solution.status.name.lower(),
-        "q": solution.q,
-        "iterations": solution.iterations,
-        "restarts": solution.restarts,
-        "microseconds": report.microseconds,
-        "miss_position_m": solution.miss.position,
-        "miss_angle_rad": solution.miss.angle,
-    }
-
-
 def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
     if judged is None:
         return None
@@ -232,12 +218,8 @@ def _judgement(judged: Judgement | None) -> dict[str, Any] | None:
         "allowed_angle_rad": judged.allowed.angle,
         "sigma_position_m": judged.sigma.position,
         "sigma_angle_rad": judged.sigma.angle,
-        "tool": _pose(judged.pose),
+        "tool": judged.pose,
     }
-
-
-def _pose(pose: Pose) -> dict[str, Any]:
-    return {"position": pose.position, "wxyz": pose.wxyz}
 
 
 def save_film(report: ReachReport, path: Path) -> Path | None:

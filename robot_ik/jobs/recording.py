@@ -6,11 +6,9 @@ them.  A file that was cut off is mended by ``mcap recover``.
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import time
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
@@ -43,12 +41,12 @@ class Moment:
     robot: int = 0
 
 
-class Recording(Closing, ABC):
+class Recording(Closing):
     """Takes moments as they come, and is closed at the end."""
 
-    @abstractmethod
     def write(self, moment: Moment) -> None:
-        """One row more."""
+        """One more."""
+        raise NotImplementedError
 
 
 class TableRecording(Recording):
@@ -71,28 +69,28 @@ class TableRecording(Recording):
         self._file.close()
 
 
-_TIME = "int32 sec\nuint32 nanosec"
-_HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
-_RULE = "=" * 80
+_PARTS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+}
 
 
-def _schema(text: str, **parts: str) -> str:
+def _schema(text: str, *contained: str) -> str:
     """A message with the messages that it contains, as MCAP keeps ROS 2's."""
-    known = {"builtin_interfaces/Time": _TIME, **{k.replace("__", "/"): v for k, v in parts.items()}}
-    return "\n".join([text, *(f"{_RULE}\nMSG: {name}\n{part}" for name, part in known.items())])
+    parts = (f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in ("builtin_interfaces/Time", *contained))
+    return "\n".join([text, *parts])
 
 
 MESSAGES: Mapping[str, str] = {
     "sensor_msgs/msg/JointState": _schema(
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort",
-        std_msgs__Header=_HEADER,
+        "std_msgs/Header",
     ),
     "geometry_msgs/msg/PoseStamped": _schema(
-        "std_msgs/Header header\ngeometry_msgs/Pose pose",
-        std_msgs__Header=_HEADER,
-        geometry_msgs__Pose="geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
-        geometry_msgs__Point="float64 x\nfloat64 y\nfloat64 z",
-        geometry_msgs__Quaternion="float64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+        "std_msgs/Header header\ngeometry_msgs/Pose pose", *list(_PARTS)[1:]
     ),
     "rcl_interfaces/msg/Log": _schema(
         "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
@@ -157,9 +155,8 @@ def _opened(path: Path, mode: str) -> Any:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-@contextlib.contextmanager
-def open_recording(path: Path, joints: Sequence[str]) -> Iterator[Recording]:
-    """A recording by the ending of its name, closed with the block.
+def open_recording(path: Path, joints: Sequence[str]) -> Recording:
+    """A recording by the ending of its name; a context manager.
 
     Raises:
         ConfigError: Another ending.
@@ -169,9 +166,7 @@ def open_recording(path: Path, joints: Sequence[str]) -> Iterator[Recording]:
     if path.suffix not in SUFFIXES:
         problem = f"the format is not clear from the name {path.name!r}"
         raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
-    kind = TableRecording if path.suffix == ".csv" else McapRecording
-    with contextlib.closing(kind(path, joints)) as recording:
-        yield recording
+    return TableRecording(path, joints) if path.suffix == ".csv" else McapRecording(path, joints)
 
 
 class RecordingSink:

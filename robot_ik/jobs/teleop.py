@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -83,16 +83,12 @@ class JointCoupling:
         self._ranges = {joint.name: (joint.limits, other.joint(joint.name).limits) for joint, other in both}
 
     def follower(self, leader: Angles) -> dict[str, float]:
-        return {n: _onto(leader[n], *self._ranges[n]) for n in self.names}
+        """Of the follower; beyond an end of a range it stays there."""
+        return {n: float(np.interp(leader[n], *self._ranges[n])) for n in self.names}
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        return {n: _onto(follower[n], *self._ranges[n][::-1]) for n in self.names}
-
-
-def _onto(value: float, one: tuple[float, float], other: tuple[float, float]) -> float:
-    """From one range to the other; beyond an end it stays there."""
-    share = min(1.0, max(0.0, (value - one[0]) / (one[1] - one[0])))
-    return other[0] * (1.0 - share) + other[1] * share
+        """Of the leader, likewise."""
+        return {n: float(np.interp(follower[n], *self._ranges[n][::-1])) for n in self.names}
 
 
 class Hand:
@@ -108,11 +104,13 @@ class Hand:
         self._q = self._robot.home.copy()
         self.pose = self._robot.forward(self._q)
 
-    def engage(self, angles: Angles) -> None:
+    def engage(self, angles: Angles) -> Pose:
+        """Where it is at ``angles``, from where it is led on."""
         self._q = self._robot.home.copy()
         self._q[self._order] = [angles[name] for name in self.names]
         self._q = self._robot.clip(self._q)
         self.pose = self._robot.forward(self._q)
+        return self.pose
 
     def go(self, pose: Pose, *, exactly: bool = False) -> dict[str, float]:
         """Joint -> rad that bring the hand there, or as near as it comes.
@@ -159,8 +157,7 @@ class LeaderArm(Operator):
         if by == "joints":
             self._joints = JointCoupling(arm.config, follower)
         else:
-            self._robot = load_robot(robot_named_in(arm.config), joints=arm.config.names)
-            self._hand = Hand(follower)
+            self._leader, self._hand = Hand(arm.config), Hand(follower)
         if force:
             self._require_gentle()
 
@@ -177,7 +174,7 @@ class LeaderArm(Operator):
     def engage(self, follower: Angles) -> None:
         if self._joints is None:
             self._hand.engage(follower)
-            self._begin = self._pose(self._read()), self._hand.pose
+            self._begin = self._leader.engage(self._read()), self._hand.pose
         elif self._force and self._arm.state is ArmState.CONNECTED:
             self._arm.enable()
             currents = {j.name: j.current for j in self._arm.config.joints if j.current is not None}
@@ -189,8 +186,8 @@ class LeaderArm(Operator):
             return self._joints.follower(here)
         assert self._begin is not None
         leader, hand = self._begin
-        seen = self._pose(here)
-        step = self._scale * (np.array(seen.position) - leader.position)
+        seen = self._leader.engage(here)
+        step = self._scale * (seen.position - leader.position)
         rotation = seen.rotation @ leader.rotation.T @ hand.rotation
         return self._hand.go(Pose.from_rotation(rotation, hand.position + step))
 
@@ -216,12 +213,6 @@ class LeaderArm(Operator):
             return self._last[0]
         self._last = self._arm.positions(), now
         return self._last[0]
-
-    def _pose(self, angles: Angles) -> Pose:
-        q = self._robot.home.copy()
-        for k, name in enumerate(self._robot.joints):
-            q[k] = angles.get(name, q[k])
-        return self._robot.forward(q)
 
 
 JOINT_KEYS = ("qa", "ws", "ed", "rf", "tg", "yh", "uj", "ik", "ol")
@@ -328,12 +319,9 @@ class Blend:
         self._begin, self.seconds = now, approach_profile(distance, config.whole).duration
 
     def __call__(self, there: Angles, now: float) -> dict[str, float]:
-        left = 0.0 if self.over(now) else 1.0 - float(minimum_jerk((now - self._begin) / self.seconds))
+        passed = now - self._begin
+        left = 0.0 if passed >= self.seconds else 1.0 - float(minimum_jerk(passed / self.seconds))
         return {name: value + left * self._apart.get(name, 0.0) for name, value in there.items()}
-
-    def over(self, now: float) -> bool:
-        """Whether nothing lies between any more."""
-        return now - self._begin >= self.seconds
 
 
 @dataclass
@@ -342,7 +330,6 @@ class TeleopReport:
 
     Attributes:
         engaged, lost: How often leader and follower were engaged, and the leader was lost.
-        lag: Largest distance of a follower's joint from what it was led to, once engaged, rad or m.
         delay: Median seconds from reading the leader to the follower's packet.
         end: Why it ended, as text.
     """
@@ -351,19 +338,8 @@ class TeleopReport:
     engaged: int = 0
     lost: int = 0
     seconds: float = 0.0
-    lag: float = 0.0
     delay: float = 0.0
     end: str = ""
-
-
-@dataclass(frozen=True)
-class TeleopTick:
-    """One tick, for a display: time, what was commanded, where the follower is, whether it is led."""
-
-    time: float
-    commanded: Angles
-    measured: Angles
-    led: bool
 
 
 _DELAYS = 4096  # samples of which the median is taken
@@ -376,7 +352,6 @@ def teleoperate(
     seconds: float | None = None,
     patience: float = 10.0,
     over: Callable[[], bool] = lambda: False,
-    on_tick: Callable[[TeleopTick], None] = lambda tick: None,
 ) -> TeleopReport:
     """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
@@ -386,7 +361,6 @@ def teleoperate(
         seconds: How long; None: until ``over``, which is asked once a tick.
         patience: s to wait for a leader that was lost.
         over: See ``seconds``.
-        on_tick: Called after each tick; must be quick.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.
@@ -417,15 +391,10 @@ def teleoperate(
             _wait_for(operator, follower, patience)
             schedule.origin = clock.now() - report.ticks / rate
             continue
-        commanded = blend(wanted, now)
-        follower.send(commanded, now)
+        follower.send(blend(wanted, now), now)
         if len(delays) < _DELAYS:
             delays.append(time.perf_counter() - read)
-        measured = follower.positions()
-        operator.feel(measured)
-        if blend.over(now):
-            report.lag = max([report.lag, *(abs(measured[n] - commanded[n]) for n in commanded)])
-        on_tick(TeleopTick(now - begin, commanded, measured, blend.over(now)))
+        operator.feel(follower.positions())
     report.seconds = clock.now() - begin
     report.delay = float(np.median(delays)) if delays else 0.0
     report.end = "it was ended" if over() else "the time was over"
@@ -455,20 +424,18 @@ def open_pair(
     leader_bus: str,
     follower_bus: str,
     on_exit: str = "",
-    starts: Sequence[Array | None] = (None, None),
 ) -> tuple[Arm | None, Arm]:
     """Both arms, disconnected; simulated ones in one process share a clock, and it is virtual.
 
     ``leader`` None: a person leads, by keys or a gamepad, and time is real: nobody leads in virtual time.
-    ``on_exit`` is how the follower is left, empty: as its file says; ``starts`` (n,) rad where simulated
-    servos of leader and follower stand at first.
+    ``on_exit`` is how the follower is left, empty: as its file says.
     """
     in_process = leader is not None and leader_bus == follower_bus == "sim"
     clock: Clock = VirtualClock() if in_process else RealClock()
 
-    def made(config: ArmConfig, bus: str, start: Array | None, way_out: str | None) -> Arm:
-        servos = VirtualBus.from_config(config, clock, start) if bus_row(bus).virtual else None
+    def made(config: ArmConfig, bus: str, way_out: str | None) -> Arm:
+        servos = VirtualBus.from_config(config, clock) if bus_row(bus).virtual else None
         return open_arm(config, bus, virtual_bus=servos, on_exit=way_out)
 
-    first = None if leader is None else made(leader, leader_bus, starts[0], "torque_off")
-    return first, made(follower, follower_bus, starts[1], on_exit or None)
+    first = None if leader is None else made(leader, leader_bus, "torque_off")
+    return first, made(follower, follower_bus, on_exit or None)

@@ -120,14 +120,6 @@ def judge_by_camera(
     return Judgement(metres, radians, allowed, sigma, pose)
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether the goal was reached, and why in one sentence; the exit code follows ``reached``."""
-
-    reached: bool
-    text: str
-
-
 def decide(
     read_back: Judgement,
     by_camera: Judgement | None,
@@ -137,8 +129,8 @@ def decide(
     seen_goal: bool,
     stopped_short: str = "",
     followed: bool = False,
-) -> Verdict:
-    """The one decision of a reach.
+) -> tuple[bool, str]:
+    """The one decision of a reach: whether the goal is reached, and why so in one sentence.
 
     Without servos the joint angles are known, so a camera that sees no gripper leaves nothing unproven.
 
@@ -152,24 +144,21 @@ def decide(
         followed: The goal moved.
     """
     account = "by the servos' own account" if servos else "by the model's joint angles"
+    explained = ("the servos' ticks" if servos else "the solver's tolerance") + " and the camera"
     if not read_back.passed:
         if stopped_short:
-            return Verdict(False, stopped_short)
+            return False, stopped_short
         off = f"the tool is {1e3 * read_back.position:.2f} mm from the goal {account}"
         why = "the marker moved on, or the arm is too slow" if followed else "the solution was not kept to"
-        return Verdict(False, f"{off}: {why}")
+        return False, f"{off}: {why}"
     if by_camera is not None:
         if by_camera.passed:
-            return Verdict(True, f"within what {_explained(servos)} explain")
+            return True, f"within what {explained} explain"
         hint = "check zeros, horns and limits" if servos else "check the camera's calibration and place"
-        return Verdict(False, f"farther off than {_explained(servos)} can explain: {hint}")
+        return False, f"farther off than {explained} can explain: {hint}"
     if blind:
-        return Verdict(True, f"{account}: {blind}")
+        return True, f"{account}: {blind}"
     if servos and seen_goal:
         missing = "no marker of the gripper is in view, so where the tool is remains unproven"
-        return Verdict(False, missing)
-    return Verdict(True, f"{account}: no marker of the gripper is in view")
-
-
-def _explained(servos: bool) -> str:
-    return "the servos' ticks and the camera" if servos else "the solver's tolerance and the camera"
+        return False, missing
+    return True, f"{account}: no marker of the gripper is in view"

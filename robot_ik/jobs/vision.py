@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from robot_ik.camera.motion_filter import FilterOptions
 from robot_ik.camera.observations import BodyObservation, MarkerObservation
 from robot_ik.camera.sources import Frame, FrameSource, ImageSource, open_source
 from robot_ik.camera.synthetic.camera import SyntheticSource
+from robot_ik.camera.synthetic.photograph import QUALITIES
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.errors import CalibrationError, CameraError, ConfigError, FrameTimeoutError, MarkerNotFoundError
 from robot_ik.geometry import Pose, rotation_exp
@@ -70,22 +72,13 @@ class WithoutTruth(FrameSource):
         self._source.close()
 
 
-@dataclass(frozen=True)
-class WanderingMarker:
-    """Pose of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
-
-    home: Pose
-    begin: float
-    seconds: float
-    size: float
-
-    def __call__(self, now: float) -> Pose:
-        """``pose_world_marker`` at ``now`` seconds."""
-        share = np.clip((now - self.begin) / max(self.seconds - REST_SECONDS, 0.1), 0.0, 1.0)
-        smooth = share * share * (3.0 - 2.0 * share)
-        x = self.size * np.sin(2.0 * np.pi * smooth)
-        y = self.size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
-        return self.home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
+def wandering(home: Pose, begin: float, seconds: float, size: float, now: float) -> Pose:
+    """Pose at ``now`` of a marker that is pushed about on its table: rests, wanders, rests somewhere else."""
+    share = np.clip((now - begin) / max(seconds - REST_SECONDS, 0.1), 0.0, 1.0)
+    smooth = share * share * (3.0 - 2.0 * share)
+    x = size * np.sin(2.0 * np.pi * smooth)
+    y = size * (0.5 * np.sin(4.0 * np.pi * smooth) + 0.8 * smooth)
+    return home.compose(Pose((x, y, 0.0), rotation_exp([0.0, 0.0, 0.4 * smooth])))
 
 
 # How often a camera or a film is asked again before a marker counts as not there.
@@ -124,7 +117,6 @@ class Vision:
         scene: What stands round the arm, the camera where it really stands and with its own lens.
         why_blind: Why its pictures do not show the arm, so that it cannot judge; empty: they do.
         synthetic: ``source``, where it is synthetic; its marker wanders while it is followed.
-        seed: Of the synthetic camera's noise.
         when_lost, lead: For following.
         cover_gripper: From the first picture of the gripper on its markers are hidden (a rehearsal).
         delays: After following: from grab to goal, and the age of the picture at each tick.
@@ -137,22 +129,20 @@ class Vision:
     _: KW_ONLY
     why_blind: str = ""
     synthetic: SyntheticSource | None = None
-    seed: int = 0
     when_lost: WhenLost = WhenLost()  # noqa: RUF009 - frozen
     lead: float = 0.0
     cover_gripper: bool = False
     delays: tuple[Delays, Delays] | None = field(default=None, init=False)
-    path: WanderingMarker | None = field(default=None, init=False)
+    path: Callable[[float], Pose] | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         # Films are followed at their own speed, cameras at theirs, scenes in numbers at a usual one.
         self._rate = SYNTHETIC_RATE_HZ if self.synthetic else getattr(self.source, "rate_hz", None)
-        self._source = WithoutTruth(self.source)
+        self.pictures = WithoutTruth(self.source)
         sides = {id: side for id, (side, _) in self.scene.cube.items()}
         self._cubes = MarkerTracker(self.scene.intrinsics, self.scene.dictionary, sides)
-        self._goals = _ArmGoals(self, self._source)
+        self._goals = _ArmGoals(self)
         self._followed: SeenTarget | None = None
-        self._moving: SyntheticSource | None = None
 
     @property
     def live(self) -> bool:
@@ -161,11 +151,11 @@ class Vision:
 
     @property
     def last_image(self) -> Any:
-        return self._source.image
+        return self.pictures.image
 
     def picture(self) -> Any:
         """Takes a picture and looks for nothing."""
-        return self._source.read().image
+        return self.pictures.read().image
 
     def find_target(self) -> SeenTarget:
         """The target marker in the next pictures.
@@ -182,7 +172,7 @@ class Vision:
                 break
             if isinstance(goal, PoseGoal | PositionGoal) and self._goals.seen is not None:
                 return self._goals.seen
-            if self._source.exhausted:
+            if self.pictures.exhausted:
                 break
             tries -= 1
         raise self._not_found()
@@ -201,7 +191,7 @@ class Vision:
         """The gripper's markers in a new picture; None when none is in view."""
         if self.cover_gripper and self.synthetic is not None:
             self.synthetic.scene = self.synthetic.scene.with_marker(*self.scene.cube, condition="covered")
-        return self._cubes.observe_body(self._source.read(), dict(self.scene.cube))
+        return self._cubes.observe_body(self.pictures.read(), dict(self.scene.cube))
 
     def pose_body_tool(self, q: Array) -> Pose:
         """The tool seen from the marker body, at ``q`` (nq,): constant, as both sit on the hand."""
@@ -210,37 +200,32 @@ class Vision:
         return body.inverse().compose(robot.forward(q, self.setup.frame))
 
     def get_ready_to_follow(self) -> None:
-        """Does what would keep an arm with torque waiting: the first picture of a scene takes longest."""
-        if self.synthetic is None or self._moving is not None:
-            return
-        self._moving = SyntheticSource(
-            self.synthetic.scene, self.setup.true_q, seed=self.seed, clock=self.setup.clock, quality="fast"
-        )
-        self._moving.read()
+        """Does what would keep an arm with torque waiting: the first picture of a quality takes longest."""
+        fast = QUALITIES["fast"]
+        if self.synthetic is not None and self.synthetic.quality is not fast:
+            usual, self.synthetic.quality = self.synthetic.quality, fast
+            self.synthetic.read()
+            self.synthetic.quality = usual
 
     @contextlib.contextmanager
     def following(self, clock: Clock, seconds: float) -> Iterator[LatestGoals]:
         """A goal source that goes on looking; the synthetic marker wanders meanwhile."""
-        source, home = self._source, None
-        if self.synthetic is not None:
-            shown = self.synthetic.scene
-            home = next(m.pose for m in shown.markers if m.id == self.scene.marker_id)
+        synthetic, id, goals = self.synthetic, self.scene.marker_id, _ArmGoals(self, follow=True)
+        if synthetic is not None:
+            home = next(m.pose for m in synthetic.scene.markers if m.id == id)
             assert isinstance(home, Pose)
-            self.get_ready_to_follow()
-            assert self._moving is not None
             begin, size = clock.now() + REST_SECONDS, _WANDER * self.scene.hover
-            self.path = WanderingMarker(home, begin, seconds - REST_SECONDS, size)
-            self._moving.scene = shown.with_marker(self.scene.marker_id, pose=self.path)
-            source = WithoutTruth(self._moving)
-        goals = _ArmGoals(self, source, follow=True)
+            self.path = partial(wandering, home, begin, seconds - REST_SECONDS, size)
+            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path)
+            usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
         self.delays = goals.made.summary(), goals.used.summary()
-        if self.synthetic is None:
+        if synthetic is None:
             self._followed = goals.seen
         elif self.path is not None:
-            pose = self.path(clock.now())
-            self.synthetic.scene = self.synthetic.scene.with_marker(self.scene.marker_id, pose=pose)
+            synthetic.scene = synthetic.scene.with_marker(id, pose=self.path(clock.now()))
+            synthetic.quality = usual
 
     def for_arm(self, goal: Any) -> Any:
         """``goal`` as this arm can have it: with five joints position and axis, with fewer the position."""
@@ -273,11 +258,11 @@ class _ArmGoals(MarkerGoalSource):
     Each picture for itself, unless to ``follow``.
     """
 
-    def __init__(self, vision: Vision, pictures: WithoutTruth, *, follow: bool = False) -> None:
+    def __init__(self, vision: Vision, *, follow: bool = False) -> None:
         scene = vision.scene
         sizes = {scene.marker_id: scene.marker_size}
         super().__init__(
-            pictures,
+            vision.pictures,
             MarkerTracker(scene.intrinsics, scene.dictionary, sizes, [scene.marker_id], window=follow),
             scene.pose_world_camera,
             scene.marker_id,
@@ -289,14 +274,14 @@ class _ArmGoals(MarkerGoalSource):
             when_lost=vision.when_lost if follow else WhenLost(),
             clock=vision.setup.clock,
         )
-        self._vision, self._pictures = vision, pictures
+        self._vision = vision
         self.seen: SeenTarget | None = None
 
     def observe(self, now: float, *, wait: bool = False) -> None:
         super().observe(now, wait=wait)
         goal, last, scene = self.measured, self.last, self._vision.scene
         if goal is not None and isinstance(last, MarkerObservation):
-            true_poses = (self._pictures.truth or {}).get("pose_world_marker", {})
+            true_poses = (self._vision.pictures.truth or {}).get("pose_world_marker", {})
             pose = scene.pose_world_camera.compose(last.pose)
             self.seen = SeenTarget(self._vision.for_arm(goal), last, pose, true_poses.get(scene.marker_id))
 
@@ -314,29 +299,37 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
     Raises:
         CameraError, CalibrationError: It cannot be opened, or not be used without a calibration.
     """
+    synthetic: SyntheticSource | None = None
     if request.camera != "synthetic":
-        return None if request.goal is not None else _real_vision(request, setup, stack)
-    try:
-        scene = _scene(request, setup)
-    except CameraError:
-        if request.goal is None:
-            raise
-        return None  # a goal was given, and nothing can be seen: the read-back must do
-    synthetic = scene.synthetic(setup.robot)
-    if request.rehearsal.blank_marker:
-        synthetic = synthetic.with_marker(scene.marker_id, condition="blank")
-    source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock)
-    stack.enter_context(source)
-    metal = setup.arm is not None and setup.arm.virtual_bus is None
+        if request.goal is not None:
+            return None
+        scene, source, why = _real_camera(request, setup, stack)
+    else:
+        try:
+            scene = _scene(request, setup)
+        except CameraError:
+            if request.goal is None:
+                raise
+            return None  # a goal was given, and nothing can be seen: the read-back must do
+        stage = scene.synthetic(setup.robot)
+        if request.rehearsal.blank_marker:
+            stage = stage.with_marker(scene.marker_id, condition="blank")
+        synthetic = SyntheticSource(stage, setup.true_q, seed=request.seed, clock=setup.clock)
+        source = stack.enter_context(synthetic)
+        metal = setup.arm is not None and setup.arm.virtual_bus is None
+        why = "the synthetic camera cannot see real servos" if metal else ""
+    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
-        scene, source, setup, synthetic=source,
-        why_blind="the synthetic camera cannot see real servos" if metal else "", seed=request.seed,
-        when_lost=_when_lost(request, setup), lead=request.lead,
+        scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,
+        when_lost=WhenLost(request.when_lost, request.lost_after, park),
         cover_gripper=request.rehearsal.cover_gripper,
     )  # fmt: skip
 
 
-def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack) -> Vision:
+def _real_camera(
+    request: ReachRequest, setup: RobotSetup, stack: contextlib.ExitStack
+) -> tuple[Scene, FrameSource, str]:
+    """The scene with the camera's place and lens, the camera, and why it cannot judge the arm."""
     rehearsal = request.rehearsal
     if rehearsal.blank_marker or rehearsal.cover_gripper or rehearsal.marker_at is not None:
         raise ConfigError(
@@ -364,14 +357,7 @@ def _real_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exi
         why = "the arm is simulated, so a real camera cannot see it"
     elif scene.generated:
         why = "robot.toml says of no marker on this robot's gripper"
-    return Vision(
-        scene, source, setup, why_blind=why, when_lost=_when_lost(request, setup), lead=request.lead
-    )
-
-
-def _when_lost(request: ReachRequest, setup: RobotSetup) -> WhenLost:
-    park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
-    return WhenLost(request.when_lost, request.lost_after, park)
+    return scene, source, why
 
 
 def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
@@ -380,14 +366,8 @@ def _scene(request: ReachRequest, setup: RobotSetup) -> Scene:
     asked = {name: getattr(request, name) for name in ("marker_id", "marker_size", "dictionary")}
     changes: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
     scene = replace(scene, **changes)
-    if (place := request.rehearsal.marker_at) is None:
-        return scene
-    if not np.isfinite(place).all():
-        raise ConfigError(
-            f"no marker can be put at {place}",
-            file="command line", key="--rehearse.marker-at", allowed="finite numbers",
-        )  # fmt: skip
-    return scene.with_marker_at(*place)
+    place = request.rehearsal.marker_at
+    return scene if place is None else scene.with_marker_at(*place)
 
 
 def open_calibrated(

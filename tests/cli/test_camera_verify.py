@@ -41,27 +41,31 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path.write_bytes(robot.arm_file.read_bytes())
     config, rng = ArmConfig.load(path), np.random.default_rng(0)
     robot = load_robot("tabletop_puma", joints=config.names)
-    samples = SampleSet("tabletop_puma", robot.joints, "flange", "eye_to_hand", STANDARD_CAMERA)
+    exact = KnownPose.within(Pose(), 1e-4, 1e-4)
+    samples = VerifySamples(
+        "tabletop_puma", robot.joints, "flange", "eye_to_hand", STANDARD_CAMERA,
+        camera=KnownPose.within(CAMERA, 1e-4, 1e-4), board=exact, by_arm=False, true_offsets=HIDDEN,
+    )  # fmt: skip
     for _ in range(8):
         q = robot.clip(robot.home + 0.4 * (robot.sample(rng) - robot.home))
         seen = CAMERA.inverse().compose(robot.forward(q + HIDDEN, "flange"))
         samples.add(q, BoardView(POINTS, STANDARD_CAMERA.project(seen.apply(POINTS)), seen, 0.02))
 
-    def run(request: VerifyRequest, *, dry_run: bool, keep: Any, progress: Any) -> VerifyReport:
-        known = KnownPose.within(CAMERA, 1e-4, 1e-4), KnownPose.within(Pose(), *request.board_sigma)
+    def run(request: VerifyRequest, *, keep: Any, progress: Any) -> VerifyReport:
+        all_views = replace(samples, board=KnownPose.within(Pose(), *request.board_sigma))
         if request.seed == INTERRUPTED:
-            some = replace(samples, q=[], views=[])
             servos = tuple(servo_values(joint) for joint in config.joints)
+            some = replace(all_views, q=[], views=[], servos=servos)
             for q, view in zip(samples.q, samples.views, strict=True):
                 if len(some) == request.views:
                     os.kill(os.getpid(), signal.SIGINT)
                     time.sleep(5.0)
                 some.add(q, view)
-                keep(VerifySamples(some, *known, False, HIDDEN, servos))
+                keep(some)
         report = VerifyReport(
-            robot, config, VerifySamples(samples, *known, False, HIDDEN), tuple(samples.q), (3,)
+            robot=robot, config=config, samples=all_views, stations=tuple(samples.q), unseen=(3,)
         )
-        if not dry_run:
+        if not request.dry_run:
             report.compare(9, fit=request.fit)
         return report
 

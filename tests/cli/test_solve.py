@@ -153,7 +153,7 @@ def test_any_model_by_path(extra: list[str], robot_ik: Any, tmp_path: Path) -> N
         (["--goal", *GOAL, "1", "0", "0", "nan"], ["nan"]),
         (["--goal", "1", "2"], ["2 numbers", "3", "7"]),
         (["--goal", *GOAL, "1"], ["4 numbers"]),
-        ([], ["--goal is missing; it takes 3", "for example"]),
+        ([], ["--goal: no goal is given", "for example"]),
         (["--robot", "nowhere/arm.xml", "--goal", *GOAL], ["nowhere/arm.xml"]),
         (["--goal", *GOAL, "--start", "1", "2"], ["start", "joint6"]),
         (["--goal", *GOAL, "--start", *["nan"] * 6], ["start", "nan"]),

@@ -16,10 +16,10 @@ from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.gamepad import DEAD_ZONE, Gamepad, PadDevice, PadState
-from robot_ik.jobs.teleop import KeyboardJog, TeleopTick, teleoperate
+from robot_ik.jobs.teleop import KeyboardJog, teleoperate
 from robot_ik.ports import Array
 from robot_ik.robot import load_robot
-from tests.jobs.test_teleop import arm_file, home
+from tests.jobs.test_teleop import arm_file, each_tick, home
 
 
 def led(
@@ -149,12 +149,9 @@ def test_a_gamepad_that_is_lost_commands_nothing(virtual_pad: Callable[..., None
         pad = Gamepad(follower.config, device.read, recover=device.recover)
         virtual_pad(axis=1, value=-32768)
 
-        def tick(one: TeleopTick) -> None:
-            if one.time > 0.3:
-                virtual_pad(away=True)
-
+        over = each_tick(follower, lambda time: time > 0.3 and virtual_pad(away=True))
         with pytest.raises(HardwareError, match="come back"):
-            teleoperate(pad, follower, seconds=5.0, patience=0.2, on_tick=tick)
+            teleoperate(pad, follower, seconds=5.0, patience=0.2, over=over)
         assert follower.state is ArmState.HOLD
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from robot_ik.errors import (
     ConfigError,
+    InvalidPoseError,
     MarkerNotFoundError,
     NotConvergedError,
     UnknownFrameError,
@@ -245,7 +246,7 @@ def test_the_same_seed_gives_the_same_run(healthy: ReachReport, reach: Any) -> N
         ({"solver": "lmm"}, UnknownSolverError),
         ({"frame": "griper"}, UnknownFrameError),
         ({"rehearse": {"stuck": ("joint9",)}}, UnknownJointError),
-        ({"rehearse": {"marker_at": (0.0, float("nan"), 0.0, 0.0)}}, ConfigError),
+        ({"rehearse": {"marker_at": (0.0, float("nan"), 0.0, 0.0)}}, InvalidPoseError),
     ],
 )
 def test_wrong_input(request_: dict[str, Any], error: type[Exception], reach: Any) -> None:

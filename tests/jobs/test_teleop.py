@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +16,12 @@ from robot_ik.errors import ConfigError, HardwareError
 from robot_ik.hardware import open_arm, ports
 from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
+from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.jobs.teleop import (
     Blend,
     JointCoupling,
     KeyboardJog,
     LeaderArm,
-    TeleopTick,
     open_pair,
     teleoperate,
 )
@@ -37,10 +37,14 @@ def arm_file(name: str) -> ArmConfig:
 
 @contextmanager
 def pair(leader: str, follower: str, starts: tuple[Array | None, Array | None]) -> Iterator[tuple[Arm, Arm]]:
-    first, second = open_pair(arm_file(leader), arm_file(follower), "sim", "sim", "hold", starts)
-    assert first is not None
-    with ExitStack() as stack:
-        yield stack.enter_context(first), stack.enter_context(second)
+    clock = VirtualClock()
+
+    def made(name: str, start: Array | None, on_exit: str) -> Arm:
+        servos = VirtualBus.from_config(arm_file(name), clock, start)
+        return open_arm(arm_file(name), "sim", virtual_bus=servos, on_exit=on_exit)
+
+    with made(leader, starts[0], "torque_off") as first, made(follower, starts[1], "hold") as second:
+        yield first, second
 
 
 def guide(arm: Arm, q: Array) -> None:
@@ -58,37 +62,51 @@ def home(name: str) -> Array:
     return robot.home[[robot.joints.index(joint) for joint in arm_file(name).names]]
 
 
-def waved(begin: Array, arm: Arm) -> Callable[[TeleopTick], None]:
+def each_tick(arm: Arm, tick: Callable[[float], object]) -> Callable[[], bool]:
+    """``over`` of ``teleoperate`` that never is, but does something at each tick: of the time, s."""
+    begin = arm.clock.now()
+
+    def over() -> bool:
+        tick(arm.clock.now() - begin)
+        return False
+
+    return over
+
+
+def waved(begin: Array, arm: Arm) -> Callable[[], bool]:
     """A person who moves the leader to and fro, and ends at 0.15 rad from where it began."""
 
-    def wave(tick: TeleopTick) -> None:
-        share = 0.5 - 0.5 * np.cos(np.pi * min(1.0, tick.time / 2.0))
-        guide(arm, begin + 0.15 * share)
+    def wave(time: float) -> None:
+        guide(arm, begin + 0.15 * (0.5 - 0.5 * np.cos(np.pi * min(1.0, time / 2.0))))
 
-    return wave
+    return each_tick(arm, wave)
 
 
-def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows() -> None:
+def test_joint_to_joint_the_follower_goes_there_without_a_jump_and_follows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     begin = home("tabletop_puma")
     apart = begin + np.array([0.4, -0.2, 0.3, 0.0, 0.2, 0.0])
     with pair("tabletop_puma", "tabletop_puma", (begin, apart)) as (leader, follower):
-        sent: list[TeleopTick] = []
-        wave = waved(begin, leader)
-
-        def tick(one: TeleopTick) -> None:
-            wave(one)
-            sent.append(one)
-
+        sent: list[list[float]] = []
+        behind: list[float] = []
         operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
-        report = teleoperate(operator, follower, seconds=4.0, on_tick=tick)
-        assert report.engaged == 1 and report.lost == 0 and report.lag < 0.03
-        q = np.array([[one.commanded[n] for n in follower.joints] for one in sent])
+        send = follower.send
+
+        def noted(command: dict[str, float], now: float) -> None:
+            send(command, now)
+            sent.append([command[name] for name in follower.joints])
+            behind.append(np.abs(follower.read().q - sent[-1]).max())
+
+        monkeypatch.setattr(follower, "send", noted)
+        report = teleoperate(operator, follower, seconds=4.0, over=waved(begin, leader))
+        assert report.engaged == 1 and report.lost == 0 and max(behind) < 0.05
+        q = np.array(sent)
         assert np.abs(q[0] - apart).max() < 1e-3  # engaged where it stands
         steps = np.abs(np.diff(q, axis=0)) * follower.config.rate_hz
         assert (steps <= follower.config.velocity).all()
         assert np.abs(q[-1] - begin - 0.15).max() < 0.01
         assert np.abs(follower.read().q - begin - 0.15).max() < 0.02
-        assert not sent[0].led and sent[-1].led
         assert leader.state is ArmState.CONNECTED  # nobody gave it torque: no force feedback unless asked
 
 
@@ -97,7 +115,7 @@ def test_hand_to_hand_between_different_arms() -> None:
     with pair("tabletop_puma", "wx250s", (begin, other)) as (leader, follower):
         one, two = load_robot("tabletop_puma"), load_robot("wx250s", joints=follower.joints)
         operator = LeaderArm(leader, follower.config, "hand", 0.5, 0.0)
-        report = teleoperate(operator, follower, seconds=2.5, on_tick=waved(begin, leader))
+        report = teleoperate(operator, follower, seconds=2.5, over=waved(begin, leader))
         assert report.engaged == 1
         led = one.forward(leader.read().q).position - one.forward(begin).position
         follower_q = np.array([follower.positions()[n] for n in two.joints])
@@ -131,9 +149,9 @@ def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
         operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
         states: list[ArmState] = []
 
-        def tick(one: TeleopTick) -> None:
+        def tick(time: float) -> None:
             states.append(follower.state)
-            if one.time > 1.0 and not states.count(ArmState.HOLD) and operator_lost[0] == 0:
+            if time > 1.0 and not states.count(ArmState.HOLD) and operator_lost[0] == 0:
                 operator_lost[0] = 1
                 silence(leader, True)
 
@@ -147,7 +165,7 @@ def test_a_leader_that_is_lost_commands_nothing_and_is_engaged_anew() -> None:
             recover(timeout)
 
         operator.recover = back  # type: ignore[method-assign]
-        report = teleoperate(operator, follower, seconds=3.0, on_tick=tick)
+        report = teleoperate(operator, follower, seconds=3.0, over=each_tick(follower, tick))
         assert report.lost == 1 and report.engaged == 2
         assert ArmState.HOLD in states
         assert np.abs(follower.read().q - begin - 0.2).max() < 0.02
@@ -158,12 +176,9 @@ def test_a_leader_that_stays_away_ends_it_and_the_follower_holds() -> None:
     with pair("tabletop_puma", "tabletop_puma", (begin, begin)) as (leader, follower):
         operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
 
-        def tick(one: TeleopTick) -> None:
-            if one.time > 0.5:
-                silence(leader, True)
-
+        over = each_tick(follower, lambda time: silence(leader, time > 0.5))
         with pytest.raises(HardwareError):
-            teleoperate(operator, follower, seconds=5.0, patience=0.5, on_tick=tick)
+            teleoperate(operator, follower, seconds=5.0, patience=0.5, over=over)
         assert follower.state is ArmState.HOLD
 
 
@@ -173,10 +188,9 @@ def test_a_follower_that_fails_is_no_lost_leader() -> None:
         operator = LeaderArm(leader, follower.config, "joints", 1.0, 0.0)
         asked: list[float] = []
         operator.recover = asked.append  # type: ignore[method-assign]
+        over = each_tick(follower, lambda time: silence(follower, time > 0.2))
         with pytest.raises(HardwareError):
-            teleoperate(
-                operator, follower, seconds=5.0, on_tick=lambda tick: silence(follower, tick.time > 0.2)
-            )
+            teleoperate(operator, follower, seconds=5.0, over=over)
         assert asked == [] and follower.state is ArmState.FAULT
 
 

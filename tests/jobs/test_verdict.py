@@ -150,10 +150,10 @@ def test_verdict_and_text_agree(
     by_camera: Judgement | None, servos: bool, blind: str, seen_goal: bool, reached: bool, says: str
 ) -> None:
     asked = {"servos": servos, "blind": blind, "seen_goal": seen_goal}
-    verdict = decide(judged(0.0), by_camera, **asked)  # type: ignore[arg-type]
-    assert verdict.reached is reached and says in verdict.text
+    decided, text = decide(judged(0.0), by_camera, **asked)  # type: ignore[arg-type]
+    assert decided is reached and says in text
     # whatever a camera says, joints that are elsewhere have not arrived, and the text says that
-    away = decide(judged(3e-3), by_camera, **asked)  # type: ignore[arg-type]
-    assert not away.reached and "3.00 mm" in away.text and "explain" not in away.text
+    decided, text = decide(judged(3e-3), by_camera, **asked)  # type: ignore[arg-type]
+    assert not decided and "3.00 mm" in text and "explain" not in text
     stuck = decide(judged(3e-3), by_camera, **asked, stopped_short="joint2 is 3° off")  # type: ignore[arg-type]
-    assert not stuck.reached and stuck.text == "joint2 is 3° off"
+    assert stuck == (False, "joint2 is 3° off")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from robot_ik.errors import (
 from robot_ik.geometry import Pose
 from robot_ik.jobs.reach import ReachReport
 from robot_ik.jobs.scene import scene_for
-from robot_ik.jobs.vision import WanderingMarker
+from robot_ik.jobs.vision import wandering
 from robot_ik.ports import RealClock, VirtualClock
 from robot_ik.robot import load_robot
 from tests.waiting import wait_for
@@ -159,7 +160,7 @@ def test_a_calibration_for_another_size(look: Any, photos: Path) -> None:
 
 
 def test_the_pushed_marker_rests_wanders_and_rests() -> None:
-    path = WanderingMarker(Pose((0.1, 0.2, 0.3)), 10.0, 6.0, 0.05)
+    path = partial(wandering, Pose((0.1, 0.2, 0.3)), 10.0, 6.0, 0.05)
     early, late = path(9.0).position, path(30.0).position
     np.testing.assert_array_equal(path(10.0).position, early)
     np.testing.assert_array_equal(path(14.5).position, late)  # still for the last second and a half

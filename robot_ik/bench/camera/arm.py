@@ -244,11 +244,11 @@ def joint_zero_offsets(effort: Effort) -> Iterator[Quantity]:
         board = _mounted(scene.cube_offset, rng)
         request = VerifyRequest(
             _VERIFIED_ROBOT, views=_VERIFIED_VIEWS, fit=True, seed=seed, rehearsal=Rehearsal(offsets),
-            frame=scene.cube_frame, pose_frame_board=board, board_sigma=_MOUNTED,
+            frame=scene.cube_frame, pose_other_board=board, board_sigma=_MOUNTED,
         )  # fmt: skip
         report = run_verify(request)
-        assert report.fit is not None and report.known.true_offsets is not None
-        worst.append(float(np.abs(report.fit.offsets - report.known.true_offsets).max()))
-        largest.append(summary(report.judged(corrected=True)).largest)
+        assert report.fit is not None and report.samples.true_offsets is not None
+        worst.append(float(np.abs(report.fit.offsets - report.samples.true_offsets).max()))
+        largest.append(summary(report.judged(corrected=True)).largest_m)
     yield Quantity("zero offsets, worst joint off by", float(np.degrees(max(worst))), "°", 0.1)
     yield Quantity("board after that, worst pose off by", 1e3 * max(largest), "mm")

@@ -191,6 +191,7 @@ class SyntheticSource(FrameSource):
         sensor: What the camera makes of the light; a webcam when not given.
         clock: Gives ``Frame.time``; the machine's monotonic clock when not given.
         quality: ``full`` for a photograph, ``fast`` for following: the robot is coarse, markers stay exact.
+            May be changed between pictures: ``source.quality = QUALITIES[...]``.
     """
 
     live = True
@@ -209,7 +210,7 @@ class SyntheticSource(FrameSource):
         self.scene = scene
         self.size = scene.intrinsics.size
         self._true_q, self._sensor, self._seed = true_q, sensor, seed
-        self._clock, self._quality = clock, QUALITIES[quality]
+        self._clock, self.quality = clock, QUALITIES[quality]
         self._sequence = 0
         self._photographer: tuple[Pose, Photographer] | None = None
         self._vignette: NDArray[np.float32] | None = None
@@ -224,13 +225,13 @@ class SyntheticSource(FrameSource):
         # Before the clock is asked: a sensor has its noise in no time.
         noise = None
         if self._sensor.noise > 0:
-            noise = _sensor_noise(self.size, self._seed, self._sequence, self._quality.same_noise)
+            noise = _sensor_noise(self.size, self._seed, self._sequence, self.quality.same_noise)
         now = time.monotonic() if self._clock is None else self._clock.now()
         q = np.array(self._true_q(), dtype=float)
         scene, camera = self.scene, self.scene.camera(q)
         poses = [m.pose_world(scene, q, now) for m in scene.markers]
         sheets = [_placed(m, p) for m, p in zip(scene.markers, poses, strict=True)]
-        light, _, painted = self._at(camera).expose(scene.qpos(q), self._quality, sheets)
+        light, _, painted = self._at(camera).expose(scene.qpos(q), self.quality, sheets)
         truth = self._truth(q, camera, poses, painted)
         frame = Frame(self._develop(light, noise), now, self._sequence, truth)
         self._sequence += 1

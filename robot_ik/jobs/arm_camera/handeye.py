@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -57,34 +57,27 @@ _SOUND_POSITION, _SOUND_ANGLE, _SOUND_REJECTED = 8e-4, float(np.deg2rad(0.15)), 
 
 
 @dataclass(frozen=True)
-class ArmCameraRequest(ArmRequest):
+class HandEyeRequest(ArmRequest):
     """An arm, a camera, a board, and how many pictures to take of it.
 
     Attributes:
+        mounting: ``eye_in_hand`` or ``eye_to_hand``.
         camera: ``synthetic``, or what ``open_source`` opens.
         intrinsics: Calibration file; needed for a real camera.
         board: None: the simulated one.
-        views: How many pictures.
-    """
-
-    camera: str = "synthetic"
-    intrinsics: Path | None = None
-    board: Board | None = None
-    views: int = 15
-
-
-@dataclass(frozen=True)
-class HandEyeRequest(ArmCameraRequest):
-    """What ``run_handeye`` shall do.
-
-    Attributes:
-        mounting: ``eye_in_hand`` or ``eye_to_hand``.
         pose_parent_camera, pose_other_board: Where they are, roughly; None: as in the scene.
+        views: How many pictures.
+        dry_run: Plan only; nothing moves.
     """
 
     mounting: Mounting = "eye_to_hand"
+    camera: str = "synthetic"
+    intrinsics: Path | None = None
+    board: Board | None = None
     pose_parent_camera: Pose | None = None
     pose_other_board: Pose | None = None
+    views: int = 15
+    dry_run: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,12 +122,12 @@ def open_scene(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.Exi
         )  # fmt: skip
     scene = scene_for(setup.robot, setup.frame)
     made = _carried_camera if request.mounting == "eye_in_hand" else _standing_camera
-    return made(request, setup, scene, stack)
+    found = made(request, setup, scene)
+    stack.enter_context(found.source)
+    return found
 
 
-def _standing_camera(
-    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
-) -> HandEyeScene:
+def _standing_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
     """The scene's camera looks at the markers on the tool."""
     truth = Mount(scene.pose_world_camera, scene.cube_offset, "eye_to_hand")
     source = SyntheticSource(
@@ -142,12 +135,10 @@ def _standing_camera(
     )
     board = MarkerBoard(dict(scene.cube), scene.dictionary)
     task = ViewTask(_roughly(request, truth), scene.cube_frame, board.layout, scene.intrinsics, scene.table)
-    return HandEyeScene(task, board, stack.enter_context(source), truth)
+    return HandEyeScene(task, board, source, truth)
 
 
-def _carried_camera(
-    request: HandEyeRequest, setup: RobotSetup, scene: Scene, stack: contextlib.ExitStack
-) -> HandEyeScene:
+def _carried_camera(request: HandEyeRequest, setup: RobotSetup, scene: Scene) -> HandEyeScene:
     """A camera beside the tool looks at a board of markers on the table."""
     camera = _beside_the_tool(setup.robot, setup.frame)
     truth = Mount(camera, scene.pose_world_marker, "eye_in_hand")
@@ -165,7 +156,7 @@ def _carried_camera(
     )
     source = SyntheticSource(synthetic, setup.true_q, seed=request.seed, clock=setup.clock, quality="fast")
     task = ViewTask(_roughly(request, truth), setup.frame, layout, STANDARD_CAMERA, scene.table)
-    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), stack.enter_context(source), truth)
+    return HandEyeScene(task, MarkerBoard(layout, scene.dictionary), source, truth)
 
 
 def _beside_the_tool(robot: Robot, frame: str) -> Pose:
@@ -221,22 +212,34 @@ def _real(request: HandEyeRequest, setup: RobotSetup, stack: contextlib.ExitStac
 # The phases, and what came of them.
 
 
-@dataclass(eq=False)
-class HandEyeReport:
+Samples = TypeVar("Samples", bound=SampleSet)
+
+
+@dataclass(eq=False, kw_only=True)
+class ArmCameraReport(Generic[Samples]):
+    """What an arm was seen to do.
+
+    Attributes:
+        stations: (nq,) planned, in order.
+        unseen: Numbers, from 0, of those where the board was not found or the arm did not come to rest.
+    """
+
+    samples: Samples
+    stations: tuple[Array, ...] = ()
+    unseen: tuple[int, ...] = ()
+
+
+@dataclass(eq=False, kw_only=True)
+class HandEyeReport(ArmCameraReport[SampleSet]):
     """What came out.
 
     Attributes:
         truth: Where camera and board really are; None where it is unknown.
-        stations: (nq,) planned, in order.
-        unseen: Numbers of the stations where the board was not found.
         result: None for a dry run.
         doubt: Why the result may be wrong by more than it states; empty: nothing speaks against it.
     """
 
-    samples: SampleSet
-    truth: Mount | None
-    stations: tuple[Array, ...] = ()
-    unseen: tuple[int, ...] = ()
+    truth: Mount | None = None
     result: HandEye | None = None
     doubt: str = ""
 
@@ -276,11 +279,10 @@ class HandEyeReport:
 def run_handeye(
     request: HandEyeRequest,
     *,
-    dry_run: bool = False,
     keep: Callable[[SampleSet], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> HandEyeReport:
-    """Plans, moves, looks, solves; a ``dry_run`` plans only, and nothing moves.
+    """Plans, moves, looks, solves.
 
     ``keep`` is handed the samples after each station, so that an interruption loses none.
 
@@ -293,14 +295,11 @@ def run_handeye(
         scene = open_scene(request, setup, stack)
         task = scene.task
         samples = SampleSet(request.robot, setup.robot.joints, task.frame, request.mounting, task.intrinsics)
-        report = HandEyeReport(samples, scene.truth)
+        report = HandEyeReport(samples=samples, truth=scene.truth)
         stack.enter_context(setup.connected())
-        report.stations = plan(request, setup, task, progress)
-        if dry_run:
-            return report
-        setup.enable_torque()
-        stations = report.stations
-        report.unseen = measure(request, setup, scene, stations, samples, lambda: keep(samples), progress)
+        visit_stations(report, request, setup, scene, task, keep, progress)
+    if request.dry_run:
+        return report
     samples.require(len(report.stations), "give better guesses of where camera and board are")
     progress("solving", 0.0)
     report.solve(setup.robot)
@@ -316,7 +315,7 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     if intrinsics is not None:
         intrinsics.require_size(*samples.intrinsics.size)
         samples.intrinsics = intrinsics
-    report = HandEyeReport(samples, None, tuple(samples.q))
+    report = HandEyeReport(samples=samples, stations=tuple(samples.q))
     report.solve(samples.load_robot())
     return report
 
@@ -350,33 +349,29 @@ def samples_path(out: Path) -> Path:
     return out.with_name(f"{out.stem}.samples.json")
 
 
-def plan(
-    request: ArmCameraRequest, setup: RobotSetup, task: ViewTask, progress: Progress
-) -> tuple[Array, ...]:
-    """Stations (nq,) for a task, in order, where the setup is connected.  Nothing moves."""
-    progress("planning", 0.0)
-    return tuple(plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed))
-
-
-def measure(
-    request: ArmCameraRequest,
+def visit_stations(
+    report: ArmCameraReport[Samples],
+    request: HandEyeRequest,
     setup: RobotSetup,
     scene: HandEyeScene,
-    stations: Sequence[Array],
-    samples: SampleSet,
-    keep: Callable[[], None],
+    task: ViewTask,
+    keep: Callable[[Samples], None],
     progress: Progress,
-) -> tuple[int, ...]:
-    """Goes to all stations with torque and looks at the board; ``keep`` is called after each sample.
+) -> None:
+    """Plans stations for a task; unless that is all, goes to them with torque and looks at the board.
 
-    Returns:
-        Numbers, from 0, of the stations where the board was not found or the arm did not come to rest.
+    The report has what came of it, and its samples are handed to ``keep`` after each.
 
     Raises:
         HardwareError, TrajectoryError, CameraError: As the arm and the camera do.
     """
-    unseen, count = [], len(stations)
-    for number, asked in enumerate(stations):
+    progress("planning", 0.0)
+    planned = plan_views(setup.robot, task, request.views, start=setup.q, seed=request.seed)
+    report.stations, count = tuple(planned), len(planned)
+    if request.dry_run:
+        return
+    setup.enable_torque()
+    for number, asked in enumerate(planned):
         trajectory = joint_move(setup.robot, setup.q, asked, **setup.caps(request.speed))
 
         def show(tick: Any, number: int = number, ticks: int = max(1, len(trajectory))) -> None:
@@ -389,11 +384,10 @@ def measure(
         q = 0.5 * (before + setup.q)  # where the servos say that it is, before and after the picture
         view = scene.board.see(frame, scene.task.intrinsics) if still else None
         if view is None:
-            unseen.append(number)
+            report.unseen += (number,)
             continue
-        samples.add(q, view)
-        keep()
-    return tuple(unseen)
+        report.samples.add(q, view)
+        keep(report.samples)
 
 
 def _come_to_rest(setup: RobotSetup) -> tuple[Array, bool]:

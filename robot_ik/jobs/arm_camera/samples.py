@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from pydantic import ConfigDict, ValidationError
@@ -78,28 +77,52 @@ class SampleSet:
         ]
 
     def as_values(self) -> dict[str, Any]:
-        shared = ("date", "robot", "joints", "frame", "mounting")
+        """What the file holds."""
         rows = [
-            {
-                "q": q,
-                "points": view.points,
-                "pixels": view.pixels,
-                "sigma": view.sigma,
-                "bias": view.bias,
-                "position": view.pose_camera_board.position,
-                "wxyz": view.pose_camera_board.wxyz,
-            }
+            {"q": q, **{key: getattr(view, key) for key in ("points", "pixels", "sigma", "bias")}}
+            | plain(view.pose_camera_board)
             for q, view in zip(self.q, self.views, strict=True)
         ]
         lens = {key: getattr(self.intrinsics, key) for key in _Lens.model_fields}
-        facts = {key: getattr(self, key) for key in shared}
+        facts = {key: getattr(self, key) for key in ("date", "robot", "joints", "frame", "mounting")}
         return {"schema": 1, "job": "handeye", **facts, "intrinsics": lens, "samples": rows}
 
+    def save(self, path: Path) -> None:
+        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
+        write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
+
     @classmethod
-    def of_file(cls, file: _SampleFile) -> SampleSet:
-        """What the file says; ValueError, RobotIkError: it says something impossible."""
+    def load(cls, path: Path) -> Self:
+        """Reads what ``save`` wrote, a ``SampleSet`` also what one of ``VerifySamples`` wrote.
+
+        Raises:
+            CameraError: It is missing, or no such file.
+        """
+        of_verify = issubclass(cls, VerifySamples)
+        of = "an arm before a standing camera" if of_verify else "a hand-eye calibration"
+        command = "verify" if of_verify else "handeye"
+        hint = f"give the file that robot-ik camera {command} leaves beside its result"
+        try:
+            text = read_text(path, "the file of samples")
+        except ConfigError as error:
+            raise CameraError(str(error.args[0]), hint=hint) from error
+        try:
+            return cls._of_values(parse_json(text, path))
+        except (ValueError, RobotIkError) as error:
+            found = config_error(error, path) if isinstance(error, ValidationError) else error
+            reason = str(found.args[0]).removeprefix(f"{path}: ")
+            raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error
+
+    @classmethod
+    def _of_values(cls, data: Any) -> Self:
+        of_verify = isinstance(data, dict) and data.get("job") == "verify"
+        return cls._of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+
+    @classmethod
+    def _of_file(cls, file: _SampleFile, **others: Any) -> Self:
+        """What the file says, and ``others``; ValueError, RobotIkError: it says something impossible."""
         lens = CameraIntrinsics(**file.intrinsics.model_dump())
-        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date)
+        found = cls(file.robot, file.joints, file.frame, file.mounting, lens, file.date, **others)
         for k, one in enumerate(file.samples):
             if len(one.q) != len(file.joints):
                 raise ValueError(f"samples[{k}].q: {len(one.q)} angles of {len(file.joints)} joints")
@@ -108,19 +131,75 @@ class SampleSet:
             found.add(np.array(one.q), view)
         return found
 
-    def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
-        write_atomically(path, json.dumps(plain(self.as_values())) + "\n")
+
+@dataclass(eq=False)
+class VerifySamples(SampleSet):
+    """Samples, and what was known when they were taken.
+
+    Attributes:
+        camera, board: Their poses as they were known.
+        by_arm: Whether the camera's pose was found by moving the arm.
+        true_offsets: (nv,) rad; None where it is unknown.
+        servos: Each joint's row of the arm file, as JSON holds it: what ``q`` was read with.
+    """
+
+    _: KW_ONLY
+    camera: KnownPose
+    board: KnownPose
+    by_arm: bool
+    true_offsets: Array | None = None
+    servos: tuple[dict[str, Any], ...] = ()
+
+    def as_values(self) -> dict[str, Any]:
+        """What the file holds."""
+        return super().as_values() | {
+            "job": "verify",
+            "camera": plain(self.camera.pose) | {"covariance": self.camera.covariance},
+            "board": plain(self.board.pose) | {"covariance": self.board.covariance},
+            "by_arm": self.by_arm,
+            "true_offsets": self.true_offsets,
+            "servos": self.servos,
+        }
 
     @classmethod
-    def load(cls, path: Path) -> SampleSet:
-        """Reads what ``save`` wrote, here or of ``VerifySamples``; CameraError: missing, or no such file."""
+    def _of_values(cls, data: Any) -> Self:
+        job = data.get("job") if isinstance(data, dict) else None
+        if isinstance(job, str) and job != "verify":
+            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's pose")
+        file = _VerifyFile.model_validate(data)
+        offsets = None if file.true_offsets is None else np.array(file.true_offsets, dtype=float)
+        poses = {"camera": file.camera.known(), "board": file.board.known(), "by_arm": file.by_arm}
+        servos = tuple(row.model_dump() for row in file.servos)
+        return cls._of_file(file, **poses, true_offsets=offsets, servos=servos)
 
-        def made(data: Any) -> SampleSet:
-            of_verify = isinstance(data, dict) and data.get("job") == "verify"
-            return cls.of_file((_VerifyFile if of_verify else _SampleFile).model_validate(data))
+    def arm(self, file: Path) -> ArmConfig:
+        """The arm of a file; ConfigError: the joints were not read with it, or one has been changed."""
+        config = ArmConfig.load(file)
+        by_name = {joint.name: joint for joint in config.joints}
+        for row in self.servos:
+            joint = by_name.get(row["name"])
+            if joint is None or servo_values(joint) != row:
+                what = "is not there" if joint is None else "has been changed since the arm was measured"
+                raise ConfigError(
+                    f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
+                    file=file, key="joints", hint="measure again",
+                )  # fmt: skip
+        if unknown := [name for name in self.joints if name not in by_name]:
+            raise ConfigError(
+                f"there is no joint {unknown[0]!r}, of which the samples are",
+                file=file, key="joints", allowed=", ".join(by_name),
+            )  # fmt: skip
+        return replace(config, joints=tuple(by_name[name] for name in self.joints))
 
-        return _read(path, made, "a hand-eye calibration", "handeye")
+
+def servo_values(joint: Any) -> dict[str, Any]:
+    """One joint's row as JSON gives it back."""
+    values: dict[str, Any] = json.loads(json.dumps(plain(joint)))
+    return values
+
+
+# ------------------------------------------------------------------------------------------
+# The tables of the files.
 
 
 class _Lens(Table):
@@ -156,113 +235,13 @@ class _SampleFile(Table):
     samples: Several[_Sample]
 
 
-Made = TypeVar("Made")
-
-
-def _read(path: Path, made: Callable[[Any], Made], of: str, command: str) -> Made:
-    """What ``made`` makes of a JSON file; CameraError: it is missing, or ``made`` can make nothing of it."""
-    hint = f"give the file that robot-ik camera {command} leaves beside its result"
-    try:
-        text = read_text(path, "the file of samples")
-    except ConfigError as error:
-        raise CameraError(str(error.args[0]), hint=hint) from error
-    try:
-        return made(parse_json(text, path))
-    except (ValueError, RobotIkError) as error:
-        found = config_error(error, path) if isinstance(error, ValidationError) else error
-        reason = str(found.args[0]).removeprefix(f"{path}: ")
-        raise CameraError(f"{path} holds no samples of {of} ({reason})", hint=hint) from error
-
-
-@dataclass(frozen=True, eq=False)
-class VerifySamples:
-    """Samples, and what was known when they were taken.
-
-    Attributes:
-        samples: Joint angles and what was seen there.
-        camera, board: Their poses as they were known.
-        by_arm: Whether the camera's pose was found by moving the arm.
-        true_offsets: (nv,) rad; None where it is unknown.
-        servos: Each joint's row of the arm file, as JSON holds it: what ``q`` was read with.
-    """
-
-    samples: SampleSet
-    camera: KnownPose
-    board: KnownPose
-    by_arm: bool
-    true_offsets: Array | None = None
-    servos: tuple[dict[str, Any], ...] = ()
-
-    def __len__(self) -> int:
-        return len(self.samples)
-
-    def save(self, path: Path) -> None:
-        """Writes JSON, whole or not at all; OutputError: it cannot be written."""
-        values = self.samples.as_values() | {
-            "job": "verify",
-            "camera": plain(self.camera.pose) | {"covariance": self.camera.covariance},
-            "board": plain(self.board.pose) | {"covariance": self.board.covariance},
-            "by_arm": self.by_arm,
-            "true_offsets": self.true_offsets,
-            "servos": self.servos,
-        }
-        write_atomically(path, json.dumps(plain(values)) + "\n")
-
-    @classmethod
-    def load(cls, path: Path) -> VerifySamples:
-        """Reads what ``save`` wrote; CameraError: missing, or no such file."""
-        return _read(path, cls._of_values, "an arm before a standing camera", "verify")
-
-    @classmethod
-    def _of_values(cls, data: Any) -> VerifySamples:
-        job = data.get("job") if isinstance(data, dict) else None
-        if isinstance(job, str) and job != "verify":
-            raise ValueError(f"they are of {shown(job, str)}, which does not know the camera's pose")
-        file = _VerifyFile.model_validate(data)
-        offsets = file.true_offsets
-        return cls(
-            SampleSet.of_file(file),
-            _pose_of(file.camera),
-            _pose_of(file.board),
-            file.by_arm,
-            None if offsets is None else np.array(offsets, dtype=float),
-            tuple(row.model_dump() for row in file.servos),
-        )
-
-    def arm(self, file: Path) -> ArmConfig:
-        """The arm of a file; ConfigError: the joints were not read with it, or one has been changed."""
-        config = ArmConfig.load(file)
-        by_name = {joint.name: joint for joint in config.joints}
-        for row in self.servos:
-            joint = by_name.get(row["name"])
-            if joint is None or servo_values(joint) != row:
-                what = "is not there" if joint is None else "has been changed since the arm was measured"
-                raise ConfigError(
-                    f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
-                    file=file, key="joints", hint="measure again",
-                )  # fmt: skip
-        if unknown := [name for name in self.samples.joints if name not in by_name]:
-            raise ConfigError(
-                f"there is no joint {unknown[0]!r}, of which the samples are",
-                file=file, key="joints", allowed=", ".join(by_name),
-            )  # fmt: skip
-        return replace(config, joints=tuple(by_name[name] for name in self.samples.joints))
-
-
-def servo_values(joint: Any) -> dict[str, Any]:
-    """One joint's row as JSON gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(plain(joint)))
-    return values
-
-
-def _pose_of(data: _Known) -> KnownPose:
-    return KnownPose(Pose(data.position, data.wxyz), np.array(data.covariance))
-
-
 class _Known(Table):
     position: Position
     wxyz: Wxyz
     covariance: Covariance
+
+    def known(self) -> KnownPose:
+        return KnownPose(Pose(self.position, self.wxyz), np.array(self.covariance))
 
 
 class _Servo(Table):

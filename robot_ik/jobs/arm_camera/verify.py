@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,13 +30,17 @@ from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
-from robot_ik.jobs.arm_camera import handeye
-from robot_ik.jobs.arm_camera.handeye import ArmCameraRequest, HandEyeRequest, HandEyeScene, open_scene
-from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.handeye import (
+    ArmCameraReport,
+    HandEyeRequest,
+    HandEyeScene,
+    open_scene,
+    visit_stations,
+)
+from robot_ik.jobs.arm_camera.samples import VerifySamples, servo_values
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
-from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
 # ------------------------------------------------------------------------------------------
@@ -48,18 +52,18 @@ _AXES = "xyz"
 
 @dataclass(frozen=True)
 class Region:
-    """Some of the poses: RMS, median and largest of the distances, metres; RMS of the angles, rad.
+    """Some of the poses: RMS, median and largest of the distances; RMS of the angles.
 
-    ``sigma`` is the RMS of the stated standard deviations, metres.
+    ``sigma_m`` is the RMS of the stated standard deviations.
     """
 
     name: str
-    count: int
-    rms: float
-    median: float
-    largest: float
-    angle: float
-    sigma: float
+    poses: int
+    rms_m: float
+    median_m: float
+    largest_m: float
+    rms_rad: float
+    sigma_m: float
 
 
 def summary(errors: Sequence[PoseError], name: str = "all") -> Region:
@@ -95,19 +99,17 @@ BOARD_SIGMA = (2e-4, float(np.deg2rad(0.1)))
 
 
 @dataclass(frozen=True)
-class VerifyRequest(ArmCameraRequest):
-    """An arm that carries a board before a standing camera.
+class VerifyRequest(HandEyeRequest):
+    """An arm that carries a board (``pose_other_board``) before a standing camera.
 
     Attributes:
         extrinsics: File of the camera's pose; needed for a real camera, the simulated one is located first.
-        pose_frame_board: Where the board is on ``frame``; None: the simulated one, or its frame.
-        board_sigma: How well that is known, each axis: metres, rad.
+        board_sigma: How well the board's pose is known, each axis: metres, rad.
         fit: Whether to estimate the joints' zero offsets.
     """
 
     views: int = 30
     extrinsics: Path | None = None
-    pose_frame_board: Pose | None = None
     board_sigma: tuple[float, float] = BOARD_SIGMA
     fit: bool = False
 
@@ -122,23 +124,17 @@ _UNSURE = 5.0
 _LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
 
 
-@dataclass(eq=False)
-class VerifyReport:
+@dataclass(eq=False, kw_only=True)
+class VerifyReport(ArmCameraReport[VerifySamples]):
     """What came out.
 
     Attributes:
-        known: What was measured, and what was known before of camera and board.
-        stations: (nq,) planned, in order.
-        unseen: Numbers of the stations where the board was not found.
         errors: Of each view, with the joints as the servos say; empty for a dry run.
         fit: The joints' offsets; its ``errors`` are of views left out.  None unless asked for.
     """
 
     robot: Robot
     config: ArmConfig | None
-    known: VerifySamples
-    stations: tuple[Array, ...] = ()
-    unseen: tuple[int, ...] = ()
     errors: tuple[PoseError, ...] = ()
     fit: ZeroOffsets | None = None
 
@@ -148,16 +144,16 @@ class VerifyReport:
         Raises:
             MarkerNotFoundError: The board was seen at too few of the ``stations``.
         """
-        known, samples, robot = self.known, self.known.samples, self.robot
+        samples, robot = self.samples, self.robot
         samples.require(stations, "where camera and board are said to be")
         views = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
         asked = (views, robot, samples.frame, samples.intrinsics)
-        fitted = partial(fit_zero_offsets, *asked, camera=known.camera, board=known.board)
-        if known.by_arm:
+        fitted = partial(fit_zero_offsets, *asked, camera=samples.camera, board=samples.board)
+        if samples.by_arm:
             # The pose as the arm's views have it: what is left are the errors that change from view to view.
             self.errors = fitted(hold=robot.joints).errors
         else:
-            self.errors = measure_errors(*asked, camera=known.camera, board=known.board)
+            self.errors = measure_errors(*asked, camera=samples.camera, board=samples.board)
         self.fit = fitted() if fit else None
 
     @property
@@ -175,13 +171,13 @@ class VerifyReport:
 
     def passed(self, allowed: float, *, corrected: bool = False) -> bool:
         """Whether no pose is farther off than ``allowed`` metres."""
-        return summary(self.judged(corrected=corrected)).largest <= allowed
+        return summary(self.judged(corrected=corrected)).largest_m <= allowed
 
     @property
     def better(self) -> bool:
         """Whether the zeros that were found explain poses that they were not found from."""
         return self.fit is not None and (
-            summary(self.judged(corrected=True)).rms < summary(self.judged(corrected=False)).rms
+            summary(self.judged(corrected=True)).rms_m < summary(self.judged(corrected=False)).rms_m
         )
 
     def offsets(self) -> dict[str, float]:
@@ -198,11 +194,10 @@ class VerifyReport:
 def run_verify(
     request: VerifyRequest,
     *,
-    dry_run: bool = False,
     keep: Callable[[VerifySamples], None] = lambda samples: None,
     progress: Progress = lambda phase, share: None,
 ) -> VerifyReport:
-    """Locates the camera, plans, moves, looks, compares; ``dry_run`` and ``keep`` as in ``run_handeye``.
+    """Locates the camera, plans, moves, looks, compares; ``keep`` as in ``run_handeye``.
 
     Raises:
         RobotIkError: Wrong input or environment; the board was seen at too few stations, or the table's not.
@@ -214,35 +209,35 @@ def run_verify(
         )  # fmt: skip
     with contextlib.ExitStack() as stack:
         setup = prepare_robot(request)
-        scene = open_scene(_scene_request(request), setup, stack)
+        if request.camera != "synthetic" and request.extrinsics is None:
+            raise CalibrationError(
+                f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
+                hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
+            )
+        scene = open_scene(request, setup, stack)
         extrinsics = _given_extrinsics(request, scene.task.intrinsics)
         stack.enter_context(setup.connected())
-        known = _locate(request, setup, scene, extrinsics, progress)
-        report = VerifyReport(setup.robot, setup.config, known)
-        mount = Mount(known.camera.pose, known.board.pose, "eye_to_hand")
-        report.stations = handeye.plan(request, setup, replace(scene.task, mount=mount), progress)
-        if dry_run:
-            return report
-        setup.enable_torque()
-        report.unseen = handeye.measure(
-            request, setup, scene, report.stations, known.samples, lambda: keep(known), progress
-        )
+        samples = _locate(request, setup, scene, extrinsics, progress)
+        report = VerifyReport(robot=setup.robot, config=setup.config, samples=samples)
+        mount = Mount(samples.camera.pose, samples.board.pose, "eye_to_hand")
+        visit_stations(report, request, setup, scene, replace(scene.task, mount=mount), keep, progress)
+    if request.dry_run:
+        return report
     progress("comparing", 0.0)
     report.compare(len(report.stations), fit=request.fit)
     return report
 
 
-def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
+def verify_from_samples(samples: VerifySamples, request: VerifyRequest, *, board_sigma: bool) -> VerifyReport:
     """Judges again what was measured before.
 
     Of the request count ``fit``, ``arm_file``, and what is said anew of ``intrinsics``, ``extrinsics`` and
-    ``pose_frame_board``; with ``board_sigma`` its ``board_sigma``, too.
+    ``pose_other_board``; with ``board_sigma`` its ``board_sigma``, too.
 
     Raises:
         ConfigError: The arm file is not the one the joints were read with.
         CalibrationError: Other intrinsics without extrinsics that were found with them.
     """
-    samples = known.samples
     if request.intrinsics is not None:
         lens = CameraIntrinsics.load(request.intrinsics)
         lens.require_size(*samples.intrinsics.size)
@@ -252,31 +247,17 @@ def verify_from_samples(known: VerifySamples, request: VerifyRequest, *, board_s
                 hint="give the extrinsics that were found with this one: --camera-extrinsics FILE",
             )
         samples = replace(samples, intrinsics=lens)
-        known = replace(known, samples=samples)
     extrinsics = _given_extrinsics(request, samples.intrinsics)
     if extrinsics is not None:
-        known = replace(known, camera=_known_camera(extrinsics), by_arm=_by_arm(extrinsics))
-    pose = request.pose_frame_board or known.board.pose
-    board = (
-        KnownPose.within(pose, *request.board_sigma)
-        if board_sigma
-        else KnownPose(pose, known.board.covariance)
-    )
-    config = None if request.arm_file is None else known.arm(request.arm_file)
-    known, robot = replace(known, board=board), samples.load_robot()
-    report = VerifyReport(robot, config, known, tuple(samples.q))
+        samples = replace(samples, camera=_known_camera(extrinsics), by_arm=_by_arm(extrinsics))
+    board = replace(samples.board, pose=request.pose_other_board or samples.board.pose)
+    if board_sigma:
+        board = KnownPose.within(board.pose, *request.board_sigma)
+    config = None if request.arm_file is None else samples.arm(request.arm_file)
+    samples, robot = replace(samples, board=board), samples.load_robot()
+    report = VerifyReport(robot=robot, config=config, samples=samples, stations=tuple(samples.q))
     report.compare(len(samples), fit=request.fit)
     return report
-
-
-def _scene_request(request: VerifyRequest) -> HandEyeRequest:
-    if request.camera != "synthetic" and request.extrinsics is None:
-        raise CalibrationError(
-            f"where the camera {request.camera!r} stands is not known, so it cannot judge the arm",
-            hint="lay a board on the table, find it (robot-ik camera locate), give --camera-extrinsics",
-        )
-    shared = {one.name: getattr(request, one.name) for one in fields(ArmCameraRequest)}
-    return HandEyeRequest(**shared, pose_other_board=request.pose_frame_board)
 
 
 def _given_extrinsics(request: VerifyRequest, intrinsics: CameraIntrinsics) -> CameraExtrinsics | None:
@@ -299,18 +280,18 @@ def _locate(
         progress("locating the camera", 0.0)
         extrinsics = _located(setup, scene)
     task, config, truth, joints = scene.task, setup.config, scene.truth, setup.robot.joints
-    pose = request.pose_frame_board
+    pose = request.pose_other_board
     if pose is None:
         pose = Pose() if truth is None else truth.pose_other_board
     offsets_deg = [request.rehearsal.zero_offset_deg.get(name, 0.0) for name in joints]
     return VerifySamples(
-        SampleSet(request.robot, joints, task.frame, "eye_to_hand", task.intrinsics),
-        _known_camera(extrinsics),
-        KnownPose.within(pose, *request.board_sigma),
-        _by_arm(extrinsics),
-        None if truth is None else np.deg2rad(offsets_deg),
-        () if config is None else tuple(servo_values(joint) for joint in config.joints),
-    )
+        request.robot, joints, task.frame, "eye_to_hand", task.intrinsics,
+        camera=_known_camera(extrinsics),
+        board=KnownPose.within(pose, *request.board_sigma),
+        by_arm=_by_arm(extrinsics),
+        true_offsets=None if truth is None else np.deg2rad(offsets_deg),
+        servos=() if config is None else tuple(servo_values(joint) for joint in config.joints),
+    )  # fmt: skip
 
 
 def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:

@@ -54,8 +54,6 @@ class Clearance:
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
         box = model.geom_aabb[self._geoms]
         self._corners = box[:, None, :3] + signs * box[:, None, 3:]  # (g, 8, 3) in the geoms' frames
-        self._allowed: set[tuple[int, int]] = set()
-        self._on_table: set[int] = set()
         self._place(free)
         self._allowed, self._on_table = self._touching(), self._at_table()
 
@@ -123,19 +121,19 @@ def visiting_order(robot: Robot, start: Array, stations: Sequence[Array], cleara
             break
         order.append(nearest)
         left.remove(nearest)
+
+    def length(stations: Sequence[int]) -> float:
+        return float(sum(cost[a, b] for a, b in itertools.pairwise(stations)))
+
     improved = True
     while improved:
         improved = False
         for i in range(1, len(order) - 1):
             for j in range(i + 1, len(order)):
                 trial = [*order[:i], *order[i : j + 1][::-1], *order[j + 1 :]]
-                if _length(trial, cost) < _length(order, cost) - 1e-9:
+                if length(trial) < length(order) - 1e-9:
                     order, improved = trial, True
     return [k - 1 for k in order[1:]]
-
-
-def _length(order: Sequence[int], cost: Array) -> float:
-    return float(sum(cost[a, b] for a, b in itertools.pairwise(order)))
 
 
 # Part of the picture's width and height that is kept free at each side: the guess may be off by so much.
@@ -182,33 +180,24 @@ class ViewTask:
         view = BoardView(points, np.zeros((len(points), 2)), Pose(), _PIXEL)
         return HandEyeSample(robot.forward(q, self.frame), view)
 
-    def facing(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """Ids of the markers before the camera that are not seen too flat, in the picture or not."""
-        found = []
+    def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
+        """Ids of the markers in the picture, with a margin, large enough and not too flat; nothing hides.
+
+        None where too many of those that face the camera are cut off, as the board may be elsewhere.
+        """
+        size, facing, found = np.array(self.intrinsics.size), 0, []
         for id, (side, pose) in self.layout.items():
             at = pose_camera_board.compose(pose)
             towards = -float(at.rotation[:, 2] @ at.position) / float(np.linalg.norm(at.position))
-            if at.position[2] > side and towards > _LEAST_FACING:
-                found.append(id)
-        return tuple(found)
-
-    def visible(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """Those of them that are in the picture, with a margin, and large enough; nothing hides."""
-        size = np.array(self.intrinsics.size)
-        found = []
-        for id in self.facing(pose_camera_board):
-            side, pose = self.layout[id]
-            pixels = self.intrinsics.project(pose_camera_board.compose(pose).apply(marker_points(side)))
+            if at.position[2] <= side or towards <= _LEAST_FACING:
+                continue
+            facing += 1
+            pixels = self.intrinsics.project(at.apply(marker_points(side)))
             sides = np.linalg.norm(pixels - np.roll(pixels, 1, axis=0), axis=1)
             inside = (pixels > _MARGIN * size).all() and (pixels < (1.0 - _MARGIN) * size).all()
             if inside and sides.min() > _LEAST_SIDE:
                 found.append(id)
-        return tuple(found)
-
-    def shown(self, pose_camera_board: Pose) -> tuple[int, ...]:
-        """The visible ones; none where too much of the board is cut off, as the board may be elsewhere."""
-        ids = self.visible(pose_camera_board)
-        return ids if len(ids) >= _LEAST_PART * len(self.facing(pose_camera_board)) else ()
+        return tuple(found) if len(found) >= _LEAST_PART * facing else ()
 
 
 def plan_views(

@@ -31,7 +31,7 @@ class StepResult:
     """
 
     name: str
-    kind: str
+    do: str
     outcome: str = NOT_RUN
     seconds: float = 0.0
     found: str = ""
@@ -72,25 +72,13 @@ class ScriptReport:
 
 def json_report(report: ScriptReport) -> Mapping[str, Any]:
     """The report as JSON can hold it."""
-    rows = [
-        {
-            "name": step.name,
-            "do": step.kind,
-            "outcome": step.outcome,
-            "seconds": round(step.seconds, 6),
-            "found": step.found,
-            "numbers": plain(step.numbers),
-        }
-        for step in report.steps
-    ]
-    keys = ("script", "file", "robot", "bus", "seed", "passed", "interrupted", "virtual_time")
-    return {
-        "schema": SCHEMA,
-        **{key: getattr(report, key) for key in keys},
-        "seconds": round(report.seconds, 6),
-        "counters": dict(report.counters),
-        "steps": rows,
-    }
+    keys = ("script", "file", "robot", "bus", "seed", "passed", "interrupted", "virtual_time", "seconds")
+    of_step = ("name", "do", "outcome", "seconds", "found", "numbers")
+    found: dict[str, Any] = plain({key: getattr(report, key) for key in (*keys, "counters")})
+    found["steps"] = [plain({key: getattr(step, key) for key in of_step}) for step in report.steps]
+    for row in (found, *found["steps"]):
+        row["seconds"] = round(row["seconds"], 6)
+    return {"schema": SCHEMA, **found}
 
 
 def junit_report(report: ScriptReport) -> bytes:
@@ -121,7 +109,7 @@ def junit_report(report: ScriptReport) -> bytes:
             time=f"{step.seconds:.6f}",
         )
         if step.outcome == FAILED:
-            failure = ElementTree.SubElement(case, "failure", message=_xml(step.found), type=step.kind)
+            failure = ElementTree.SubElement(case, "failure", message=_xml(step.found), type=step.do)
             failure.text = _xml(step.found)
         elif step.outcome == NOT_RUN:
             ElementTree.SubElement(case, "skipped", message="not run")

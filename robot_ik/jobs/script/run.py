@@ -55,7 +55,7 @@ def open_camera(
     synthetic = replace(scene, cube={}).synthetic(setup.robot)  # the gripper's markers are not judged here
     source = SyntheticSource(synthetic, setup.true_q, seed=seed, clock=setup.clock, quality="fast")
     stack.enter_context(source)
-    vision = Vision(scene, source, setup, synthetic=source, seed=seed)
+    vision = Vision(scene, source, setup, synthetic=source)
     vision.picture()
     return vision
 
@@ -71,22 +71,6 @@ def with_objects(robot: Robot, objects: Sequence[ObjectTable]) -> mujoco.MjModel
         wxyz = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
         boxes.append(WorldObject(one.name, (x, y, z), (wide, deep, high), 1e-3 * one.mass_g, wxyz))
     return model_with(robot.path, boxes, floor=0.0)
-
-
-def check_script(now: RunState) -> None:
-    """Whether robot, arm and bus can do every step, before anything is opened or moves.
-
-    Raises:
-        ConfigError: With the key of the first step that cannot be run here.
-    """
-    if now.script.content.physics and not now.simulated:
-        allowed = "false, or --bus sim or pty"
-        raise now.script.wrong("servos on a real port move by themselves", "physics", allowed)
-    for k, step in enumerate(now.script.steps):
-        try:
-            step.check(now)
-        except WrongKey as wrong:
-            raise wrong.within(("steps", k)).in_file(now.script.file) from None
 
 
 @dataclass(frozen=True)
@@ -137,7 +121,14 @@ class ScriptRun:
         self.setup = prepare_robot(ArmRequest(robot, bus=request.bus, arm_file=arm_file))
         self._now = RunState(script, self.setup, solver_name("", self.setup.robot.file), seed)
         self._record = request.record
-        check_script(self._now)
+        if content.physics and not self._now.simulated:
+            allowed = "false, or --bus sim or pty"
+            raise script.wrong("servos on a real port move by themselves", "physics", allowed)
+        for k, step in enumerate(script.steps):
+            try:
+                step.check(self._now)
+            except WrongKey as wrong:
+                raise wrong.within(("steps", k)).in_file(script.file) from None
         rows = [StepResult(step.title, step.do) for step in script.steps]
         virtual = request.bus == "sim"
         self.report = ScriptReport(
@@ -168,7 +159,11 @@ class ScriptRun:
                 finally:
                     report.seconds = now.now()
         finally:
-            _report_leaving(now, report.steps[-1])
+            left, row = now.arm.exit_report, report.steps[-1]
+            if left is not None:  # it was connected
+                row.outcome = PASSED if left.ok else FAILED
+                row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'no servo'}"
+                row.found += f"; {left.doubt}" if left.unverified else ""
         return report
 
     def _prepare(self, stack: contextlib.ExitStack, progress: Progress) -> None:
@@ -203,16 +198,6 @@ class ScriptRun:
                 return
 
 
-def _report_leaving(now: RunState, row: StepResult) -> None:
-    left = now.arm.exit_report
-    if left is None:  # it was never connected
-        return
-    row.outcome = PASSED if left.ok else FAILED
-    row.found = f"{left.done}, confirmed by {', '.join(left.verified) or 'no servo'}"
-    if left.unverified:
-        row.found += f"; {left.doubt}"
-
-
 def run_step(now: RunState, step: ScriptStep, result: StepResult) -> None:
     """One step; how it went is in ``result``."""
     begin = now.setup.clock.now()
@@ -240,16 +225,13 @@ def run_step(now: RunState, step: ScriptStep, result: StepResult) -> None:
         raise
     finally:
         result.seconds = now.setup.clock.now() - begin
-    if isinstance(step, Action):
-        _take_time(now, step, result)
-
-
-def _take_time(now: RunState, step: Action, result: StepResult) -> None:
-    now.seconds = result.seconds
-    over = step.time_limit_s is not None and result.seconds > step.time_limit_s + 0.5 / now.config.rate_hz
-    if over and result.outcome == PASSED:
+    if not isinstance(step, Action):
+        return
+    now.seconds, limit = result.seconds, step.time_limit_s
+    late = limit is not None and result.seconds > limit + 0.5 / now.config.rate_hz
+    if late and result.outcome == PASSED:
         result.outcome = FAILED
-        took, permitted = apart(result.seconds, step.time_limit_s or 0.0, digits=2)
+        took, permitted = apart(result.seconds, limit or 0.0, digits=2)
         result.found = "; ".join(filter(None, (f"took {took} s, allowed {permitted} s", result.found)))
 
 

@@ -153,7 +153,7 @@ def test_a_board_that_is_not_there_is_reported(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_dry_run_moves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Drawn, "read", None)
-    report = run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=4), dry_run=True)
+    report = run_handeye(HandEyeRequest(mounting="eye_in_hand", bus="none", views=4, dry_run=True))
     assert len(report.stations) == 4 and report.result is None and len(report.samples) == 0
 
 

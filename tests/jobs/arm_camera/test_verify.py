@@ -85,7 +85,7 @@ def report(_drawn: None) -> VerifyReport:
 
 
 def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
-    fit, truth = report.fit, report.known.true_offsets
+    fit, truth = report.fit, report.samples.true_offsets
     assert fit is not None and truth is not None and report.config is not None
     np.testing.assert_allclose(np.degrees(truth), list(HIDDEN.values()))
     assert fit.found == fit.joints == tuple(HIDDEN)
@@ -93,9 +93,9 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
     assert (np.abs(fit.offsets - truth) < 4 * fit.sigma).all()
     # The error map shows what is wrong, and that it is gone.
     assert not report.passed(5e-3) and report.passed(5e-3, corrected=True)
-    assert summary(report.judged(corrected=False)).rms > 5e-3
-    assert summary(report.judged(corrected=True)).rms < 1e-3
-    assert report.better and not report.known.by_arm and report.unsure == ()
+    assert summary(report.judged(corrected=False)).rms_m > 5e-3
+    assert summary(report.judged(corrected=True)).rms_m < 1e-3
+    assert report.better and not report.samples.by_arm and report.unsure == ()
     # With the new zeros the servos' registers mean the joints' true angles, to a tick.
     now = zeros_moved(report.config, report.offsets())
     said = np.array([joint.to_radians(joint.to_ticks(0.3)) for joint in report.config.joints])
@@ -107,7 +107,7 @@ def test_hidden_zeros_are_found_and_corrected(report: VerifyReport) -> None:
 
 def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_path: Path) -> None:
     place = CameraExtrinsics(
-        report.known.camera.pose, "world", report.known.camera.covariance, 0.1, 0.1, "2026-01-01",
+        report.samples.camera.pose, "world", report.samples.camera.covariance, 0.1, 0.1, "2026-01-01",
         STANDARD_CAMERA.digest, method="handeye, eye to hand",
     )  # fmt: skip
     place.save(tmp_path / "place.toml")
@@ -116,7 +116,7 @@ def test_a_place_that_the_arm_found_does_not_judge_it(report: VerifyReport, tmp_
             "tabletop_puma", bus="sim", views=5, fit=True, seed=3, extrinsics=tmp_path / "place.toml"
         )
     )
-    assert found.known.by_arm and found.fit is not None
+    assert found.samples.by_arm and found.fit is not None
     assert "joint1" in {one.joint for one in found.fit.unobservable} and "joint1" not in found.offsets()
     assert found.passed(2e-3)
     other = replace(place, intrinsics_hash="0" * 12)
@@ -140,9 +140,9 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     lens, place = tmp_path / "camera.yaml", tmp_path / "place.toml"
     STANDARD_CAMERA.save(lens)
     CameraExtrinsics(
-        report.known.camera.pose,
+        report.samples.camera.pose,
         "world",
-        report.known.camera.covariance,
+        report.samples.camera.covariance,
         0.1,
         0.1,
         "2026-01-01",
@@ -152,24 +152,24 @@ def test_a_camera_of_ones_own_with_its_place_and_a_board(
     found = run_verify(
         VerifyRequest(
             "tabletop_puma", camera="0", intrinsics=lens, extrinsics=place, views=4, frame=scene.cube_frame,
-            board=MarkerBoard(dict(scene.cube), scene.dictionary), pose_frame_board=scene.cube_offset,
+            board=MarkerBoard(dict(scene.cube), scene.dictionary), pose_other_board=scene.cube_offset,
         )
     )  # fmt: skip
     assert (
-        found.known.true_offsets is None
-        and not found.known.by_arm
-        and found.known.samples.frame == scene.cube_frame
+        found.samples.true_offsets is None
+        and not found.samples.by_arm
+        and found.samples.frame == scene.cube_frame
     )
-    assert len(found.known.samples) == len(found.errors) == 4 and found.passed(2e-3)
+    assert len(found.samples) == len(found.errors) == 4 and found.passed(2e-3)
 
 
 def test_a_dry_run_moves_nothing_and_looks_only_for_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(handeye, "measure", None)
-    found = run_verify(VerifyRequest("tabletop_puma", views=4), dry_run=True)
+    monkeypatch.setattr(handeye, "execute", None)
+    found = run_verify(VerifyRequest("tabletop_puma", views=4, dry_run=True))
     assert len(found.stations) == 4 and found.errors == () and found.fit is None
     monkeypatch.setattr(Drawn, "blind", (7,))
     with pytest.raises(MarkerNotFoundError, match="marker on the table is hidden"):
-        run_verify(VerifyRequest("tabletop_puma", views=4), dry_run=True)
+        run_verify(VerifyRequest("tabletop_puma", views=4, dry_run=True))
 
 
 @pytest.mark.parametrize(
@@ -195,9 +195,9 @@ def test_sums_are_over_halves_of_the_space() -> None:
         for x, off in ((0.1, 1e-3), (0.2, 2e-3), (0.5, 4e-3))
     ]
     whole, near, far = regions(errors)
-    assert (whole.name, whole.count, near.count, far.count) == ("all", 3, 2, 1)
-    assert whole.rms == pytest.approx(np.sqrt(7e-6)) and whole.median == 2e-3 and whole.largest == 4e-3
-    assert near.name == "x < 300 mm" and near.largest == 2e-3 and far.rms == pytest.approx(4e-3)
+    assert (whole.name, whole.poses, near.poses, far.poses) == ("all", 3, 2, 1)
+    assert whole.rms_m == pytest.approx(np.sqrt(7e-6)) and whole.median_m == 2e-3 and whole.largest_m == 4e-3
+    assert near.name == "x < 300 mm" and near.largest_m == 2e-3 and far.rms_m == pytest.approx(4e-3)
 
 
 def test_the_picture_shows_the_arm_as_it_is_and_corrected(report: VerifyReport) -> None:
@@ -223,9 +223,9 @@ def test_the_benchmark_sees_offsets_that_are_wrong(
     monkeypatch.setattr(arm, "run_verify", lambda request: report)
     found = {one.quantity: one for one in arm.joint_zero_offsets(Effort(quick=True))}
     assert len(found) == 2 and found["zero offsets, worst joint off by"].passed
-    assert report.known.true_offsets is not None
-    offsets = report.known.true_offsets + 0.01
-    wrong = replace(report, known=replace(report.known, true_offsets=offsets))
+    assert report.samples.true_offsets is not None
+    offsets = report.samples.true_offsets + 0.01
+    wrong = replace(report, samples=replace(report.samples, true_offsets=offsets))
     monkeypatch.setattr(arm, "run_verify", lambda request: wrong)
     worse = list(arm.joint_zero_offsets(Effort(quick=True)))
     assert [one.passed for one in worse] == [False, None]

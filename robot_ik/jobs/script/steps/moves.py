@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -363,43 +363,35 @@ class FollowStep(Framed, Action):
             if tick.time < self.catch_up_s or (tick.goal is None and not self.needs_camera):
                 return
             place = now.robot.forward(tick.measured, frame).position
-            if now.vision is not None and now.vision.path is not None and self.needs_camera:
-                marker = now.vision.path(now.setup.clock.now())  # which only the scene knows
-                true = marker.compose(now.vision.scene.pose_marker_tool).position
-            else:
-                true = tick.goal.target.position
+            true = _marked_place(now) if self.needs_camera else tick.goal.target.position
             behind.append(1e3 * float(np.linalg.norm(place - true)))
 
+        setup = now.setup
         with self._goals(now, frame) as goals:
             report = follow(
-                goals,
-                now.robot,
-                now.solver,
-                now.setup.sinks,
-                rate=now.config.rate_hz,
-                clock=now.setup.clock,
-                duration=self.seconds,
-                start=now.start(),
-                tolerance=SOLVE_TOLERANCE,
-                speed=self.speed or now.script.content.speed,
-                source=now.arm,
-                on_tick=note,
-            )
+                goals, now.robot, now.solver, setup.sinks, rate=setup.rate, clock=setup.clock,
+                duration=self.seconds, start=now.start(), tolerance=SOLVE_TOLERANCE,
+                speed=self.speed or now.script.content.speed, source=now.arm, on_tick=note,
+            )  # fmt: skip
         self._judge(now, report, behind, result)
-        if self.needs_camera:
-            self._judge_at_end(now, result)
+        if not self.needs_camera:
+            return
+        setup.repeat(_ARRIVE)
+        off = 1e3 * float(np.linalg.norm(now.robot.measure(now.arm.read().q).position - _marked_place(now)))
+        result.numbers["off_mm"] = round(off, 4)
+        result.found += f"; {off:.2f} mm from where it truly lies"
+        if off > self.tolerance_mm:
+            raise StepFailed(result.found)
 
-    @contextlib.contextmanager
-    def _goals(self, now: RunState, frame: str) -> Iterator[Any]:
+    def _goals(self, now: RunState, frame: str) -> contextlib.AbstractContextManager[Any]:
         if self.needs_camera:
             assert now.vision is not None
-            with now.vision.following(now.setup.clock, self.seconds) as goals:
-                yield goals
-            return
+            return now.vision.following(now.setup.clock, self.seconds)
         assert self.center is not None and self.radius is not None and self.period is not None
         make = CurveSource.circle if self.path == "circle" else CurveSource.lemniscate
         normal = self.normal or (0.0, 0.0, 1.0)
-        yield make(frame, self.center, self.radius, self.period, normal=normal, wxyz=self.wxyz)
+        curve = make(frame, self.center, self.radius, self.period, normal=normal, wxyz=self.wxyz)
+        return contextlib.nullcontext(curve)
 
     def _judge(self, now: RunState, report: FollowReport, behind: list[float], result: StepResult) -> None:
         now.status = "" if report.last is None else report.last.status.name
@@ -415,16 +407,9 @@ class FollowStep(Framed, Action):
         if worst > self.tolerance_mm:
             raise StepFailed(f"lost the goal: {result.found}")
 
-    def _judge_at_end(self, now: RunState, result: StepResult) -> None:
-        """Where the marker really lies in the end, which only the scene knows."""
-        assert now.vision is not None
-        now.setup.repeat(_ARRIVE)
-        seen = now.vision.find_target_again()
-        assert seen.true_pose is not None
-        true = seen.true_pose.compose(now.vision.scene.pose_marker_tool)
-        at = now.robot.measure(now.arm.read().q, now.setup.frame)
-        off = 1e3 * float(np.linalg.norm(at.position - true.position))
-        result.numbers["off_mm"] = round(off, 4)
-        result.found += f"; {off:.2f} mm from where it truly lies"
-        if off > self.tolerance_mm:
-            raise StepFailed(result.found)
+
+def _marked_place(now: RunState) -> Array:
+    """(3,) m where the tool should be above the marker that is followed; only the scene knows."""
+    assert now.vision is not None and now.vision.path is not None
+    marker = now.vision.path(now.setup.clock.now())
+    return marker.compose(now.vision.scene.pose_marker_tool).position
