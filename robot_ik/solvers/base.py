@@ -169,9 +169,21 @@ class Solver(ABC):
             results.miss[row] = solution.miss.position, solution.miss.angle
             results.iterations[row], results.restarts[row] = solution.iterations, solution.restarts
 
+    def load(self, problem: Problem) -> Any:
+        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same.
+
+        Returns:
+            What ``make`` made, once for each problem.
+
+        Raises:
+            UnsupportedGoalError: It cannot serve the problem's goals.
+        """
+        self.require_support(problem)
+        return problem.compiled.made_for(self, lambda: self.make(problem))
+
     @abstractmethod
-    def load(self, problem: Problem) -> None:
-        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same."""
+    def make(self, problem: Problem) -> Any:
+        """All that a solve of a problem that it supports may need."""
 
 
 # What a problem may ask for beside its goals, as text.
@@ -216,13 +228,13 @@ class IterativeSolver(Solver):
         """What the kernel takes for a problem, in its order."""
         return compiled.tree, compiled.goals, compiled.work, self.option_values
 
-    def load(self, problem: Problem) -> None:
-        self._run_for(problem)
+    def make(self, problem: Problem) -> Run:
+        return Run(self, problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
         kept = problem.made.get(id(self))
-        run: Run = self._run_for(problem) if kept is None else kept[1]
+        run: Run = self.load(problem) if kept is None else kept[1]
         if run.budget is not budget or run.seed != problem.seed:
             run.renew(budget, problem.seed)
         if start is run.start:
@@ -247,9 +259,6 @@ class IterativeSolver(Solver):
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
             self.name, problem.robot, problem.given, run.target.copy(), trace,
         )  # fmt: skip
-
-    def _run_for(self, problem: Problem) -> Run:
-        return problem.compiled.made_for(self, lambda: Run(self, problem))
 
     def fresh_state(self, budget: Budget, seed: int) -> tuple[NDArray[np.int64], Array]:
         """``work.state`` and ``work.value`` as a solve begins with them."""
@@ -289,7 +298,6 @@ class Run:
     """
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
-        solver.require_support(problem)
         kernel, arrays = solver.kernel_for(problem), problem.arrays
         jit.announce(kernel, f"solver {solver.name!r}")
         self.solver, self.tables = solver, solver.tables(problem.compiled)

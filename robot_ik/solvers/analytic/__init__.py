@@ -19,7 +19,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels import workspace as ws
@@ -149,38 +148,23 @@ class Analytic(Solver):
     source: ClassVar[str] = "Paden 1986; Tolani et al. 2000; Elias & Wen 2022"
     goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
 
-    def applies(self, problem: Problem) -> bool:
-        """Whether this robot and goal have a closed form."""
-        return self.prepare(problem) is not None
+    def unsupported(self, problem: Problem) -> str:
+        if problem.compiled.made_for(self, lambda: self.make(problem)) is not None:
+            return ""
+        goals = " and ".join(f"a {goal.name}" for goal in problem.goals)
+        lacking = f"{goals} on {problem.robot.name}: {_what_has_a_form(problem)}"
+        return super().unsupported(problem) or lacking
 
     def family(self, problem: Problem) -> str:
-        prepared = self.prepare(problem)
-        return "" if prepared is None else prepared.form.family.name.lower()
+        return self.load(problem).form.family.name.lower() if self.applies(problem) else ""
 
-    def prepare(self, problem: Problem) -> Prepared | None:
-        """The closed form for a problem, made once; None when there is none."""
-        return problem.compiled.made_for(self, lambda: _prepare(problem))
-
-    def load(self, problem: Problem) -> None:
-        self._require(problem)
-
-    def _require(self, problem: Problem) -> Prepared:
-        prepared = self.prepare(problem)
-        if prepared is None:
-            from robot_ik.solvers import able_solvers  # as in ``Solver.require_support``
-
-            self.require_support(problem)
-            raise UnsupportedGoalError(
-                self.name,
-                f"{' and '.join('a ' + g.name for g in problem.goals)} on {problem.robot.name}: "
-                + _what_has_a_form(problem),
-                tuple(name for name in able_solvers(problem) if name != self.name),
-            )
-        return prepared
+    def make(self, problem: Problem) -> Prepared | None:
+        """The closed form made ready; None when this robot and goal have none."""
+        return _prepare(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         kept = problem.made.get(id(self))
-        prepared: Prepared = (kept and kept[1]) or self._require(problem)
+        prepared: Prepared = (kept and kept[1]) or self.load(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
@@ -204,7 +188,7 @@ class Analytic(Solver):
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        prepared = self._require(problem)
+        prepared: Prepared = self.load(problem)
         if budget.iterations < 1 or budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)
             return
@@ -229,7 +213,7 @@ class Analytic(Solver):
             UnsupportedGoalError, ModelError, ProblemInUseError: As ``solve``.
         """
         with problem.in_use():
-            prepared = self._require(problem)
+            prepared: Prepared = self.load(problem)
             take_start(problem, start)
             prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
             names = BRANCH_NAMES[prepared.form.family]
