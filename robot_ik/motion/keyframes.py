@@ -18,20 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, TrajectoryError, apart
+from robot_ik.errors import TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.motion.trajectory import (
-    Trajectory,
-    checked_samples,
-    csv_numbers,
-    csv_table,
-    require_positive,
-)
+from robot_ik.motion.trajectory import Trajectory, checked_samples, csv_table, require_positive
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv
 from robot_ik.robot import Robot
 
 # rad or m: so far a key may lie beyond a limit, or the last key of a loop beside the first.
@@ -84,8 +77,8 @@ def _rotations(robot: Robot, addresses: NDArray[np.int64]) -> list[int]:
 # ------------------------------------------------------------------------------ the motion
 
 
-# Keys nearer than this, s, have no speed between them; numbers of a table beyond the other are no angles.
-_LEAST_STEP, _LARGEST = 1e-6, 1e9
+# Keys nearer than this, s, have no speed between them.
+_LEAST_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,15 +264,6 @@ class Keyframes:
             rows[-1] = self.q[-1]
         return Trajectory(times, sign_continuous(self.robot, rows), column_names(self.robot))
 
-    def frames(self, rate: float) -> Iterator[Array]:
-        """``q`` (nq,) frame after frame, for as long as it runs: of a loop without end."""
-        require_positive("rate", rate, "Hz")
-        k = 0
-        while self.loop or k / rate < self.duration:
-            yield self.at(k / rate)
-            k += 1
-        yield np.array(self.q[-1])
-
     def peak_velocity_of_segments(self) -> Array:
         """(n - 1, nv) largest speed of each degree of freedom on the segment from key to key, rad/s or m/s.
 
@@ -357,24 +341,8 @@ class Keyframes:
             ConfigError: No such table, a joint without column, or cells that are no numbers; names the line.
             TrajectoryError: As the constructor.
         """
-        file = Path(path)
-        rows = [(k, row) for k, row in enumerate(read_csv(file, "the frames"), 1) if row]
-        rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
-        head = [cell.strip() for cell in rows[0][1]] if rows else []
-        wanted = column_names(robot)
-        if not head or head[0] not in ("t", "time_s") or len(rows) < 2:
-            allowed = "t, a column a joint; rows"
-            raise ConfigError("is no table of frames", file=file, key="line 1", allowed=allowed)
-        missing = [name for name in wanted if name not in head]
-        if missing:
-            raise ConfigError(
-                f"no column {missing[0]!r}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else ""),
-                file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
-            )  # fmt: skip
-        columns = [0, *(head.index(name) for name in wanted)]
-        width = len(head)
-        table = np.array([csv_numbers(row, columns, width, file, k, _LARGEST) for k, row in rows[1:]])
-        return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
+        found = Trajectory.load_csv(path, column_names(robot))
+        return cls(robot, found.times, found.q, loop=loop)
 
     # --------------------------------------------------------------------------- fitting
 
