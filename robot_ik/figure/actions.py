@@ -137,26 +137,6 @@ def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class _Try:
-    """Frames and what is wrong with them."""
-
-    frames: Frames
-    inside: float  # how far inside the soles the zero-moment point stays, m
-    change: float  # largest change of a joint's speed in a frame, rad/s
-    touching: bool  # the body touches itself on the way
-
-    @property
-    def unsteady(self) -> bool:
-        """Whether it is too fast."""
-        return self.inside < 0.0 or self.change > _ABRUPT
-
-    @property
-    def order(self) -> tuple[bool, bool, float]:
-        """The larger the better."""
-        return not self.touching, not self.unsteady, self.inside
-
-
-@dataclass(frozen=True, eq=False)
 class _Way:
     """From a pose to another, the feet where they are."""
 
@@ -173,21 +153,26 @@ class _Way:
 
     def fastest(self, duration: float) -> Slices[Frames]:
         """In a duration, s, or the least that keeps balance and in which no bodies touch; or the best try."""
-        best: _Try | None = None
-        abduction = 0.0
+        best: Frames | None = None
+        most, abduction = (False, False, -np.inf), 0.0
         for _ in range(_TRIES):
-            found = yield from self._try(duration, abduction)
-            if best is None or found.order > best.order:
-                best = found
-            if not found.unsteady and not found.touching:
+            frames, inside, steady = yield from self._try(duration, abduction)
+            touching = touches_itself(self.figure, frames.q[::_CHECK_EVERY])
+            good = not touching, steady, inside
+            if best is None or good > most:
+                best, most = frames, good
+            if steady and not touching:
                 break
-            duration *= _SLOWER if found.unsteady else 1.0
-            abduction += _AWAY if found.touching else 0.0
+            duration *= 1.0 if steady else _SLOWER
+            abduction += _AWAY if touching else 0.0
         assert best is not None
-        return best.frames
+        return best
 
-    def _try(self, duration: float, abduction: float) -> Slices[_Try]:
-        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led."""
+    def _try(self, duration: float, abduction: float) -> Slices[tuple[Frames, float, bool]]:
+        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led.
+
+        And how far inside the soles that point stays, m, and whether it is slow enough.
+        """
         figure, start, goal, dt = self.figure, self.start, self.goal, self.dt
         t = np.arange(1, round((duration + self.hold) / dt) + 1, dtype=np.float64) * dt
         s = minimum_jerk(t / duration)
@@ -211,9 +196,9 @@ class _Way:
             error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
             error[:2], error[-2:] = 0.0, 0.0
             center = center + compensate(error, omega2, dt)
-        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
+        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt  # of a joint's speed
         yield
-        return _Try(frames, inside, change, touches_itself(figure, frames.q[::_CHECK_EVERY]))
+        return frames, inside, inside >= 0.0 and change <= _ABRUPT
 
 
 def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> Array:

@@ -106,7 +106,7 @@ class Drag:
         """Puts the robot somewhere else at once: pins and the dragged point are taken anew from there."""
         self.q = np.array(self.robot.check_q(q))
         self.q.flags.writeable = False
-        self._pins = {frame: self._pin_of(frame) for frame in self._pins}
+        self._pins = {frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins}
         self._moved()
 
     def take(self, frame: str | None) -> None:
@@ -163,7 +163,7 @@ class Drag:
         self.robot.frame(frame)
         if frame == self.dragged:
             raise InvalidGoalError(f"{frame!r} is dragged", hint="take(None) or another frame first")
-        self._pins[frame] = self._pin_of(frame)
+        self._pins[frame] = PoseGoal.at(frame, self.robot.measure(self.q, frame))
         self._moved()
 
     def release(self, frame: str) -> None:
@@ -233,21 +233,22 @@ class Drag:
 
     # --------------------------------------------------------------------------- solving
 
-    def _pin_of(self, frame: str) -> PoseGoal:
-        return PoseGoal.at(frame, self.robot.measure(self.q, frame))
-
     def _moved(self) -> None:
         """What is wanted has changed: from now on the dragged point is where its frame is."""
         if self.dragged is not None:
             self._point = self.robot.measure(self.q, self.dragged).position
 
-    def _goals(self, point: Array, mass: Array | None) -> list[Goal]:
+    def _solved(self, point: Array, mass: Array | None) -> Array | None:
+        """The pose for these; None where pins would not hold."""
         goals: list[Goal] = list(self._pins.values())
         if mass is not None:
             goals.append(CenterOfMassGoal(None, mass, axes="xy"))
         if self.dragged is not None:
             goals.append(PositionGoal(self.dragged, point, soft=True))
-        return [*goals, PostureGoal(self.q, soft=True, priority=1)]
+        goals.append(PostureGoal(self.q, soft=True, priority=1))
+        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
+        holds = found.converged or all(goal.soft for goal in goals)
+        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 
     def _towards(self, point: Array, mass: Array | None) -> Array:
         """One tick towards a dragged point and a centre of mass, as far as the speed limits allow."""
@@ -264,13 +265,6 @@ class Drag:
                 return self.q
             share *= 0.5
         return self.q
-
-    def _solved(self, point: Array, mass: Array | None) -> Array | None:
-        """The pose for these; None where pins would not hold."""
-        goals = self._goals(point, mass)
-        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
-        holds = found.converged or all(goal.soft for goal in goals)
-        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 
 
 def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:

@@ -139,15 +139,7 @@ class Keyframes:
         loop: Whether it runs round.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        times: ArrayLike,
-        q: ArrayLike,
-        *,
-        loop: bool = False,
-        velocity: ArrayLike | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, times: ArrayLike, q: ArrayLike, *, loop: bool = False) -> None:
         """Takes the keys.
 
         Args:
@@ -155,18 +147,15 @@ class Keyframes:
             times: (n,) seconds, strictly increasing, n >= 1.
             q: (n, nq) rad, m for slides.
             loop: The last key is the first again (but for the position and heading of the free base).
-            velocity: (nv,) speed limits to hold, rad/s or m/s; None: as recorded, nothing is asked.
 
         Raises:
-            TrajectoryError: Shapes, times, keys outside the limits, a speed limit, an open loop: with the
-                joint, what was asked and what is possible.
+            TrajectoryError: Shapes, times, keys outside the limits, an open loop: with the joint, what was
+                asked and what is possible.
         """
         self.robot, self.loop = robot, bool(loop)
         self.times, self.q = _checked_keys(robot, times, q, self.loop)
         self._base = self._stride() if self.loop else None
         self._fit()
-        if velocity is not None:
-            self._require_speed(np.broadcast_to(np.asarray(velocity, dtype=float), robot.nv))
 
     @classmethod
     def through(
@@ -279,16 +268,15 @@ class Keyframes:
             peak[:, v : v + 3] = np.linalg.norm(peak[:, v : v + 3], axis=1, keepdims=True)
         return np.asarray(peak / np.diff(self.times)[:, None])
 
-    def blended(
-        self, other: Keyframes, seconds: float, *, rate: float = 60.0, follow: bool = True
-    ) -> Keyframes:
+    def blended(self, other: Keyframes, seconds: float, *, rate: float = 60.0) -> Keyframes:
         """This motion, whose last ``seconds`` pass smoothly into the first of ``other``.
+
+        The free base of ``other`` is moved to the position and heading that this motion has by then.
 
         Args:
             other: A motion of the same robot.
             seconds: How long both count; at most the shorter of the two.
             rate: Keys a second of the result.
-            follow: Move the free base of ``other`` to the position and heading that this motion has by then.
 
         Raises:
             TrajectoryError: Another robot, or more seconds than a motion has.
@@ -300,7 +288,7 @@ class Keyframes:
                 f"asked for a blend of {seconds} s", hint=f"0 to {min(self.duration, other.duration):.3f} s"
             )
         begin = self.duration - seconds
-        where = free_base(self.robot) if follow else None
+        where = free_base(self.robot)
         move = Displacement()
         if where is not None:
             part = slice(where, where + 7)
@@ -425,20 +413,6 @@ class Keyframes:
             if kind == BALL and np.isfinite(self.robot.upper[v]):
                 sine = np.linalg.norm(self.q[:, a + 1 : a + 4], axis=1)
                 yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
-
-    def _require_speed(self, velocity: Array) -> None:
-        """Raises where a speed limit is broken, with the time that the segment would need."""
-        over = self.peak_velocity_of_segments() / velocity
-        if not over.size or not over.max() > 1.0 + _OVER_SPEED:
-            return
-        i, v = np.unravel_index(int(np.argmax(over)), over.shape)
-        joint = self.robot.joints[int(np.searchsorted(self.robot.tree.vadr, v, side="right")) - 1]
-        asked, allowed = apart(float(over[i, v] * velocity[v]), float(velocity[v]), digits=3, form="g")
-        gap = float(self.times[i + 1] - self.times[i])
-        raise TrajectoryError(
-            f"from key {i} to key {i + 1} joint {joint!r} moves at {asked}; allowed: {allowed} (rad/s, m/s)",
-            hint=f"give it {gap * over[i, v]:.3g} s instead of {gap:.3g} s, or take Keyframes.through",
-        )
 
 
 def free_base(robot: Robot) -> int | None:
