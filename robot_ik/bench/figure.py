@@ -22,7 +22,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
+from robot_ik.figure.figure import DT, GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
 from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
 from robot_ik.figure.frames import FrameRows
 from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
@@ -116,9 +116,9 @@ def measure_motion(
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
     soles, position, matrix = _soles(figure, q)
-    zmp, force = zero_moment_points(figure, q, 1.0 / RATE)
+    zmp, force = zero_moment_points(figure, q)
     weight = force / (figure.mass * GRAVITY)
-    _, _, forward = derivatives(figure, q, 1.0 / RATE)
+    _, _, forward = derivatives(figure, q)
     margins: list[float] = []
     for i in range(1, len(q) - 1):
         near = [
@@ -204,7 +204,7 @@ def measure_gait(figure: Figure, walk: Walk) -> GaitMeasure:
     A straight walk along x of 4 m or more.
     """
     q, strikes = walk.frames.q, walk.strikes
-    times = np.arange(1, len(q) + 1, dtype=np.float64) * (1.0 / RATE)
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * DT
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):

@@ -24,7 +24,7 @@ from robot_ik.figure.balance import (
     smooth,
     zero_moment_slices,
 )
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure
+from robot_ik.figure.figure import DT, GRAVITY, SIDES, Figure
 from robot_ik.figure.footprints import WALK, Footprint, Gait
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
 from robot_ik.geometry import axis_rotations
@@ -71,13 +71,13 @@ class _Footfall:
 class _Plan:
     """Times and positions of feet, zero-moment point and centre of mass, of all frames at once."""
 
-    def __init__(self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array, dt: float) -> None:
+    def __init__(self, figure: Figure, prints: Sequence[Footprint], gait: Gait, x: Array) -> None:
         self.figure, self.prints, self.gait = figure, prints, gait
         steps = len(prints) - 2
         self.lifts = [_LEAN + k * gait.time for k in range(steps)]
         self.strikes = [t + gait.time - gait.double for t in self.lifts]
         self.end = self.strikes[-1] + _SETTLE
-        self.times = np.arange(1, int(self.end / dt) + 1, dtype=np.float64) * dt
+        self.times = np.arange(1, int(self.end / DT) + 1, dtype=np.float64) * DT
         self.omega = float(np.sqrt(GRAVITY / figure.center(figure.home)[2]))
         self.falls: tuple[list[_Footfall], list[_Footfall]] = ([], [])
         for k, at in enumerate(prints):
@@ -279,9 +279,7 @@ _STIFF = {"*": 0.02, "torso*": 3.0, "pelvis*": 3.0, "torso_pitch": 10.0, "pelvis
 _STIFF |= {f"*{part}*": 3.0 for part in ("shoulder", "elbow", "wrist", "clavicle")} | {"*toe*": 1e5}
 
 
-def walk_slices(
-    figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK, *, dt: float = 1.0 / RATE
-) -> Slices[Walk]:
+def walk_slices(figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gait = WALK) -> Slices[Walk]:
     """A whole walk over ``prints``, from ``q``, which stands on the first two, to rest on the last two.
 
     Args:
@@ -289,10 +287,9 @@ def walk_slices(
         q: (nq,) standing still.
         prints: Footsteps, alternating sides after the first two.
         gait: How.
-        dt: Time between frames, s.
     """
     yield  # the plan, which takes as long as two of the other slices, comes second of a frame's two
-    plan = _Plan(figure, prints, gait, figure.center(q)[:2], dt)
+    plan = _Plan(figure, prints, gait, figure.center(q)[:2])
     yield
     shift = np.zeros_like(plan.com)
     pelvis, _, heading = plan.trunk()
@@ -302,14 +299,14 @@ def walk_slices(
     knees = [22.0, gait.knee_deg + 4.0] + [gait.knee_deg] * (1 + _CORRECTIONS)
     for k, knee in enumerate(knees):
         if frames is not None and k > 2:
-            points, force = yield from zero_moment_slices(figure, frames.q, dt)
-            error = smooth(np.clip(points - plan.zmp, -0.12, 0.12), 0.02 / dt)
+            points, force = yield from zero_moment_slices(figure, frames.q)
+            error = smooth(np.clip(points - plan.zmp, -0.12, 0.12), 0.02 / DT)
             error[:2], error[-2:] = 0.0, 0.0
             # (g + z'') / z: the body's own acceleration counts, up to a third of g.
-            share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / dt)
-            shift = shift + compensate(error, plan.omega**2 * share, dt)
+            share = smooth(np.clip(force / (figure.mass * GRAVITY), 0.5, 1.5), 0.02 / DT)
+            shift = shift + compensate(error, plan.omega**2 * share)
         height = plan.pelvis_height(pelvis, plan.com + shift + offset, knee)
-        frames = yield from _solve(plan, q, height, shift, dt)
+        frames = yield from _solve(plan, q, height, shift)
         offset = figure.poses(frames.q, figure.pelvis)[0][:, :2] - plan.com - shift
     assert frames is not None
     falls = tuple(tuple((f.print, f.strike, f.off) for f in side) for side in plan.falls)
@@ -322,16 +319,15 @@ walk = at_once(walk_slices)
 
 def solve_walk_once(figure: Figure, prints: Sequence[Footprint]) -> int:
     """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
-    gait, dt = WALK, 1.0 / RATE
-    plan = _Plan(figure, prints, gait, figure.center(figure.home)[:2], dt)
+    plan = _Plan(figure, prints, WALK, figure.center(figure.home)[:2])
     pelvis, _, heading = plan.trunk()
     height = plan.pelvis_height(
-        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], gait.knee_deg
+        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], WALK.knee_deg
     )
-    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com), dt)).q)
+    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com))).q)
 
 
-def _solve(plan: _Plan, q: Array, height: Array, shift: Array, dt: float) -> Slices[Frames]:
+def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Slices[Frames]:
     figure, go = plan.figure, plan.going
     rows = FrameRows(figure, len(plan.times))
     matrices = axis_rotations("z", plan.yaw) @ axis_rotations("y", plan.pitch)
@@ -353,7 +349,7 @@ def _solve(plan: _Plan, q: Array, height: Array, shift: Array, dt: float) -> Sli
         seen = before + (forward - before) * minimum_jerk(plan.times / 0.8)[:, None]
         rows.aim(seen, 5.0)
     posture = _posture(plan, q, start, go)
-    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q, dt=dt))
+    return (yield from rows.slices(posture, figure.stiffnesses(_STIFF), q))
 
 
 def _posture(plan: _Plan, q: Array, start: Array, go: Array) -> Array:
