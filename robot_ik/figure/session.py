@@ -160,28 +160,23 @@ class FigureSession:
             self._next()
         self._before = self._q
         motion, k = self._motion, self._index
-        nan = np.full(3, np.nan)
-        if motion is None:
-            frame = self._frame("stand", 1.0, np.array([FLAT, FLAT]), nan[:2], "daily")
-        else:
-            self._q = motion.q[k]
-            self._index += 1
-            frame = self._frame(
-                motion.action, (k + 1) / len(motion), motion.contact[k], motion.zmp[k], motion.speeds
-            )
-            if self._index == len(motion):
-                self._end()
         self._count += 1
         self._since += 1
+        t, nan = self._count * DT, np.full(3, np.nan)
+        ball = nan if self.ball is None else self.ball
+        if motion is None:
+            flat = np.array([FLAT, FLAT])
+            return FigureFrame(t, self._q, "stand", 1.0, flat, nan[:2], ball, self.decision)
+        self._q = motion.q[k]
+        self._index += 1
+        phase = (k + 1) / len(motion)
+        frame = FigureFrame(
+            t, self._q, motion.action, phase, motion.contact[k], motion.zmp[k], ball, self.decision,
+            motion.speeds,
+        )  # fmt: skip
+        if self._index == len(motion):
+            self._end()
         return frame
-
-    def _frame(
-        self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
-    ) -> FigureFrame:
-        ball = np.full(3, np.nan) if self.ball is None else self.ball
-        return FigureFrame(
-            (self._count + 1) * DT, self._q, action, phase, contact, zmp, ball, self.decision, speeds
-        )
 
     def _asked(self, distance: float = _MOVED) -> bool:
         """Whether the ball is not where it was when last decided upon."""

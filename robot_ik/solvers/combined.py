@@ -107,14 +107,17 @@ class Combined(Solver):
         if best.status is Status.UNREACHABLE and members[0].name == members[-1].name:
             return best  # proven, and the nearest is found: the last would do the same
         began = time.perf_counter() - best.seconds
-        iterations, restarts, rows = best.iterations, best.restarts, [best.trace_rows]
+        iterations, restarts = best.iterations, best.restarts
+        rows = [] if best.trace_rows is None else [best.trace_rows]
         last, proven = best.status, best.status is Status.UNREACHABLE
         best_cost = float(problem.arrays["value"][ws.BEST_COST])
         for member in members[1:]:
             futile = proven and len(problem.given) == 1  # of several goals the others may be searched for
             rest = _rest(budget, iterations, restarts, time.perf_counter() - began, futile)
             solution = member.attempt(problem, start, rest)
-            rows.append(_later(solution.trace_rows, iterations, restarts))
+            if solution.trace_rows is not None:
+                solution.trace_rows[:, :2] += iterations, restarts
+                rows.append(solution.trace_rows)
             iterations, restarts = iterations + solution.iterations, restarts + solution.restarts
             last, proven = solution.status, proven or solution.status is Status.UNREACHABLE
             cost = float(problem.arrays["value"][ws.BEST_COST])
@@ -124,8 +127,7 @@ class Combined(Solver):
                 break
         if not best.converged:
             best.status = Status.UNREACHABLE if proven else last if last in _OVER else best.status
-        kept = [part for part in rows if part is not None]
-        best.trace_rows = np.concatenate(kept) if kept else None
+        best.trace_rows = np.concatenate(rows) if rows else None
         best.iterations, best.restarts = iterations, restarts
         best.seconds = time.perf_counter() - began
         return best
@@ -239,14 +241,6 @@ def _shares(
     kinds, group = np.unique(spent, axis=0, return_inverse=True)
     for k, (iterations, restarts, known) in enumerate(kinds.tolist()):
         yield left[group.ravel() == k], _rest(budget, iterations, restarts, 0.0, bool(known))
-
-
-def _later(rows: Array | None, iterations: int, restarts: int) -> Array | None:
-    """Trace rows of a method that began after others had taken so many steps and restarts."""
-    if rows is None:
-        return None
-    rows[:, :2] += iterations, restarts
-    return rows
 
 
 def _cost(problem: Problem, miss: Array) -> Array:

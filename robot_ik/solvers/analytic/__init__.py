@@ -14,6 +14,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -136,7 +137,9 @@ class Prepared:
     family: int  # the form's number
     run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
     batch: Callable[..., None]  # what solves many
-    prove: Callable[..., bool]  # what proves that no joint angles will do
+    prove: Callable[
+        [], bool
+    ]  # whether no joint angles bring the target within tolerance, as far as is proven
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,7 @@ class Analytic(Solver):
         mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
+        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and prepared.prove():
             state[ws.STATUS] = ws.UNREACHABLE
         if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
             state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
@@ -202,7 +205,7 @@ class Analytic(Solver):
             return
         for row in missed:
             problem.target[0] = targets[row]
-            if _is_out_of_reach(prepared):
+            if prepared.prove():
                 results.status[row] = ws.UNREACHABLE
         results.status[(results.status != ws.CONVERGED) & _is_too_far(problem, targets)] = ws.UNREACHABLE
 
@@ -225,11 +228,6 @@ class Analytic(Solver):
                     q[prepared.arrays["qadr"]] = angles
                     found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
             return found
-
-
-def _is_out_of_reach(prepared: Prepared) -> bool:
-    """Whether no joint angles bring the problem's target within tolerance, as far as that can be proven."""
-    return prepared.prove(prepared.addresses[1], prepared.addresses[3])
 
 
 def _is_too_far(problem: Problem, targets: Array) -> NDArray[np.bool_]:
@@ -260,9 +258,8 @@ def _prepare(problem: Problem) -> Prepared | None:
     run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
     prove = proofs.PROOFS[form.family]
     jit.announce(prove, "proofs of unreachable goals")
-    addresses = (tree, goals, space, numbers)
-    proof = jit.entry(prove, goals, numbers)
-    return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, proof)
+    proof = partial(jit.entry(prove, goals, numbers), goals, numbers)
+    return Prepared(form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, proof)
 
 
 def _what_has_a_form(problem: Problem) -> str:

@@ -48,7 +48,7 @@ def called_unreachable(robot, goal, tolerance, poses):
     prepared, found = make_solver("analytic").load(problem), []
     for pose in poses:
         problem.target[0] = row(pose)
-        found.append(prepared.prove(prepared.addresses[1], prepared.addresses[3]))
+        found.append(prepared.prove())
     return np.array(found)
 
 
