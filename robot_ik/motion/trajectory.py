@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +21,9 @@ from robot_ik.motion.timing import PROFILES, Profile, quintic
 from robot_ik.ports import Array
 from robot_ik.reading import LARGEST_NUMBER, read_csv, shown
 from robot_ik.robot import Robot
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.config import ArmConfig
 
 # ------------------------------------------------------------------------------------------
 # What a move may ask of a robot: the checks that every planner shares.
@@ -401,29 +404,7 @@ SMOOTHING = 0.1
 """s over which a recording is averaged before it is played."""
 
 
-class MotionCaps(Protocol):
-    """What an arm allows, as its file says: names of joints, (n,) limits and caps, rad, rad/s, rad/s²."""
-
-    @property
-    def rate_hz(self) -> float: ...
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def lower(self) -> Array: ...
-
-    @property
-    def upper(self) -> Array: ...
-
-    @property
-    def velocity(self) -> Array: ...
-
-    @property
-    def acceleration(self) -> Array: ...
-
-
-def playable(motion: Trajectory, caps: MotionCaps, speed: float) -> tuple[Trajectory, float]:
+def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
     """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
     smooth = smoothed(motion, caps.rate_hz)
     q = np.clip(smooth.q, caps.lower, caps.upper)
@@ -440,7 +421,7 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
-def approach_profile(distance: Array, caps: MotionCaps) -> Profile:
+def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
     """A quintic over (n,) distances at ``APPROACH`` of the caps; of no duration where all are zero."""
     with np.errstate(divide="ignore"):  # a joint that stands still needs no time
         fast, soft = np.min(
@@ -449,7 +430,7 @@ def approach_profile(distance: Array, caps: MotionCaps) -> Profile:
     return quintic(float(fast), float(soft))
 
 
-def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
+def approach(here: Array, there: Array, caps: ArmConfig) -> Trajectory:
     """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
     shape = approach_profile(there - here, caps)
     seconds = max(shape.duration, 2.0 / caps.rate_hz)
