@@ -23,9 +23,18 @@ from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
 from robot_ik.figure.figure import DT, GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
-from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
 from robot_ik.figure.frames import FrameRows
-from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
+from robot_ik.figure.gait import (
+    AIR,
+    FLAT,
+    SHUFFLE,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    solve_walk_once,
+    walk,
+    walk_prints,
+)
 from robot_ik.figure.jump import jump
 from robot_ik.figure.poses import touches_itself
 from robot_ik.figure.session import FigureSession

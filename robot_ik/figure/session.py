@@ -16,9 +16,18 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import Decider, Decision, Obstacle
 from robot_ik.figure.figure import DT, Figure, in_stance_frame
-from robot_ik.figure.footprints import SHUFFLE, WALK, prints_of, shuffle_prints, walk_prints, wrapped
 from robot_ik.figure.frames import SLICE, Slices
-from robot_ik.figure.gait import FLAT, Walk, walk_slices
+from robot_ik.figure.gait import (
+    FLAT,
+    SHUFFLE,
+    WALK,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    walk_prints,
+    walk_slices,
+    wrapped,
+)
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.goals import vector

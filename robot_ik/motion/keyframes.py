@@ -229,7 +229,7 @@ class Keyframes:
         kinematics.tree_integrate(self._handle, self._nodes, q, ((third * s + second) * s + first) * s)
         if rounds and self._base is not None:
             where, stride = self._base
-            stride.times(int(rounds)).move(q[where : where + 7])
+            stride.times(int(rounds)).move(q[where])
         return q
 
     def sampled(self, rate: float, seconds: float | None = None) -> Trajectory:
@@ -291,8 +291,7 @@ class Keyframes:
         where = free_base(self.robot)
         move = Displacement()
         if where is not None:
-            part = slice(where, where + 7)
-            move = Displacement.between(other.at(0.0)[part], self.at(begin)[part])
+            move = Displacement.between(other.at(0.0)[where], self.at(begin)[where])
         total = begin + other.duration
         grid = np.arange(0.0, total, 1.0 / rate)
         times = np.append(grid[grid < total - _LEAST_STEP], total)
@@ -304,7 +303,7 @@ class Keyframes:
             if share > 0.0:
                 two = other._held(t - begin)
                 if where is not None:
-                    move.move(two[where : where + 7])
+                    move.move(two[where])
                 one = self.robot.integrate(one, share * self.robot.difference(one, two))
             rows.append(self.robot.clip(one))
         return Keyframes(self.robot, times, rows)
@@ -338,13 +337,12 @@ class Keyframes:
         """As ``at``, but a loop ends, too."""
         return np.array(self.q[-1]) if t >= self.duration else self.at(t)
 
-    def _stride(self) -> tuple[int, Displacement] | None:
+    def _stride(self) -> tuple[slice, Displacement] | None:
         """Where the free base stands in q, and what a round adds to it."""
         where = free_base(self.robot)
         if where is None or len(self.q) < 2:
             return None
-        part = slice(where, where + 7)
-        return where, Displacement.between(self.q[0, part], self.q[-1, part])
+        return where, Displacement.between(self.q[0, where], self.q[-1, where])
 
     def _fit(self) -> None:
         """The cubic of every segment."""
@@ -415,11 +413,11 @@ class Keyframes:
                 yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
 
 
-def free_base(robot: Robot) -> int | None:
-    """Where the free joint that carries the robot begins in q; None: it has none."""
+def free_base(robot: Robot) -> slice | None:
+    """Where the seven numbers of the free joint that carries the robot stand in q; None: it has none."""
     for kind, parent, qadr in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
         if kind == FREE and parent < 0:
-            return int(qadr)
+            return slice(int(qadr), int(qadr) + 7)
     return None
 
 
@@ -458,8 +456,7 @@ def _closed(robot: Robot, first: Array, last: Array) -> bool:
     moved = np.array(first)
     where = free_base(robot)
     if where is not None:
-        part = slice(where, where + 7)
-        Displacement.between(first[part], last[part]).move(moved[part])
+        Displacement.between(first[where], last[where]).move(moved[where])
     return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < _SLACK)
 
 

@@ -24,8 +24,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
-from robot_ik.motion.bvh import Bvh
-from robot_ik.motion.bvh_robot import data_at_rest
+from robot_ik.motion.bvh import Bvh, data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget
@@ -377,7 +376,7 @@ def _solve_frames(
     q, miss = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
     base = free_base(robot)
     if base is not None:
-        q[base : base + 3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position
+        q[base][:3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position
     for k in range(len(miss)):
         goals = _goals(bodies, paths, k, robot.home)
         q = solve(robot, goals, solver="lm", start=q, budget=_BUDGET if k else _FIRST_BUDGET).q

@@ -10,8 +10,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
 from robot_ik.figure.figure import Figure
-from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
-from robot_ik.figure.gait import Walk, walk
+from robot_ik.figure.gait import SHUFFLE, Walk, prints_of, shuffle_prints, walk, walk_prints
 from robot_ik.figure.jump import jump
 from robot_ik.geometry import axis_rotations
 

@@ -113,7 +113,7 @@ def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
     middle[humanoid.joints.index("left_knee_pitch") + 6] += 0.4
     motion = Keyframes(humanoid, [0.0, 0.5, 1.0], [first, middle, last], loop=True)
     where = free_base(humanoid)
-    assert where == 0
+    assert where == slice(0, 7)
     for rounds in (1, 2, 5):
         t = rounds * motion.duration
         base = motion.at(t)
