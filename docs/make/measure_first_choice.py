@@ -82,7 +82,8 @@ def measure(robots: list[Robot], count: int, seed: int = 0) -> Times:
     gc.disable()
     try:
         for robot in robots:
-            family = make_solver("analytic").family(Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))))
+            closed = make_solver("analytic").load(Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))))
+            family = closed.form.family.name.lower()
             for kind in ("cold", "warm"):
                 problems = make_set(kind, robot, count, seed)
                 found[family, robot.name, kind] = mean_times(robot, problems, (*METHODS, "auto"))

@@ -114,9 +114,7 @@ def line_move(
         UnsupportedJointError: The robot has ball or free joints.
         InvalidGoalError: ``goal_pose`` is no ``Pose``.
     """
-    if not isinstance(goal_pose, Pose):
-        hint = "Pose(position, wxyz), or Pose(position, robot.forward(start).wxyz) to keep the orientation"
-        raise InvalidGoalError(f"goal_pose is to be a Pose, not {goal_pose!r}", hint=hint)
+    _require_pose(goal_pose)
     first = joint_vector(robot, start, "start")
     top, push = motion_limits(robot, speed, velocity, acceleration)
     for what, value, unit in (
@@ -137,6 +135,12 @@ def line_move(
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
     timing = fastest_timing(knots, path, top, push, fastest)
     return _sampled(tracer, timing, path, top, push, rate, deviation)
+
+
+def _require_pose(goal: object) -> None:
+    if not isinstance(goal, Pose):
+        hint = "Pose(position, wxyz), or Pose(position, robot.forward(start).wxyz) to keep the orientation"
+        raise InvalidGoalError(f"goal_pose is to be a Pose, not {goal!r}", hint=hint)
 
 
 @dataclass(frozen=True)

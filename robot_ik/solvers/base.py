@@ -108,10 +108,6 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.unsupported(problem)
 
-    def family(self, problem: Problem) -> str:
-        """What it has recognised the arm as, for this goal; empty when it recognises none."""
-        return ""
-
     def unsupported(self, problem: Problem) -> str:
         """What of the problem it cannot serve, as text; empty when nothing is."""
         for goal in problem.given:

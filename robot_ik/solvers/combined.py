@@ -318,7 +318,7 @@ class Auto(Combined):
         members = plain.members
         if [member.name for member in members] != ["analytic", "lm"]:
             return plain
-        family = members[0].family(problem)
+        family = members[0].load(problem).form.family.name.lower()
         if FIRST_CHOICE.get((family, "cold")) == "lm":
             return _SolverSequence((self._quick, *members))
         if FIRST_CHOICE.get((family, "warm")) != "lm":

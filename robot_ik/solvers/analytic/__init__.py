@@ -158,9 +158,6 @@ class Analytic(Solver):
         lacking = f"{goals} on {problem.robot.name}: {_what_has_a_form(problem)}"
         return super().unsupported(problem) or lacking
 
-    def family(self, problem: Problem) -> str:
-        return self.load(problem).form.family.name.lower() if self.applies(problem) else ""
-
     def make(self, problem: Problem) -> Prepared | None:
         """The closed form made ready; None when this robot and goal have none."""
         return _prepare(problem)
