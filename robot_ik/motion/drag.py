@@ -43,7 +43,7 @@ class Drag:
         for q in drag.shift_weight("left_foot"): ...
         drag.release("right_foot")              # stands on one leg
         drag.grab("left_shin", (0, 0.02, -0.1)) # a point of a body, as a mouse picks it
-        q = drag.pull((0.1, 0.2, 0.4))          # every tick
+        q = drag.step((0.1, 0.2, 0.4))          # every tick
 
     Attributes:
         robot: Whose joints.
@@ -124,7 +124,7 @@ class Drag:
         self._moved()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
-        """Takes hold of a point of a body: ``pull`` brings it to a position.
+        """Takes hold of a point of a body: ``step`` brings it to a position.
 
         Args:
             body: Name of a body.
@@ -140,18 +140,6 @@ class Drag:
         self.take(frame)
         own, local = _frames_of_bodies(self.robot)[index]
         self._grip = own, local.rotation.T @ (point - origin)
-
-    def pull(self, to: ArrayLike) -> Array:
-        """One tick: the grabbed point towards ``to`` (3,), world, metres, the body oriented as now.
-
-        Returns:
-            As ``step``.
-        """
-        position = vector(to, 3, "to")
-        if self._grip is not None:
-            frame, lever = self._grip
-            position = position - self.robot.forward(self.q, frame).rotation @ lever
-        return self.step(position)
 
     def pin(self, frame: str) -> None:
         """Keeps a frame where it is now.
@@ -183,13 +171,19 @@ class Drag:
         self._moved()
 
     def step(self, target: ArrayLike | None = None) -> Array:
-        """One tick: the dragged frame towards ``target`` (3,), world, metres; None: stay.
+        """One tick: what is dragged towards ``target`` (3,), world, metres; None: stay.
+
+        That is the frame, or the point that was grabbed while its body is oriented as now.
 
         Returns:
             (nq,) the new joint vector, no farther from the last than the speed limits allow.
         """
-        wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
+        wanted = self._point
         if target is not None and self.dragged is not None:
+            wanted = vector(target, 3, "target")
+            if self._grip is not None:
+                frame, lever = self._grip
+                wanted = wanted - self.robot.forward(self.q, frame).rotation @ lever
             self._point = self.robot.forward(self.q, self.dragged).position
             displacement = wanted - self._point
             share = min(1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12))
