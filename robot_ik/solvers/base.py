@@ -141,14 +141,6 @@ class Solver(ABC):
         finally:
             token.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
-        """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
-
-        The problem's budget is that of each row; errors as of ``solve``.
-        """
-        with problem.in_use():
-            self.attempt_many(problem, targets, starts, results, problem.budget)
-
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         """``solve`` within what others left of the budget; the caller holds the problem's token."""
@@ -156,7 +148,10 @@ class Solver(ABC):
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
+        """One solve, with the budget, for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of one goal.
+
+        The caller holds the problem's token; methods with a compiled batch override this loop.
+        """
         for row in range(len(targets)):
             problem.target[0] = targets[row]
             solution = self.attempt(problem, starts[row], budget)
@@ -166,20 +161,13 @@ class Solver(ABC):
             results.iterations[row], results.restarts[row] = solution.iterations, solution.restarts
 
     def load(self, problem: Problem) -> Any:
-        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same.
-
-        Returns:
-            What ``make`` made, once for each problem.
-
-        Raises:
-            UnsupportedGoalError: It cannot serve the problem's goals.
-        """
+        """What ``make`` makes, once for a problem; the first ``solve`` does the same, and raises the same."""
         self.require_support(problem)
         return problem.compiled.made_for(self, lambda: self.make(problem))
 
     @abstractmethod
     def make(self, problem: Problem) -> Any:
-        """All that a solve of a problem that it supports may need."""
+        """Compiles, or loads, all that a solve of a problem that it supports may need."""
 
 
 # What a problem may ask for beside its goals, as text.
