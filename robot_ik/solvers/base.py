@@ -162,8 +162,11 @@ class Solver(ABC):
 
     def load(self, problem: Problem) -> Any:
         """What ``make`` makes, once for a problem; the first ``solve`` does the same, and raises the same."""
-        self.require_support(problem)
-        return problem.compiled.made_for(self, lambda: self.make(problem))
+        kept = problem.made.get(id(self))
+        if kept is None or kept[1] is None:
+            self.require_support(problem)
+            return problem.compiled.made_for(self, lambda: self.make(problem))
+        return kept[1]
 
     @abstractmethod
     def make(self, problem: Problem) -> Any:

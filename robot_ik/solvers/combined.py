@@ -140,19 +140,20 @@ class Combined(Solver):
             super().attempt_many(problem, targets, starts, results, budget)
             return
         sequence: _SolverSequence = self.load(problem)
-        near = np.zeros(len(targets), dtype=np.int64)
-        if sequence.near is not None and budget.iterations:
-            starts_near_many(sequence.near.address, targets, starts, near)
-        parts = {0: sequence.members, 1: sequence.near.members if sequence.near else ()}
-        for kind in np.unique(near).tolist():
-            here = near == kind
-            if here.all():
-                self._run_sequence_many(parts[kind], problem, targets, starts, results, budget)
+        members, near = sequence.members, sequence.near
+        if near is not None and budget.iterations:
+            marks = np.zeros(len(targets), dtype=np.int64)
+            starts_near_many(near.address, targets, starts, marks)
+            count = np.count_nonzero(marks)
+            if 0 < count < len(marks):
+                for some, here in ((members, marks == 0), (near.members, marks == 1)):
+                    part = BatchResult.empty(int(here.sum()), results.q.shape[1])
+                    self._run_sequence_many(some, problem, targets[here], starts[here], part, budget)
+                    for item in fields(BatchResult):
+                        getattr(results, item.name)[here] = getattr(part, item.name)
                 return
-            part = BatchResult.empty(int(here.sum()), results.q.shape[1])
-            self._run_sequence_many(parts[kind], problem, targets[here], starts[here], part, budget)
-            for item in fields(BatchResult):
-                getattr(results, item.name)[here] = getattr(part, item.name)
+            members = near.members if count else members
+        self._run_sequence_many(members, problem, targets, starts, results, budget)
 
     def _run_sequence_many(
         self,
