@@ -95,8 +95,8 @@ def run_batch(
     count = min(threads or usable_cores(), most) if most > 1 else 1
 
     def part(targets: Array, starts: Array, results: BatchResult) -> str:
-        with parts() as (method, problem):
-            method.solve_many(problem, targets, starts, results)
+        with parts() as (method, problem), problem.in_use():
+            method.attempt_many(problem, targets, starts, results, problem.budget)
         return method.name
 
     began = time.perf_counter()

@@ -80,13 +80,13 @@ def test_solve_and_batch_in_turn_give_what_each_gives_alone(puma, name):
     problem, _, rows = problem_for(name, puma)
     alone = solver.solve(problem).q
     starts, results = np.tile(puma.home, (5, 1)), BatchResult.empty(5, puma.nq)
-    solver.solve_many(problem, rows, starts, results)
+    solver.attempt_many(problem, rows, starts, results, problem.budget)
     first = results.q.copy()
     problem.target[0] = rows[0] if problem.given[0].has_angle else [*rows[0, :3], *np.eye(3).ravel()]
     problem.exchange(problem.given)
     gc.collect()
     assert np.array_equal(solver.solve(problem).q, alone)
-    solver.solve_many(problem, rows, starts, results)
+    solver.attempt_many(problem, rows, starts, results, problem.budget)
     assert np.array_equal(results.q, first)
 
 
@@ -114,7 +114,8 @@ STRESS = """
             elif what == 2:
                 row = np.concatenate([pose.position, pose.rotation.ravel()])
                 many, answers = np.tile(row, (9, 1)), BatchResult.empty(9, own.nq)
-                solver.solve_many(problem, many, np.tile(own.home, (9, 1)), answers)
+                with problem.in_use():
+                    solver.attempt_many(problem, many, np.tile(own.home, (9, 1)), answers, budget)
                 assert np.isfinite(answers.q).all()
             elif what == 3:
                 problem.retarget(pose.matrix)
@@ -164,7 +165,7 @@ def test_solves_batches_moves_copies_collections_and_threads_in_any_order_never_
 
 
 def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
-    problem, poses, rows = problem_for("lm", puma)
+    problem, poses, _ = problem_for("lm", puma)
     solver = make_solver("lm")
     before = problem.target.copy()
     with problem.in_use():  # as during another thread's call
@@ -172,7 +173,6 @@ def test_a_call_that_begins_while_another_is_under_way_is_refused(puma):
             lambda: solver.solve(problem),
             lambda: make_solver("auto").solve(problem),
             lambda: make_solver("analytic").branches(problem),
-            lambda: solver.solve_many(problem, rows, np.tile(puma.home, (5, 1)), BatchResult.empty(5, 6)),
             lambda: problem.retarget(poses[1]),
             lambda: problem.retarget({0: poses[1]}),
         ):

@@ -45,8 +45,7 @@ from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.jobs.teach import load_motion
 from robot_ik.motion import Trajectory
-from robot_ik.motion.bvh import Bvh
-from robot_ik.motion.bvh_robot import export_bvh
+from robot_ik.motion.bvh import Bvh, export_bvh
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.retarget import SkeletonMap

@@ -14,8 +14,7 @@ import numpy as np
 
 from robot_ik.bench.figure import NORM_DEG, measure_gait
 from robot_ik.figure.figure import load_figure
-from robot_ik.figure.footprints import prints_of, walk_prints
-from robot_ik.figure.gait import walk
+from robot_ik.figure.gait import prints_of, walk, walk_prints
 
 FILE = Path(__file__).resolve().parents[1] / "images" / "figure" / "gait-curves.png"
 _FIGURE, _NORM = "#1f5fa8", "#8a8a8a"

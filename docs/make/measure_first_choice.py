@@ -1,7 +1,8 @@
 """Measures which method is quicker for which arm: what ``auto`` asks first.
 
-    python docs/make/measure_first_choice.py            prints a table
-    python docs/make/measure_first_choice.py --write    and makes robot_ik/solvers/first_choice.py from it
+    python docs/make/measure_first_choice.py
+
+It prints times and choice, and fails where ``FIRST_CHOICE`` in robot_ik/solvers/combined.py is another.
 
 For each arm that ships and has a closed form for poses, and for one built as the KUKA LBR iiwa is: ``cold``
 poses from home and ``warm`` ones along a path, the closed form, ``lm`` and ``auto`` in turn on the same ones.
@@ -14,16 +15,15 @@ from __future__ import annotations
 import argparse
 import gc
 import time
-from pathlib import Path
 
 import numpy as np
 
-import robot_ik.solvers.first_choice as table
 from robot_ik.bench.methods.problems import ProblemSet, make_set
 from robot_ik.goals import PoseGoal
 from robot_ik.problem import Problem
 from robot_ik.robot import Robot, load_robot
 from robot_ik.solvers import make_solver
+from robot_ik.solvers.combined import FIRST_CHOICE
 
 #: ``lm`` is asked first only where it takes less than this share of the closed form's time.
 MARGIN = 0.9
@@ -61,10 +61,10 @@ def arms() -> list[Robot]:
 
 def mean_times(robot: Robot, problems: ProblemSet, methods: tuple[str, ...]) -> dict[str, float]:
     """Microseconds of processor time a solve by each method: of some rounds in turn, the quickest."""
-    frame, times = problems.frame, {name: np.inf for name in methods}
+    times = {name: np.inf for name in methods}
     for _ in range(_ROUNDS):
         for name in methods:
-            problem, solver = Problem(robot, PoseGoal(frame, (0.0, 0.0, 0.0))), make_solver(name)
+            problem, solver = Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))), make_solver(name)
             q = problems.first
             solver.load(problem)
             began = time.thread_time()
@@ -82,7 +82,8 @@ def measure(robots: list[Robot], count: int, seed: int = 0) -> Times:
     gc.disable()
     try:
         for robot in robots:
-            family = make_solver("analytic").family(Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))))
+            closed = make_solver("analytic").load(Problem(robot, PoseGoal(None, (0.0, 0.0, 0.0))))
+            family = closed.form.family.name.lower()
             for kind in ("cold", "warm"):
                 problems = make_set(kind, robot, count, seed)
                 found[family, robot.name, kind] = mean_times(robot, problems, (*METHODS, "auto"))
@@ -108,30 +109,18 @@ def over_best(by_method: dict[str, float]) -> float:
     return by_method["auto"] / min(by_method[method] for method in METHODS)
 
 
-def write(choice: dict[tuple[str, str], str]) -> None:
-    """Puts the rows into the module that ``auto`` reads."""
-    path = Path(table.__file__)
-    head = path.read_text(encoding="utf-8").partition("] = {\n")[0]
-    rows = "".join(f'    ("{family}", "{kind}"): "{name}",\n' for (family, kind), name in choice.items())
-    path.write_text(f"{head}] = {{\n{rows}}}\n", encoding="utf-8")
-
-
 def main() -> None:
-    """The command; it fails where ``auto`` takes more than ``MOST`` of the better one's time."""
+    """The command; it also fails where ``auto`` takes more than ``MOST`` of the better one's time."""
     parser = argparse.ArgumentParser(description="Which method auto asks first.")
     parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--write", action="store_true")
-    options = parser.parse_args()
-    times = measure(arms(), options.count)
+    times = measure(arms(), parser.parse_args().count)
     for (family, arm, kind), by_method in times.items():
         shown = "  ".join(f"{method} {took:7.1f} us" for method, took in by_method.items())
         print(f"{family:16} {arm:14} {kind:5} {shown}  auto / best {over_best(by_method):.2f}")
     choice = choose(times)
     for (family, kind), name in choice.items():
         print(f"{family:16} {kind:5} -> {name}")
-    if options.write:
-        write(choice)
-    if choice == table.FIRST_CHOICE and max(map(over_best, times.values())) > MOST:
+    if choice != FIRST_CHOICE or max(map(over_best, times.values())) > MOST:
         raise SystemExit(1)
 
 

@@ -22,10 +22,19 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, zero_moment_points
 from robot_ik.figure.decide import Decider
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
-from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
-from robot_ik.figure.frames import FrameRows, Frames
-from robot_ik.figure.gait import AIR, FLAT, Walk, solve_walk_once, walk
+from robot_ik.figure.figure import DT, GRAVITY, RATE, SIDES, Figure, lowest_points, shape_points
+from robot_ik.figure.frames import FrameRows
+from robot_ik.figure.gait import (
+    AIR,
+    FLAT,
+    SHUFFLE,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    solve_walk_once,
+    walk,
+    walk_prints,
+)
 from robot_ik.figure.jump import jump
 from robot_ik.figure.poses import touches_itself
 from robot_ik.figure.session import FigureSession
@@ -116,9 +125,9 @@ def measure_motion(
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
     soles, position, matrix = _soles(figure, q)
-    zmp, force = zero_moment_points(figure, q, 1.0 / RATE)
+    zmp, force = zero_moment_points(figure, q)
     weight = force / (figure.mass * GRAVITY)
-    _, _, forward = derivatives(figure, q, 1.0 / RATE)
+    _, _, forward = derivatives(figure, q)
     margins: list[float] = []
     for i in range(1, len(q) - 1):
         near = [
@@ -204,7 +213,7 @@ def measure_gait(figure: Figure, walk: Walk) -> GaitMeasure:
     A straight walk along x of 4 m or more.
     """
     q, strikes = walk.frames.q, walk.strikes
-    times = np.arange(1, len(q) + 1, dtype=np.float64) * (1.0 / RATE)
+    times = np.arange(1, len(q) + 1, dtype=np.float64) * DT
     strides: dict[str, list[Array]] = {joint: [] for joint in NORM_DEG}
     stance: list[float] = []
     for side, name in enumerate(SIDES):
@@ -222,7 +231,7 @@ def measure_gait(figure: Figure, walk: Walk) -> GaitMeasure:
     norm = {joint: np.array(values) for joint, values in NORM_DEG.items()}
     middle = (times >= strikes[2]) & (times <= strikes[min(4, len(strikes) - 2)])
     pelvis, _ = figure.poses(q[middle], figure.pelvis)
-    center = np.array([figure.center(row) for row in q[middle]])
+    center = _centers(figure, q[middle])
     prints = np.array([(p.x, p.y) for p in walk.prints])
     return GaitMeasure(
         curves_deg=curves,
@@ -374,20 +383,21 @@ def _peer_rows(figure: Figure) -> Iterator[MotionRow]:
     if figure.gaze is None:
         return
     prints = walk_prints(figure, prints_of(figure, figure.home), np.array([2.5, 0.0, 0.0]))
-    goals = walk_goals(figure, walk(figure, figure.home, prints))
-    ours = by_figure(figure, goals)
+    goals = FrameGoals.of(figure, walk(figure, figure.home, prints).frames.q, figure.gaze)
+    q, ours = by_figure(figure, goals)
     what = "the same goals, feet and centre of mass within"
-    yield "peer", Quantity(f"{what}, this solver", 1e3 * ours.miss, "mm", most=1e3 * PEER_MISS)
-    yield "peer", Quantity("a frame, this solver", 1e6 * ours.seconds, "us", most=200)
-    if not has_mink():
+    worst = 1e3 * goals.worst_miss(figure, q)
+    yield "peer", Quantity(f"{what}, this solver", worst, "mm", most=1e3 * PEER_MISS)
+    yield "peer", Quantity("a frame, this solver", 1e6 * ours, "us", most=200)
+    if any(importlib.util.find_spec(name) is None for name in ("mink", PEER_SOLVER)):  # no part needs them
         absent = "mink is not installed: pip install mink daqp"
         yield "peer", Quantity("times as fast as mink", np.nan, least=5.0, missing=absent)
         return
-    mink = by_mink(figure, goals)
-    yield "peer", Quantity(f"{what}, mink", 1e3 * mink.miss, "mm")
-    yield "peer", Quantity(f"a frame, mink ({PEER_SOLVER}), steps", mink.steps)
-    yield "peer", Quantity("a frame, mink", 1e6 * mink.seconds, "us")
-    yield "peer", Quantity("times as fast as mink", mink.seconds / ours.seconds, least=5.0)
+    q, theirs, steps = by_mink(figure, goals)
+    yield "peer", Quantity(f"{what}, mink", 1e3 * goals.worst_miss(figure, q), "mm")
+    yield "peer", Quantity(f"a frame, mink ({PEER_SOLVER}), steps", steps)
+    yield "peer", Quantity("a frame, mink", 1e6 * theirs, "us")
+    yield "peer", Quantity("times as fast as mink", theirs / ours, least=5.0)
 
 
 def _session_times(abilities: Abilities) -> Iterator[MotionRow]:
@@ -439,18 +449,9 @@ COSTS = {
 _AHEAD = 3.0  # m: the point that the eyes follow
 
 
-@dataclass(frozen=True)
-class PeerFrames:
-    """What one solver did: seconds of processor time and steps a frame, mean; largest miss, m or rad."""
-
-    seconds: float
-    miss: float
-    steps: float
-
-
 @dataclass(frozen=True, eq=False)
 class FrameGoals:
-    """(n, …) goals of the frames (n, nq) of a walk."""
+    """(n, …) goals of the frames (n, nq) of a walk, read off these: positions and rotations."""
 
     q: Array
     feet: dict[str, tuple[Array, Array]]
@@ -459,49 +460,51 @@ class FrameGoals:
     chest: Array
     gaze_target: Array
 
+    @classmethod
+    def of(cls, figure: Figure, q: Array, gaze: str) -> FrameGoals:
+        """Read off frames; ``gaze``: the frame that looks."""
+        eyes, matrix = figure.poses(q, gaze)
+        feet = {foot.frame: figure.poses(q, foot.frame) for foot in figure.feet.values()}
+        pelvis, chest = figure.poses(q, figure.pelvis), figure.poses(q, figure.trunk)[1]
+        return cls(q, feet, _centers(figure, q), pelvis, chest, eyes + _AHEAD * matrix[:, :, 0])
 
-def walk_goals(figure: Figure, walk: Walk) -> FrameGoals:
-    """Read off the frames of a walk."""
-    q = walk.frames.q
-    assert figure.gaze is not None
-    eyes, matrix = figure.poses(q, figure.gaze)
-    return FrameGoals(
-        q, {foot.frame: figure.poses(q, foot.frame) for foot in figure.feet.values()},
-        np.array([figure.center(row) for row in q]), figure.poses(q, figure.pelvis),
-        figure.poses(q, figure.trunk)[1], eyes + _AHEAD * matrix[:, :, 0],
-    )  # fmt: skip
+    def worst_miss(self, figure: Figure, q: Array) -> float:
+        """Largest miss of feet and centre of mass in frames (n, nq), by MuJoCo, m or rad."""
+        worst = float(np.abs(_centers(figure, q) - self.center)[:, :2].max())
+        for frame, (position, matrix) in self.feet.items():
+            there, rotation = figure.poses(q, frame)
+            worst = max(worst, float(np.abs(there - position).max()), float(np.abs(rotation - matrix).max()))
+        return worst
 
 
-def by_figure(figure: Figure, goals: FrameGoals) -> PeerFrames:
-    """The figure's solver: feet and centre of mass are needed, the rest is weighed."""
+def _centers(figure: Figure, q: Array) -> Array:
+    """(n, 3) centres of mass."""
+    return np.array([figure.center(row) for row in q])
+
+
+def by_figure(figure: Figure, goals: FrameGoals) -> tuple[Array, float]:
+    """(n, nq) by the figure's solver, and seconds of processor time a frame.
+
+    Feet and centre of mass are needed, the rest is weighed.
+    """
     rows = FrameRows(figure, len(goals.q))
-    for frame, (position, matrix) in goals.feet.items():
-        rows.position(frame, position)
-        rows.orientation(frame, matrix)
+    rows.feet({side: goals.feet[foot.frame] for side, foot in figure.feet.items()})
     rows.center(goals.center, axes="xy")
     rows.orientation(figure.pelvis, goals.pelvis[1], 60.0)
     rows.orientation(figure.trunk, goals.chest, 60.0)
     rows.position(figure.pelvis, goals.pelvis[0], 2000.0, axes="z")
     rows.aim(goals.gaze_target, 5.0)
     stiffness = figure.stiffnesses({"*": 0.02, "*toe*": 1e3})
-
-    def solve() -> Frames:
-        return rows.solve(goals.q, stiffness, figure.home, speeds=None)
-
-    solve()
-    began = time.thread_time()
-    found = solve()
-    seconds = (time.thread_time() - began) / len(goals.q)
-    return PeerFrames(seconds, _worst_miss(figure, goals, found.q), float(found.steps.mean()))
+    seconds, q = 0.0, goals.q
+    for _ in range(2):  # the first one may have to compile
+        began = time.thread_time()
+        q = rows.solve(goals.q, stiffness, figure.home, speeds=None).q
+        seconds = (time.thread_time() - began) / len(goals.q)
+    return q, seconds
 
 
-def has_mink() -> bool:
-    """Whether mink and its QP solver are installed: no part of this package needs them."""
-    return all(importlib.util.find_spec(name) is not None for name in ("mink", PEER_SOLVER))
-
-
-def by_mink(figure: Figure, goals: FrameGoals) -> PeerFrames:
-    """mink's tasks with the same goals."""
+def by_mink(figure: Figure, goals: FrameGoals) -> tuple[Array, float, float]:
+    """(n, nq) by mink's tasks with the same goals; seconds of processor time and steps a frame."""
     mink: Any = importlib.import_module("mink")
     tasks, aims = _mink_tasks(mink, figure, goals)
     configuration = mink.Configuration(figure.model)
@@ -518,8 +521,7 @@ def by_mink(figure: Figure, goals: FrameGoals) -> PeerFrames:
             if max(float(np.abs(task.compute_error(configuration)).max()) for task in tasks[:3]) < PEER_MISS:
                 break
         q[k] = configuration.q
-    seconds = (time.thread_time() - began) / len(q)
-    return PeerFrames(seconds, _worst_miss(figure, goals, q), steps / len(q))
+    return q, (time.thread_time() - began) / len(q), steps / len(q)
 
 
 def _mink_tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any], list[Any]]:
@@ -551,13 +553,3 @@ def _mink_tasks(mink: Any, figure: Figure, goals: FrameGoals) -> tuple[list[Any]
         (mink.PostureTask(figure.model, cost=COSTS["posture"]), goals.q),
     ]
     return [task for task, _ in pairs], [targets for _, targets in pairs]
-
-
-def _worst_miss(figure: Figure, goals: FrameGoals, q: Array) -> float:
-    """Largest miss of feet and centre of mass, by MuJoCo."""
-    worst = 0.0
-    for frame, (position, matrix) in goals.feet.items():
-        there, rotation = figure.poses(q, frame)
-        worst = max(worst, float(np.abs(there - position).max()), float(np.abs(rotation - matrix).max()))
-    center = np.array([figure.center(row) for row in q])
-    return max(worst, float(np.abs(center - goals.center)[:, :2].max()))

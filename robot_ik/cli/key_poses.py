@@ -211,7 +211,7 @@ def run_play(options: PosesPlayOptions) -> int:
 
 def run_export(options: PosesExportOptions) -> int:
     """Writes it."""
-    from robot_ik.motion.bvh_robot import export_bvh
+    from robot_ik.motion.bvh import export_bvh
 
     out = _out(options.out, ".csv", ".bvh")
     with claimed(out, overwrite=options.overwrite):

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.figure.balance import compensate, decay, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, Figure, in_stance_frame
-from robot_ik.figure.footprints import Footprint
+from robot_ik.figure.figure import DT, GRAVITY, Figure, in_stance_frame
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
-from robot_ik.figure.gait import FLAT, Walk, walk_slices
+from robot_ik.figure.gait import FLAT, Footprint, Walk, walk_slices
 from robot_ik.figure.poses import REACH, STIFF, find_pose, support, touches_itself
 from robot_ik.geometry import axis_rotations, matrix_to_quat, quat_to_matrix, rotation_exp, rotation_log
 from robot_ik.motion.timing import minimum_jerk
@@ -109,9 +108,7 @@ def glance_time(figure: Figure, q: Array, ball: Array | None) -> float:
     return 1.875 * float(np.arccos(np.clip(matrix[:, 0] @ to, -1.0, 1.0))) / _GLANCE
 
 
-def rest_slices(
-    figure: Figure, q: Array, *, gaze_target: Array | None = None, dt: float = 1.0 / RATE
-) -> Slices[Motion]:
+def rest_slices(figure: Figure, q: Array, *, gaze_target: Array | None = None) -> Slices[Motion]:
     """Back to standing at ease, the feet where they are."""
     start, stance = to_stance(figure, q)
     difference = figure.robot.difference(start, figure.home)[6:]
@@ -125,7 +122,7 @@ def rest_slices(
             _gaze(figure, rows, start, seen, t)
 
     arms = tuple(figure.hands)
-    way = _Way(figure, start, figure.home, 0.1, figure.stiffnesses(STIFF), 3.0, arms, dt, look)
+    way = _Way(figure, start, figure.home, 0.1, figure.stiffnesses(STIFF), 3.0, arms, look)
     frames = yield from way.fastest(least)
     return _standing(figure, "rest", frames, figure.center_at_home[:2], stance)
 
@@ -134,26 +131,6 @@ def _interpolated_rotation(start: Array, end: Array, s: Array) -> Array:
     """(n, 3, 3) from one rotation to another along the shortest arc."""
     vector = rotation_log(matrix_to_quat(end @ start.T))
     return np.array([quat_to_matrix(rotation_exp(vector * share)) @ start for share in s])
-
-
-@dataclass(frozen=True, eq=False)
-class _Try:
-    """Frames and what is wrong with them."""
-
-    frames: Frames
-    inside: float  # how far inside the soles the zero-moment point stays, m
-    change: float  # largest change of a joint's speed in a frame, rad/s
-    touching: bool  # the body touches itself on the way
-
-    @property
-    def unsteady(self) -> bool:
-        """Whether it is too fast."""
-        return self.inside < 0.0 or self.change > _ABRUPT
-
-    @property
-    def order(self) -> tuple[bool, bool, float]:
-        """The larger the better."""
-        return not self.touching, not self.unsteady, self.inside
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,29 +144,33 @@ class _Way:
     stiffness: Array  # (nv,) of the posture
     upright: float  # weight of the trunk's rotation
     arms: Sequence[str]  # whose elbows go away from a body that they touch
-    dt: float
     # Adds further rows for frames at times (n,), s, of a motion that takes so long, s.
     add: Callable[[FrameRows, Array, float], None]
 
     def fastest(self, duration: float) -> Slices[Frames]:
         """In a duration, s, or the least that keeps balance and in which no bodies touch; or the best try."""
-        best: _Try | None = None
-        abduction = 0.0
+        best: Frames | None = None
+        most, abduction = (False, False, -np.inf), 0.0
         for _ in range(_TRIES):
-            found = yield from self._try(duration, abduction)
-            if best is None or found.order > best.order:
-                best = found
-            if not found.unsteady and not found.touching:
+            frames, inside, steady = yield from self._try(duration, abduction)
+            touching = touches_itself(self.figure, frames.q[::_CHECK_EVERY])
+            good = not touching, steady, inside
+            if best is None or good > most:
+                best, most = frames, good
+            if steady and not touching:
                 break
-            duration *= _SLOWER if found.unsteady else 1.0
-            abduction += _AWAY if found.touching else 0.0
+            duration *= 1.0 if steady else _SLOWER
+            abduction += _AWAY if touching else 0.0
         assert best is not None
-        return best.frames
+        return best
 
-    def _try(self, duration: float, abduction: float) -> Slices[_Try]:
-        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led."""
-        figure, start, goal, dt = self.figure, self.start, self.goal, self.dt
-        t = np.arange(1, round((duration + self.hold) / dt) + 1, dtype=np.float64) * dt
+    def _try(self, duration: float, abduction: float) -> Slices[tuple[Frames, float, bool]]:
+        """Frames whose zero-moment point, by the whole body's dynamics, is where the weight was led.
+
+        And how far inside the soles that point stays, m, and whether it is slow enough.
+        """
+        figure, start, goal = self.figure, self.start, self.goal
+        t = np.arange(1, round((duration + self.hold) / DT) + 1, dtype=np.float64) * DT
         s = minimum_jerk(t / duration)
         posture = start + (goal - start) * s[:, None] + _elbows(figure, s, abduction, self.arms)
         trunk = figure.pose(start, figure.trunk)[1], figure.pose(goal, figure.trunk)[1]
@@ -203,17 +184,17 @@ class _Way:
             rows.center(center, axes="xy")
             rows.orientation(figure.trunk, _interpolated_rotation(*trunk, s), self.upright)
             self.add(rows, t, duration)
-            frames = yield from rows.slices(posture, self.stiffness, start, dt=dt)
-            found, _ = yield from zero_moment_slices(figure, frames.q, dt)
+            frames = yield from rows.slices(posture, self.stiffness, start)
+            found, _ = yield from zero_moment_slices(figure, frames.q)
             inside = float((found[1:-1] @ normal.T - offset).min())
             if inside >= _INSIDE or not left:
                 break
-            error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / dt)
+            error = smooth(np.clip(found - point, -0.12, 0.12), 0.02 / DT)
             error[:2], error[-2:] = 0.0, 0.0
-            center = center + compensate(error, omega2, dt)
-        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / dt
+            center = center + compensate(error, omega2)
+        change = float(np.abs(np.diff(frames.q[:, 7:], n=2, axis=0)).max()) / DT  # of a joint's speed
         yield
-        return _Try(frames, inside, change, touches_itself(figure, frames.q[::_CHECK_EVERY]))
+        return frames, inside, inside >= 0.0 and change <= _ABRUPT
 
 
 def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> Array:
@@ -224,8 +205,7 @@ def _elbows(figure: Figure, s: Array, abduction: float, arms: Sequence[str]) -> 
 
 
 def take_slices(
-    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None,
-    dt: float = 1.0 / RATE,
+    figure: Figure, q: Array, ball: Array, arm: str, kind: str, *, end: Array | None = None
 ) -> Slices[Motion]:  # fmt: skip
     """The hand to a ball, a few milliseconds at a time.
 
@@ -239,7 +219,6 @@ def take_slices(
         arm: Which hand.
         kind: ``reach``: standing, along a nearly straight line of least jerk; ``bend``: hips back.
         end: (nq,) the pose at the ball, seen from the feet (``Abilities.pose``); default: searched for.
-        dt: Time between frames, s.
     """
     start, stance = to_stance(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
@@ -266,40 +245,33 @@ def take_slices(
     least = max(_LEAST, straight, slowest, glance_time(figure, start, ball))
     stiff = figure.stiffnesses(STIFF | {"*hip_pitch": 1.0, "*knee_pitch": 1.0})
     held = 20.0 if upright else 3.0
-    frames = yield from _Way(figure, start, goal, _HOLD, stiff, held, (arm,), dt, lead).fastest(least)
+    frames = yield from _Way(figure, start, goal, _HOLD, stiff, held, (arm,), lead).fastest(least)
     return _standing(figure, kind, frames, figure.center(goal)[:2], stance)
 
 
 take = at_once(take_slices)
 
 
-def walk_motion(found: Walk, dt: float) -> Motion:
+def walk_motion(found: Walk) -> Motion:
     """A walk as a motion; it may be left when both feet stand flat."""
-    done = np.arange(1, len(found.frames.q) + 1) * dt > found.strikes[-1] + 0.5
+    done = np.arange(1, len(found.frames.q) + 1) * DT > found.strikes[-1] + 0.5
     return Motion("walk", found.frames.q, found.contact, found.frames.miss, found.zmp, done)
 
 
-def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
-    """(6, ...) coefficients, highest first, of a quintic with position, speed, acceleration of both ends."""
-    matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
-    right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
-    return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
-
-
-def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float = 1.0 / RATE) -> Motion:
+def join(figure: Figure, second: Array, first: Array, motion: Motion) -> Motion:
     """``motion`` after another that was at ``second`` and then at ``first`` (nq,), without a jump.
 
     Where the old motion would go on to, less where the new one is, decays joint by joint with its speed; the
     feet are pinned again to what the new motion says.
     """
-    n = min(len(motion), round(BLEND / dt) + 3)
-    speed = figure.robot.difference(second, first) / dt
-    predicted = figure.robot.integrate(first, speed * dt)
+    n = min(len(motion), round(BLEND / DT) + 3)
+    speed = figure.robot.difference(second, first) / DT
+    predicted = figure.robot.integrate(first, speed * DT)
     gap = figure.robot.difference(motion.q[0], predicted)
-    own = figure.robot.difference(motion.q[0], motion.q[1]) / dt if len(motion) > 1 else 0 * speed
+    own = figure.robot.difference(motion.q[0], motion.q[1]) / DT if len(motion) > 1 else 0 * speed
     if n < 2 or max(np.abs(speed - own).max(), np.abs(gap).max()) < 1e-3:
         return motion
-    t = np.arange(n, dtype=np.float64) * dt
+    t = np.arange(n, dtype=np.float64) * DT
     offset = decay(gap, speed - own, BLEND)(t)
     for foot in figure.feet.values():  # toes on the floor: what little they are off would press them into it
         if foot.toes is not None and abs(gap[foot.toes[1]]) < 0.1:
@@ -308,19 +280,19 @@ def join(figure: Figure, second: Array, first: Array, motion: Motion, dt: float 
     rows = FrameRows(figure, n)
     rows.feet({side: figure.poses(motion.q[:n], foot.frame) for side, foot in figure.feet.items()})
     center = np.array([figure.center(row) for row in motion.q[:n]])
-    was, its = (figure.center(first) - figure.center(second)) / dt, (center[1] - center[0]) / dt
-    shift = decay(figure.center(first) + was * dt - center[0], was - its, BLEND)(t)
+    was, its = (figure.center(first) - figure.center(second)) / DT, (center[1] - center[0]) / DT
+    shift = decay(figure.center(first) + was * DT - center[0], was - its, BLEND)(t)
     rows.center(center + shift, axes="xy")
     rows.orientation(figure.trunk, figure.poses(wanted, figure.trunk)[1], 1.0)
     frames = rows.solve(
-        wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds, dt=dt
+        wanted, figure.stiffnesses({"*": 1.0, "*toe*": 1e5}), first, second, speeds=motion.speeds
     )
     q, miss = motion.q.copy(), motion.miss.copy()
     q[:n], miss[:n] = frames.q, frames.miss
     return replace(motion, q=q, miss=miss)
 
 
-def stop_walk(figure: Figure, found: Walk, frame: int, dt: float = 1.0 / RATE) -> Slices[Walk]:
+def stop_walk(figure: Figure, found: Walk, frame: int) -> Slices[Walk]:
     """A walk that begins as another and ends with the step in hand, a short one and the closing one.
 
     The feet move as they did until the step in hand is over, so that the other walk may be left at any frame
@@ -330,9 +302,8 @@ def stop_walk(figure: Figure, found: Walk, frame: int, dt: float = 1.0 / RATE) -
         figure: Who walks.
         found: The walk.
         frame: The last frame that is shown of it.
-        dt: Time between frames, s.
     """
-    now = (frame + 1) * dt
+    now = (frame + 1) * DT
     landing = next((k for k, strike in enumerate(found.strikes) if strike > now), len(found.strikes))
     keep = landing + 3  # the two where it stood, those that landed, and the one that swings
     prints = list(found.prints)
@@ -343,7 +314,7 @@ def stop_walk(figure: Figure, found: Walk, frame: int, dt: float = 1.0 / RATE) -
         apart = (1 - 2 * b.side) * 2 * figure.apart
         beside = (x + apart * np.sin(yaw), y - apart * np.cos(yaw), yaw)
         prints = [*prints[:keep], Footprint(b.side, x, y, yaw), Footprint(prints[keep - 1].side, *beside)]
-    return (yield from walk_slices(figure, found.start, prints, found.gait, dt=dt))
+    return (yield from walk_slices(figure, found.start, prints, found.gait))
 
 
 def rest_of(motion: Motion, frame: int) -> Motion:

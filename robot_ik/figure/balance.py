@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from robot_ik.figure.figure import Figure
+from robot_ik.figure.figure import DT, Figure
 from robot_ik.figure.frames import SLICE, Slices, at_once
 from robot_ik.motion.keyframes import monotone_slope
 from robot_ik.ports import Array
@@ -71,26 +71,26 @@ def plan_center(nodes: Sequence[tuple[float, Array]], x: Array, omega: float) ->
     return CenterPlan(times, start, slope, growing, shrinking, omega)
 
 
-def derivatives(figure: Figure, q: Array, dt: float) -> tuple[Array, Array, Array]:
+def derivatives(figure: Figure, q: Array) -> tuple[Array, Array, Array]:
     """Central speeds and accelerations, and forward speeds, (n, nv) each; zero without neighbours."""
     n, nv = len(q), figure.model.nv
     forward, speed, change = np.zeros((n, nv)), np.zeros((n, nv)), np.zeros((n, nv))
     for i in range(n - 1):
-        mujoco.mj_differentiatePos(figure.model, forward[i], dt, q[i], q[i + 1])
+        mujoco.mj_differentiatePos(figure.model, forward[i], DT, q[i], q[i + 1])
     for i in range(1, n - 1):
-        mujoco.mj_differentiatePos(figure.model, speed[i], 2 * dt, q[i - 1], q[i + 1])
-    change[1:-1] = (forward[1:-1] - forward[:-2]) / dt
+        mujoco.mj_differentiatePos(figure.model, speed[i], 2 * DT, q[i - 1], q[i + 1])
+    change[1:-1] = (forward[1:-1] - forward[:-2]) / DT
     return speed, change, forward
 
 
-def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Array, Array]]:
+def zero_moment_slices(figure: Figure, q: Array) -> Slices[tuple[Array, Array]]:
     """(n, 2) zero-moment point on z = 0 and (n,) vertical force of the floor, N, by inverse dynamics.
 
     The free base has no motor: the wrench that inverse dynamics puts there is the floor's.  At the ends,
     where there is no acceleration, they are those of rest.
     """
     model, data = figure.model, figure.data
-    speed, change, _ = derivatives(figure, q, dt)
+    speed, change, _ = derivatives(figure, q)
     points, force = np.empty((len(q), 2)), np.empty(len(q))
     flags, off = model.opt.disableflags, mujoco.mjtDisableBit
     for a in range(0, len(q), SLICE):
@@ -116,12 +116,12 @@ def zero_moment_slices(figure: Figure, q: Array, dt: float) -> Slices[tuple[Arra
 zero_moment_points = at_once(zero_moment_slices)
 
 
-def compensate(error: Array, omega2: Array, dt: float) -> Array:
+def compensate(error: Array, omega2: Array) -> Array:
     """(n, 2) shift s of the centre of mass that takes an error (n, 2) off the zero-moment point.
 
     s − s'' / ω² = −error with s = 0 at both ends: one tridiagonal system (Thomas's elimination).
     """
-    k = 1.0 / (omega2 * dt * dt)
+    k = 1.0 / (omega2 * DT * DT)
     n, shift = len(error), -error.copy()
     shift[0] = shift[-1] = 0.0
     upper = np.zeros(n)
@@ -220,21 +220,21 @@ def clamped_curve(knots: Array, values: Array, t: Array, slope: float = 0.0) -> 
     return _hermite(knots, values, np.asarray(np.linalg.solve(matrix, right), dtype=float), t)
 
 
+def quintic(x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, T: float) -> Array:
+    """(6, ...) coefficients, highest first, of a quintic with position, speed, acceleration of both ends."""
+    matrix = np.array([[T**5, T**4, T**3], [5 * T**4, 4 * T**3, 3 * T**2], [20 * T**3, 12 * T**2, 6 * T]])
+    right = np.stack([x1 - x0 - v0 * T - a0 * T * T / 2, v1 - v0 - a0 * T, a1 - a0])
+    return np.concatenate([np.linalg.solve(matrix, right), np.stack([a0 / 2, v0, x0])])
+
+
 def decay(x0: Array, v0: Array, duration: float, a0: Array | float = 0.0) -> Callable[[Array], Array]:
     """An offset (k,) with its speed and acceleration that comes to rest at zero: (n,) times to (n, k).
 
     The quintic of inertialisation (Bollo, *Inertialization*, GDC 2018).
     """
-    T = duration
-    a = -(6 * x0 + 3 * v0 * T + a0 * T * T / 2) / T**5
-    b = (15 * x0 + 8 * v0 * T + 1.5 * a0 * T * T) / T**4
-    c = -(10 * x0 + 6 * v0 * T + 1.5 * a0 * T * T) / T**3
-
-    def at(t: Array) -> Array:
-        u = t[:, None]
-        return np.where(u >= T, 0.0, (((a * u + b) * u + c) * u + a0 / 2) * u * u + v0 * u + x0)
-
-    return at
+    rest = np.zeros_like(x0)
+    coefficients = quintic(x0, v0, rest + a0, rest, rest, rest, duration)
+    return lambda t: np.where(t[:, None] >= duration, 0.0, np.polyval(coefficients, t[:, None]))
 
 
 def _hermite(knots: Array, values: Array, slope: Array, t: Array) -> Array:

@@ -30,6 +30,8 @@ SIDES = ("left", "right")
 GRAVITY = 9.81
 RATE = 60.0
 """Frames a second."""
+DT = 1.0 / RATE
+"""Time between two frames, s."""
 
 _PITCHES = np.radians(np.arange(-60.0, 90.01, 0.25))
 _GEOM = mujoco.mjtGeom

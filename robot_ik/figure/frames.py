@@ -10,7 +10,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.figure.figure import RATE, Figure
+from robot_ik.figure.figure import DT, Figure
 from robot_ik.kernels import whole_body
 from robot_ik.kernels.whole_body import HARD
 from robot_ik.ports import Array
@@ -91,7 +91,7 @@ class FrameRows:
 
     def slices(
         self, posture: Array, stiffness: Array, start: Array, second: Array | None = None, *,
-        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        limits: tuple[Array, Array] | None = None, speeds: str | None = "daily",
         steps: int = _STEPS,
     ) -> Slices[Frames]:  # fmt: skip
         """The frames, some at a time.
@@ -103,11 +103,10 @@ class FrameRows:
             second: (nq,) the frame before that; default: at rest.
             limits: (nv,) lower and upper limits inside the model's.
             speeds: Set of joint speed limits that no frame breaks; None: as fast as need be.
-            dt: Time between frames, s.
             steps: Most steps a frame.
         """
         each = np.array(np.broadcast_to(stiffness, (self.frames, self.figure.robot.nv)))
-        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds, dt=dt)
+        ready = self.prepare(posture, each[0], limits=limits, speeds=speeds)
         n, nq = self.frames, self.figure.robot.nq
         changes = np.flatnonzero((np.diff(each, axis=0) != 0.0).any(axis=1)) + 1
         found = Frames(np.empty((n, nq)), np.empty(n), np.empty(n, dtype=np.int64))
@@ -126,7 +125,7 @@ class FrameRows:
 
     def prepare(
         self, posture: Array, stiffness: Array, *, limits: tuple[Array, Array] | None = None,
-        speeds: str | None = "daily", dt: float = 1.0 / RATE,
+        speeds: str | None = "daily",
     ) -> PreparedRows:  # fmt: skip
         """The rows with their tables, for many solves; arguments as those of ``solve``."""
         robot, groups = self.figure.robot, len(self._rows)
@@ -143,7 +142,7 @@ class FrameRows:
             "stiffness": np.array(stiffness, order="C"),
             "lower": lower,
             "upper": upper,
-            "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * dt,
+            "stride": self.figure.speeds.get(speeds or "", np.full(robot.nv, np.inf)) * DT,
         }
         return PreparedRows(
             robot.tree.handle,

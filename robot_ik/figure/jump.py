@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.figure.actions import Motion, glance_time, placed_motion, quintic, to_stance
-from robot_ik.figure.balance import monotone_curve, smooth, zero_moment_slices
-from robot_ik.figure.figure import GRAVITY, RATE, SIDES, Figure, in_stance_frame, once_each
+from robot_ik.figure.actions import Motion, glance_time, placed_motion, to_stance
+from robot_ik.figure.balance import monotone_curve, quintic, smooth, zero_moment_slices
+from robot_ik.figure.figure import DT, GRAVITY, SIDES, Figure, in_stance_frame, once_each
 from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.figure.gait import AIR, FLAT, TOE
 from robot_ik.figure.poses import STIFF, touches_itself
@@ -289,7 +289,7 @@ def _arm_at_apex(plan: JumpPlan, palm: Array) -> Slices[Array]:
 
 
 def _frames(
-    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, dt: float, before: Array | None
+    plan: JumpPlan, forward: _Forward, top: Array, t: Array, start: Array, before: Array | None
 ) -> Slices[tuple[Frames, NDArray[np.int64]]]:
     figure, T = plan.figure, plan.ends
     n = len(t)
@@ -338,8 +338,8 @@ def _frames(
     posture = start + (posture - start) * begin
     stiff = figure.stiffnesses(STIFF | {"*shoulder*": 1.0, "*elbow*": 1.0, "*toe*": 1e5})
     if before is not None:
-        posture, stiff = _tied(plan, t, smooth(before, _SOFT / dt), posture, stiff)
-    frames = yield from rows.slices(posture, stiff, start, speeds="jump", dt=dt, steps=20)
+        posture, stiff = _tied(plan, t, smooth(before, _SOFT / DT), posture, stiff)
+    frames = yield from rows.slices(posture, stiff, start, speeds="jump", steps=20)
     return frames, contact
 
 
@@ -372,7 +372,7 @@ def _posture(
 
 
 def jump_slices(
-    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0, *, dt: float = 1.0 / RATE
+    figure: Figure, q: Array, ball: Array, arm: str = "right", speed: float = 2.0
 ) -> Slices[Motion]:
     """The palm on a ball overhead, at the apex; from a stance at home to one where it stood.
 
@@ -382,7 +382,6 @@ def jump_slices(
         ball: (3,) in the world.
         arm: Which hand.
         speed: At take-off, m/s (``Abilities.take_off`` knows it); more where bodies would touch.
-        dt: Time between frames, s.
 
     Raises:
         InvalidGoalError: Faster than a man jumps.
@@ -392,7 +391,7 @@ def jump_slices(
     found: Motion | None = None
     for abduction, more in _WAYS:
         plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)))
-        motion = yield from _motion(replace(plan, abduction=abduction), start, dt)
+        motion = yield from _motion(replace(plan, abduction=abduction), start)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion
@@ -405,11 +404,11 @@ def jump_slices(
 jump = at_once(jump_slices)
 
 
-def _motion(plan: JumpPlan, start: Array, dt: float) -> Slices[Motion]:
+def _motion(plan: JumpPlan, start: Array) -> Slices[Motion]:
     """The jump from a stance at the origin."""
     figure = plan.figure
     # A frame at the apex: the moment of the touch.
-    t = np.arange(1, int((plan.ends[5] + 0.3) / dt) + 1) * dt
+    t = np.arange(1, int((plan.ends[5] + 0.3) / DT) + 1) * DT
     t = t + (plan.apex - t[np.abs(t - plan.apex).argmin()])
     error: tuple[Array, Array] | None = None
     before: Array | None = None
@@ -418,15 +417,15 @@ def _motion(plan: JumpPlan, start: Array, dt: float) -> Slices[Motion]:
         yield
         if k == 0:  # the palm moves by millimetres afterwards: its own row sees to that
             top = yield from _arm_at_apex(plan, _palm(plan, forward))
-        frames, contact = yield from _frames(plan, forward, top, t, start, dt, before)
+        frames, contact = yield from _frames(plan, forward, top, t, start, before)
         if k == _CORRECTIONS:
             break
         before = frames.q
-        points, force = yield from zero_moment_slices(figure, frames.q, dt)
+        points, force = yield from zero_moment_slices(figure, frames.q)
         held = (contact != AIR) & (force > 0.42 * figure.mass * GRAVITY)
         off = np.where(held, np.clip(points[:, 0] - np.interp(t, forward.t, forward.p), -0.25, 0.25), 0.0)
         off[:2], off[-2:] = 0.0, 0.0
-        off = smooth(off, 0.02 / dt)
+        off = smooth(off, 0.02 / DT)
         error = (t, off if error is None else error[1] + 0.7 * off)
     zmp = np.column_stack([np.interp(t, forward.t, forward.p), np.zeros(len(t))])
     both = np.column_stack([contact, contact])

@@ -15,10 +15,19 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import Motion, join, rest_of, rest_slices, stop_walk, take_slices, walk_motion
 from robot_ik.figure.decide import Decider, Decision, Obstacle
-from robot_ik.figure.figure import RATE, Figure, in_stance_frame
-from robot_ik.figure.footprints import SHUFFLE, WALK, prints_of, shuffle_prints, walk_prints, wrapped
+from robot_ik.figure.figure import DT, Figure, in_stance_frame
 from robot_ik.figure.frames import SLICE, Slices
-from robot_ik.figure.gait import FLAT, Walk, walk_slices
+from robot_ik.figure.gait import (
+    FLAT,
+    SHUFFLE,
+    WALK,
+    Walk,
+    prints_of,
+    shuffle_prints,
+    walk_prints,
+    walk_slices,
+    wrapped,
+)
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
 from robot_ik.goals import vector
@@ -76,15 +85,14 @@ class FigureSession:
         abilities: Of the figure.
         mode: ``active`` or ``passive``.
         stance: (x, y, heading) where it stands at first.
-        rate: Frames a second.
     """
 
     def __init__(
         self, abilities: Abilities, *, mode: str = "active",
-        stance: tuple[float, float, float] = (0.0, 0.0, 0.0), rate: float = RATE,
+        stance: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:  # fmt: skip
         self.decider = Decider(abilities)
-        self.mode, self.dt, self._began = mode, 1.0 / rate, stance
+        self.mode, self._began = mode, stance
         self._count = 0
         self.reset()
 
@@ -161,28 +169,23 @@ class FigureSession:
             self._next()
         self._before = self._q
         motion, k = self._motion, self._index
-        nan = np.full(3, np.nan)
-        if motion is None:
-            frame = self._frame("stand", 1.0, np.array([FLAT, FLAT]), nan[:2], "daily")
-        else:
-            self._q = motion.q[k]
-            self._index += 1
-            frame = self._frame(
-                motion.action, (k + 1) / len(motion), motion.contact[k], motion.zmp[k], motion.speeds
-            )
-            if self._index == len(motion):
-                self._end()
         self._count += 1
         self._since += 1
+        t, nan = self._count * DT, np.full(3, np.nan)
+        ball = nan if self.ball is None else self.ball
+        if motion is None:
+            flat = np.array([FLAT, FLAT])
+            return FigureFrame(t, self._q, "stand", 1.0, flat, nan[:2], ball, self.decision)
+        self._q = motion.q[k]
+        self._index += 1
+        phase = (k + 1) / len(motion)
+        frame = FigureFrame(
+            t, self._q, motion.action, phase, motion.contact[k], motion.zmp[k], ball, self.decision,
+            motion.speeds,
+        )  # fmt: skip
+        if self._index == len(motion):
+            self._end()
         return frame
-
-    def _frame(
-        self, action: str, phase: float, contact: NDArray[np.int64], zmp: Array, speeds: str
-    ) -> FigureFrame:
-        ball = np.full(3, np.nan) if self.ball is None else self.ball
-        return FigureFrame(
-            (self._count + 1) * self.dt, self._q, action, phase, contact, zmp, ball, self.decision, speeds
-        )
 
     def _asked(self, distance: float = _MOVED) -> bool:
         """Whether the ball is not where it was when last decided upon."""
@@ -208,10 +211,10 @@ class FigureSession:
         if walked is None:
             return
         self._walk, self._waypoints, self._after = None, [], None
-        settled = len(walked.frames.q) - int(walked.strikes[-1] / self.dt)  # frames after the last strike
+        settled = len(walked.frames.q) - int(walked.strikes[-1] / DT)  # frames after the last strike
         if len(walked.frames.q) - self._index < 1.2 * settled:
             return
-        slices = stop_walk(self.figure, walked, self._index - 1 + _LOOKAHEAD, self.dt)
+        slices = stop_walk(self.figure, walked, self._index - 1 + _LOOKAHEAD)
         each = max(_SLICES, -(-_PASSES * len(walked.frames.q) // (SLICE * _LOOKAHEAD)))
         self._planning = _Planning(slices, each, replaces=True)
 
@@ -235,7 +238,7 @@ class FigureSession:
         if isinstance(found, Motion):
             self._begin(found)
             return
-        motion = walk_motion(found, self.dt)
+        motion = walk_motion(found)
         if planning.replaces:
             motion = rest_of(motion, self._index)
             if self._motion is not None and len(motion) < len(self._motion) - self._index:
@@ -267,10 +270,10 @@ class FigureSession:
         figure, q, ball = self.figure, self._q, self.ball
         away = np.abs(q - figure.home)
         away[[*range(7), *(figure.addresses(joint)[0] for joint in figure.neck)]] = 0.0
-        speed = float(np.abs(figure.robot.difference(self._before, q)).max()) / self.dt
+        speed = float(np.abs(figure.robot.difference(self._before, q)).max()) / DT
         away_from_home = float(away.max()) > _AT_EASE or speed > _STILL
         if decision.action in ("walk", "jump", "nothing") and away_from_home:
-            self._plan(lambda q: rest_slices(figure, q, gaze_target=ball, dt=self.dt))
+            self._plan(lambda q: rest_slices(figure, q, gaze_target=ball))
             self._after = None if decision.action == "nothing" else decision
         elif decision.action == "walk":
             self._waypoints = list(decision.waypoints)
@@ -282,10 +285,10 @@ class FigureSession:
             if decision.action in (REACH, BEND):
                 arm, kind = decision.arm, decision.action
                 end = self.decider.abilities.pose(kind, in_stance_frame(figure.stance(q), ball), arm).q
-                self._plan(lambda q: take_slices(figure, q, ball, arm, kind, end=end, dt=self.dt))
+                self._plan(lambda q: take_slices(figure, q, ball, arm, kind, end=end))
             else:
                 speed = decision.speed or 0.0
-                self._planning = _Planning(jump_slices(figure, q, ball, decision.arm, speed, dt=self.dt))
+                self._planning = _Planning(jump_slices(figure, q, ball, decision.arm, speed))
                 self._motion = None
 
     def _plan(self, slices: Callable[[Array], Slices[Motion]]) -> None:
@@ -316,11 +319,11 @@ class FigureSession:
                 self._waypoints.pop(0)
             end = goal if aligned else np.array([goal[0], goal[1], course])
             steps = walk_prints(figure, prints, end, gait)
-        slices = walk_slices(figure, q, steps, gait, dt=self.dt)
+        slices = walk_slices(figure, q, steps, gait)
         self._planning, self._motion = _Planning(slices), None
 
     def _begin(self, motion: Motion) -> None:
-        self._motion = join(self.figure, self._before, self._q, motion, self.dt)
+        self._motion = join(self.figure, self._before, self._q, motion)
         self._index = self._since = 0
         self._walk = None
 

@@ -43,7 +43,7 @@ class Drag:
         for q in drag.shift_weight("left_foot"): ...
         drag.release("right_foot")              # stands on one leg
         drag.grab("left_shin", (0, 0.02, -0.1)) # a point of a body, as a mouse picks it
-        q = drag.pull((0.1, 0.2, 0.4))          # every tick
+        q = drag.step((0.1, 0.2, 0.4))          # every tick
 
     Attributes:
         robot: Whose joints.
@@ -106,7 +106,7 @@ class Drag:
         """Puts the robot somewhere else at once: pins and the dragged point are taken anew from there."""
         self.q = np.array(self.robot.check_q(q))
         self.q.flags.writeable = False
-        self._pins = {frame: self._pin_of(frame) for frame in self._pins}
+        self._pins = {frame: PoseGoal.at(frame, self.robot.measure(self.q, frame)) for frame in self._pins}
         self._moved()
 
     def take(self, frame: str | None) -> None:
@@ -124,7 +124,7 @@ class Drag:
         self._moved()
 
     def grab(self, body: str, grip: ArrayLike) -> None:
-        """Takes hold of a point of a body: ``pull`` brings it to a position.
+        """Takes hold of a point of a body: ``step`` brings it to a position.
 
         Args:
             body: Name of a body.
@@ -141,18 +141,6 @@ class Drag:
         own, local = _frames_of_bodies(self.robot)[index]
         self._grip = own, local.rotation.T @ (point - origin)
 
-    def pull(self, to: ArrayLike) -> Array:
-        """One tick: the grabbed point towards ``to`` (3,), world, metres, the body oriented as now.
-
-        Returns:
-            As ``step``.
-        """
-        position = vector(to, 3, "to")
-        if self._grip is not None:
-            frame, lever = self._grip
-            position = position - self.robot.forward(self.q, frame).rotation @ lever
-        return self.step(position)
-
     def pin(self, frame: str) -> None:
         """Keeps a frame where it is now.
 
@@ -163,7 +151,7 @@ class Drag:
         self.robot.frame(frame)
         if frame == self.dragged:
             raise InvalidGoalError(f"{frame!r} is dragged", hint="take(None) or another frame first")
-        self._pins[frame] = self._pin_of(frame)
+        self._pins[frame] = PoseGoal.at(frame, self.robot.measure(self.q, frame))
         self._moved()
 
     def release(self, frame: str) -> None:
@@ -183,13 +171,19 @@ class Drag:
         self._moved()
 
     def step(self, target: ArrayLike | None = None) -> Array:
-        """One tick: the dragged frame towards ``target`` (3,), world, metres; None: stay.
+        """One tick: what is dragged towards ``target`` (3,), world, metres; None: stay.
+
+        That is the frame, or the point that was grabbed while its body is oriented as now.
 
         Returns:
             (nq,) the new joint vector, no farther from the last than the speed limits allow.
         """
-        wanted = self._point if target is None or self.dragged is None else vector(target, 3, "target")
+        wanted = self._point
         if target is not None and self.dragged is not None:
+            wanted = vector(target, 3, "target")
+            if self._grip is not None:
+                frame, lever = self._grip
+                wanted = wanted - self.robot.forward(self.q, frame).rotation @ lever
             self._point = self.robot.forward(self.q, self.dragged).position
             displacement = wanted - self._point
             share = min(1.0, _LEASH / max(float(np.linalg.norm(displacement)), 1e-12))
@@ -233,21 +227,22 @@ class Drag:
 
     # --------------------------------------------------------------------------- solving
 
-    def _pin_of(self, frame: str) -> PoseGoal:
-        return PoseGoal.at(frame, self.robot.measure(self.q, frame))
-
     def _moved(self) -> None:
         """What is wanted has changed: from now on the dragged point is where its frame is."""
         if self.dragged is not None:
             self._point = self.robot.measure(self.q, self.dragged).position
 
-    def _goals(self, point: Array, mass: Array | None) -> list[Goal]:
+    def _solved(self, point: Array, mass: Array | None) -> Array | None:
+        """The pose for these; None where pins would not hold."""
         goals: list[Goal] = list(self._pins.values())
         if mass is not None:
             goals.append(CenterOfMassGoal(None, mass, axes="xy"))
         if self.dragged is not None:
             goals.append(PositionGoal(self.dragged, point, soft=True))
-        return [*goals, PostureGoal(self.q, soft=True, priority=1)]
+        goals.append(PostureGoal(self.q, soft=True, priority=1))
+        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
+        holds = found.converged or all(goal.soft for goal in goals)
+        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 
     def _towards(self, point: Array, mass: Array | None) -> Array:
         """One tick towards a dragged point and a centre of mass, as far as the speed limits allow."""
@@ -264,13 +259,6 @@ class Drag:
                 return self.q
             share *= 0.5
         return self.q
-
-    def _solved(self, point: Array, mass: Array | None) -> Array | None:
-        """The pose for these; None where pins would not hold."""
-        goals = self._goals(point, mass)
-        found = solve(self.robot, goals, solver="lm", start=self.q, budget=_BUDGET)
-        holds = found.converged or all(goal.soft for goal in goals)
-        return np.array(found.q) if holds and np.isfinite(found.q).all() else None
 
 
 def _frames_of_bodies(robot: Robot) -> dict[int, tuple[str, Pose]]:

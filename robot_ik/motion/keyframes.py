@@ -18,20 +18,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import ConfigError, TrajectoryError, apart
+from robot_ik.errors import TrajectoryError, apart
 from robot_ik.files import write_atomically
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import BALL, FREE, SLIDE
 from robot_ik.motion.timing import minimum_jerk
-from robot_ik.motion.trajectory import (
-    Trajectory,
-    checked_samples,
-    csv_numbers,
-    csv_table,
-    require_positive,
-)
+from robot_ik.motion.trajectory import Trajectory, checked_samples, csv_table, require_positive
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv
 from robot_ik.robot import Robot
 
 # rad or m: so far a key may lie beyond a limit, or the last key of a loop beside the first.
@@ -84,8 +77,8 @@ def _rotations(robot: Robot, addresses: NDArray[np.int64]) -> list[int]:
 # ------------------------------------------------------------------------------ the motion
 
 
-# Keys nearer than this, s, have no speed between them; numbers of a table beyond the other are no angles.
-_LEAST_STEP, _LARGEST = 1e-6, 1e9
+# Keys nearer than this, s, have no speed between them.
+_LEAST_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +139,7 @@ class Keyframes:
         loop: Whether it runs round.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        times: ArrayLike,
-        q: ArrayLike,
-        *,
-        loop: bool = False,
-        velocity: ArrayLike | None = None,
-    ) -> None:
+    def __init__(self, robot: Robot, times: ArrayLike, q: ArrayLike, *, loop: bool = False) -> None:
         """Takes the keys.
 
         Args:
@@ -162,18 +147,15 @@ class Keyframes:
             times: (n,) seconds, strictly increasing, n >= 1.
             q: (n, nq) rad, m for slides.
             loop: The last key is the first again (but for the position and heading of the free base).
-            velocity: (nv,) speed limits to hold, rad/s or m/s; None: as recorded, nothing is asked.
 
         Raises:
-            TrajectoryError: Shapes, times, keys outside the limits, a speed limit, an open loop: with the
-                joint, what was asked and what is possible.
+            TrajectoryError: Shapes, times, keys outside the limits, an open loop: with the joint, what was
+                asked and what is possible.
         """
         self.robot, self.loop = robot, bool(loop)
         self.times, self.q = _checked_keys(robot, times, q, self.loop)
         self._base = self._stride() if self.loop else None
         self._fit()
-        if velocity is not None:
-            self._require_speed(np.broadcast_to(np.asarray(velocity, dtype=float), robot.nv))
 
     @classmethod
     def through(
@@ -247,7 +229,7 @@ class Keyframes:
         kinematics.tree_integrate(self._handle, self._nodes, q, ((third * s + second) * s + first) * s)
         if rounds and self._base is not None:
             where, stride = self._base
-            stride.times(int(rounds)).move(q[where : where + 7])
+            stride.times(int(rounds)).move(q[where])
         return q
 
     def sampled(self, rate: float, seconds: float | None = None) -> Trajectory:
@@ -271,15 +253,6 @@ class Keyframes:
             rows[-1] = self.q[-1]
         return Trajectory(times, sign_continuous(self.robot, rows), column_names(self.robot))
 
-    def frames(self, rate: float) -> Iterator[Array]:
-        """``q`` (nq,) frame after frame, for as long as it runs: of a loop without end."""
-        require_positive("rate", rate, "Hz")
-        k = 0
-        while self.loop or k / rate < self.duration:
-            yield self.at(k / rate)
-            k += 1
-        yield np.array(self.q[-1])
-
     def peak_velocity_of_segments(self) -> Array:
         """(n - 1, nv) largest speed of each degree of freedom on the segment from key to key, rad/s or m/s.
 
@@ -295,16 +268,15 @@ class Keyframes:
             peak[:, v : v + 3] = np.linalg.norm(peak[:, v : v + 3], axis=1, keepdims=True)
         return np.asarray(peak / np.diff(self.times)[:, None])
 
-    def blended(
-        self, other: Keyframes, seconds: float, *, rate: float = 60.0, follow: bool = True
-    ) -> Keyframes:
+    def blended(self, other: Keyframes, seconds: float, *, rate: float = 60.0) -> Keyframes:
         """This motion, whose last ``seconds`` pass smoothly into the first of ``other``.
+
+        The free base of ``other`` is moved to the position and heading that this motion has by then.
 
         Args:
             other: A motion of the same robot.
             seconds: How long both count; at most the shorter of the two.
             rate: Keys a second of the result.
-            follow: Move the free base of ``other`` to the position and heading that this motion has by then.
 
         Raises:
             TrajectoryError: Another robot, or more seconds than a motion has.
@@ -316,11 +288,10 @@ class Keyframes:
                 f"asked for a blend of {seconds} s", hint=f"0 to {min(self.duration, other.duration):.3f} s"
             )
         begin = self.duration - seconds
-        where = free_base(self.robot) if follow else None
+        where = free_base(self.robot)
         move = Displacement()
         if where is not None:
-            part = slice(where, where + 7)
-            move = Displacement.between(other.at(0.0)[part], self.at(begin)[part])
+            move = Displacement.between(other.at(0.0)[where], self.at(begin)[where])
         total = begin + other.duration
         grid = np.arange(0.0, total, 1.0 / rate)
         times = np.append(grid[grid < total - _LEAST_STEP], total)
@@ -332,7 +303,7 @@ class Keyframes:
             if share > 0.0:
                 two = other._held(t - begin)
                 if where is not None:
-                    move.move(two[where : where + 7])
+                    move.move(two[where])
                 one = self.robot.integrate(one, share * self.robot.difference(one, two))
             rows.append(self.robot.clip(one))
         return Keyframes(self.robot, times, rows)
@@ -357,24 +328,8 @@ class Keyframes:
             ConfigError: No such table, a joint without column, or cells that are no numbers; names the line.
             TrajectoryError: As the constructor.
         """
-        file = Path(path)
-        rows = [(k, row) for k, row in enumerate(read_csv(file, "the frames"), 1) if row]
-        rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
-        head = [cell.strip() for cell in rows[0][1]] if rows else []
-        wanted = column_names(robot)
-        if not head or head[0] not in ("t", "time_s") or len(rows) < 2:
-            allowed = "t, a column a joint; rows"
-            raise ConfigError("is no table of frames", file=file, key="line 1", allowed=allowed)
-        missing = [name for name in wanted if name not in head]
-        if missing:
-            raise ConfigError(
-                f"no column {missing[0]!r}" + (f" and {len(missing) - 1} more" if len(missing) > 1 else ""),
-                file=file, key="line 1", allowed=f"one for each joint of {robot.name!r}",
-            )  # fmt: skip
-        columns = [0, *(head.index(name) for name in wanted)]
-        width = len(head)
-        table = np.array([csv_numbers(row, columns, width, file, k, _LARGEST) for k, row in rows[1:]])
-        return cls(robot, table[:, 0] - table[0, 0], table[:, 1:], loop=loop)
+        found = Trajectory.load_csv(path, column_names(robot))
+        return cls(robot, found.times, found.q, loop=loop)
 
     # --------------------------------------------------------------------------- fitting
 
@@ -382,13 +337,12 @@ class Keyframes:
         """As ``at``, but a loop ends, too."""
         return np.array(self.q[-1]) if t >= self.duration else self.at(t)
 
-    def _stride(self) -> tuple[int, Displacement] | None:
+    def _stride(self) -> tuple[slice, Displacement] | None:
         """Where the free base stands in q, and what a round adds to it."""
         where = free_base(self.robot)
         if where is None or len(self.q) < 2:
             return None
-        part = slice(where, where + 7)
-        return where, Displacement.between(self.q[0, part], self.q[-1, part])
+        return where, Displacement.between(self.q[0, where], self.q[-1, where])
 
     def _fit(self) -> None:
         """The cubic of every segment."""
@@ -458,26 +412,12 @@ class Keyframes:
                 sine = np.linalg.norm(self.q[:, a + 1 : a + 4], axis=1)
                 yield int(v), 2.0 * np.arctan2(sine, np.abs(self.q[:, a]))
 
-    def _require_speed(self, velocity: Array) -> None:
-        """Raises where a speed limit is broken, with the time that the segment would need."""
-        over = self.peak_velocity_of_segments() / velocity
-        if not over.size or not over.max() > 1.0 + _OVER_SPEED:
-            return
-        i, v = np.unravel_index(int(np.argmax(over)), over.shape)
-        joint = self.robot.joints[int(np.searchsorted(self.robot.tree.vadr, v, side="right")) - 1]
-        asked, allowed = apart(float(over[i, v] * velocity[v]), float(velocity[v]), digits=3, form="g")
-        gap = float(self.times[i + 1] - self.times[i])
-        raise TrajectoryError(
-            f"from key {i} to key {i + 1} joint {joint!r} moves at {asked}; allowed: {allowed} (rad/s, m/s)",
-            hint=f"give it {gap * over[i, v]:.3g} s instead of {gap:.3g} s, or take Keyframes.through",
-        )
 
-
-def free_base(robot: Robot) -> int | None:
-    """Where the free joint that carries the robot begins in q; None: it has none."""
+def free_base(robot: Robot) -> slice | None:
+    """Where the seven numbers of the free joint that carries the robot stand in q; None: it has none."""
     for kind, parent, qadr in zip(robot.tree.kind, robot.tree.parent, robot.tree.qadr, strict=True):
         if kind == FREE and parent < 0:
-            return int(qadr)
+            return slice(int(qadr), int(qadr) + 7)
     return None
 
 
@@ -516,8 +456,7 @@ def _closed(robot: Robot, first: Array, last: Array) -> bool:
     moved = np.array(first)
     where = free_base(robot)
     if where is not None:
-        part = slice(where, where + 7)
-        Displacement.between(first[part], last[part]).move(moved[part])
+        Displacement.between(first[where], last[where]).move(moved[where])
     return bool(np.abs(robot.difference(moved, last)).max(initial=0.0) < _SLACK)
 
 

@@ -7,8 +7,6 @@ a few hundred poses are enough for forty joints.  It prefers poses like those th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +26,8 @@ _LEAST_SPREAD = 0.03
 # Rounds of EM, and the gain of log-likelihood a pose below which it ends.
 _EM_ROUNDS, _EM_GAIN = 200, 1e-5
 _CONTOUR = 0.99
+# So many poses are kept, those that differ most.
+_MOST_POSES = 3000
 
 
 def mirrored(robot: Robot, q: ArrayLike) -> Array:
@@ -69,11 +69,11 @@ def other_side(name: str) -> str:
     return name.replace("right", "left")
 
 
-def thinned(x: Array, count: int, seed: int = 0) -> NDArray[np.int64]:
+def thinned(x: Array, count: int) -> NDArray[np.int64]:
     """Indices of ``count`` rows of x (m, n) that lie far from each other (farthest point, Gonzalez 1985)."""
     if len(x) <= count:
         return np.arange(len(x))
-    chosen = [int(np.random.default_rng(seed).integers(len(x)))]
+    chosen = [int(np.random.default_rng(0).integers(len(x)))]
     nearest = np.full(len(x), np.inf)
     for _ in range(count - 1):
         nearest = np.minimum(nearest, np.sum((x - x[chosen[-1]]) ** 2, axis=1))
@@ -86,21 +86,15 @@ def fit_pose_prior(
     q: ArrayLike,
     *,
     parts: int = 8,
-    poses: int = 3000,
     mirror: bool = True,
-    names: Sequence[str] | None = None,
-    seed: int = 0,
 ) -> PosePrior:
     """Learns a prior from poses.
 
     Args:
         robot: Whose.
-        q: (m, nq) frames of motions.
+        q: (m, nq) frames of motions; of many, those poses that differ most are kept.
         parts: Of the mixture.
-        poses: So many are kept, those that differ most.
         mirror: Learn from each pose and its mirror image.
-        names: Features to use; None: all, ``feature_names``.
-        seed: Of the first guess.
 
     Raises:
         InvalidGoalError: Fewer than ten poses a part, or no such joints to mirror.
@@ -108,29 +102,29 @@ def fit_pose_prior(
     rows = np.asarray(q, dtype=float)
     if mirror:
         rows = np.concatenate([rows, mirrored(robot, rows)])
-    chosen = feature_names(robot) if names is None else tuple(names)
+    chosen = feature_names(robot)
     plain = PosePrior(
         chosen, np.zeros(len(chosen)), np.ones(len(chosen)), np.ones(1), np.zeros((1, len(chosen))),
         np.eye(len(chosen))[None],
     )  # fmt: skip
     x = plain.features(robot, rows)
     spread = np.maximum(x.std(axis=0), _LEAST_SPREAD)
-    x = x[thinned(x / spread, poses, seed)]
+    x = x[thinned(x / spread, _MOST_POSES)]
     if len(x) < 10 * parts:
         raise InvalidGoalError(
             f"{len(x)} poses are too few for {parts} parts", hint="ten poses a part at least"
         )
     middle, spread = x.mean(axis=0), np.maximum(x.std(axis=0), _LEAST_SPREAD)
     x = (x - middle) / spread
-    weights, means, covariances = _mixture(x, parts, seed)
+    weights, means, covariances = _mixture(x, parts)
     prior = PosePrior(chosen, middle, spread, weights, means, covariances)
     contour = float(np.quantile(prior.energy_of(x), _CONTOUR))
     return PosePrior(chosen, middle, spread, weights, means, covariances, contour)
 
 
-def _mixture(x: Array, parts: int, seed: int) -> tuple[Array, Array, Array]:
+def _mixture(x: Array, parts: int) -> tuple[Array, Array, Array]:
     """Weights, means and shrunk covariances of a Gaussian mixture, by expectation-maximisation."""
-    shares = np.eye(parts)[_clusters(x, parts, seed)]
+    shares = np.eye(parts)[_clusters(x, parts)]
     last = -np.inf
     weights, means, covariances = _m_step(x, shares)
     for _ in range(_EM_ROUNDS):
@@ -170,9 +164,9 @@ def _part_logs(x: Array, weights: Array, means: Array, covariances: Array) -> Ar
     return logs
 
 
-def _clusters(x: Array, count: int, seed: int) -> NDArray[np.int64]:
+def _clusters(x: Array, count: int) -> NDArray[np.int64]:
     """(m,) cluster of each row: k-means from k-means++ (Arthur & Vassilvitskii 2007)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     centres = [x[rng.integers(len(x))]]
     for _ in range(count - 1):
         square = np.min([np.sum((x - c) ** 2, axis=1) for c in centres], axis=0)

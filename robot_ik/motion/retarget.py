@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 import numpy as np
@@ -24,8 +24,7 @@ from robot_ik.geometry import Pose
 from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.model import qpos_addresses
-from robot_ik.motion.bvh import Bvh
-from robot_ik.motion.bvh_robot import data_at_rest
+from robot_ik.motion.bvh import Bvh, data_at_rest
 from robot_ik.motion.keyframes import Keyframes, free_base
 from robot_ik.ports import Array
 from robot_ik.problem import Budget
@@ -143,18 +142,6 @@ class Retargeted:
     scale: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Targets:
-    """What the figure shall do, frame by frame (n, …), world, metres."""
-
-    pelvis: list[Pose]
-    head: list[Pose]
-    feet: tuple[list[Pose], list[Pose]]
-    hands: tuple[Array, Array]
-    elbows: tuple[Array, Array]
-    rests: NDArray[np.bool_]
-
-
 class _Measures:
     """The figure's own lengths and frames, upright at qpos0."""
 
@@ -234,8 +221,11 @@ def _alignment(rest: Mapping[str, Array], up: str) -> Array:
 
 def _targets(
     bvh: Bvh, joints: Mapping[str, int], ours: _Measures, rest: Bvh, up: str
-) -> tuple[_Targets, float]:
-    """What the figure shall do, and our metres for a unit of the file."""
+) -> tuple[dict[str, Any], NDArray[np.bool_], float]:
+    """What each role shall do frame by frame, when feet rest (n, 2), and our metres for a unit of the file.
+
+    Poses of pelvis, head and ankles (the soles), positions (3,) of wrists and elbows, world.
+    """
     still, rest_rotations = rest.poses()
     upright = {role: still[0, j] for role, j in joints.items()}
     axes = _alignment(upright, up)
@@ -245,26 +235,25 @@ def _targets(
     legs, arms, trunk, girdle = _ratios(ours.positions, upright)
     lowest = np.minimum(positions["left_ankle"][:, 2], positions["right_ankle"][:, 2])
     floor = np.array([0.0, 0.0, np.quantile(lowest, _FLOOR_SHARE) - ours.ankle / legs])
-    ankles = [legs * (positions[f"{side}_ankle"] - floor) for side in SIDES]
-    pelvis = legs * (_middle(positions, "hip") - floor)
-    chest = _middle(positions, "shoulder")
-    ours_chest = pelvis + trunk * (chest - _middle(positions, "hip"))
-    hands, elbows = [], []
+    hips, chest = _middle(positions, "hip"), _middle(positions, "shoulder")
+    pelvis = legs * (hips - floor)
+    paths: dict[str, Any] = {
+        "pelvis": list(map(Pose.from_rotation, deltas["pelvis"], pelvis)),
+        "head": list(map(Pose.from_rotation, deltas["head"])),
+    }
+    rests = []
     for side in SIDES:
         shoulder = positions[f"{side}_shoulder"]
-        from_shoulder = ours_chest + girdle * (shoulder - chest) - arms * shoulder
-        elbows.append(from_shoulder + arms * positions[f"{side}_elbow"])
+        from_shoulder = pelvis + trunk * (chest - hips) + girdle * (shoulder - chest) - arms * shoulder
+        paths[f"{side}_elbow"] = from_shoulder + arms * positions[f"{side}_elbow"]
         palm = float(np.linalg.norm(ours.offsets[f"{side}_wrist"]))
         along = _hand_direction(bvh, joints, side, moved, rotations) @ axes.T
-        hands.append(from_shoulder + arms * positions[f"{side}_wrist"] + palm * along)
-    rests = np.stack([_rests(ankle, ours.ankle, bvh.rate) for ankle in ankles], axis=1)
-    feet = [
-        _foot_path(ankles[k], deltas[f"{side}_ankle"], ours, side, rests[:, k], bvh.rate)
-        for k, side in enumerate(SIDES)
-    ]
-    head = list(map(Pose.from_rotation, deltas["head"]))
-    hips = list(map(Pose.from_rotation, deltas["pelvis"], pelvis))
-    return _Targets(hips, head, (feet[0], feet[1]), (hands[0], hands[1]), (elbows[0], elbows[1]), rests), legs
+        paths[f"{side}_wrist"] = from_shoulder + arms * positions[f"{side}_wrist"] + palm * along
+        ankle = legs * (positions[f"{side}_ankle"] - floor)
+        rests.append(_rests(ankle, ours.ankle, bvh.rate))
+        path = _foot_path(ankle, deltas[f"{side}_ankle"], ours, side, rests[-1], bvh.rate)
+        paths[f"{side}_ankle"] = path
+    return paths, np.stack(rests, axis=1), legs
 
 
 def _hand_direction(
@@ -359,42 +348,39 @@ def retarget(
     every = 1 if rate is None else max(1, int(bvh.rate / rate + 1e-6))
     bvh = replace(bvh, frame_time=every / bvh.rate, values=bvh.values[::every])
     ours = _Measures(robot, bodies)
-    wanted, scale = _targets(bvh, indices, ours, rest, up)
-    rows, miss = _solve_frames(robot, bodies, wanted)
+    paths, rests, scale = _targets(bvh, indices, ours, rest, up)
+    rows, miss = _solve_frames(robot, bodies, paths)
     motion = Keyframes(robot, np.arange(len(rows)) / bvh.rate, rows)
-    return Retargeted(motion, miss, wanted.rests, scale)
+    return Retargeted(motion, miss, rests, scale)
 
 
-def _goals(bodies: Mapping[str, str], wanted: _Targets, k: int, q: Array) -> list[Goal]:
+def _goals(bodies: Mapping[str, str], paths: Mapping[str, Any], k: int, q: Array) -> list[Goal]:
     """Of one frame."""
-    goals: list[Goal] = [
-        PoseGoal(bodies[f"{side}_ankle"], feet[k].position, feet[k].wxyz, tolerance=_FOOT_TOLERANCE)
-        for side, feet in zip(SIDES, wanted.feet, strict=True)
-    ]
-    hips = wanted.pelvis[k]
+    feet = [(bodies[f"{side}_ankle"], paths[f"{side}_ankle"][k]) for side in SIDES]
+    goals: list[Goal] = [replace(PoseGoal.at(*foot), tolerance=_FOOT_TOLERANCE) for foot in feet]
+    hips = paths["pelvis"][k]
     pelvis = PoseGoal(bodies["pelvis"], hips.position, hips.wxyz, soft=True, position_weight=_PELVIS)
     goals.append(replace(pelvis, angle_weight=_PELVIS / 4))
-    goals.append(OrientationGoal(bodies["head"], wanted.head[k].wxyz, weight=_HEAD, soft=True))
-    for role, weight, paths in (("wrist", _HAND, wanted.hands), ("elbow", _ELBOW, wanted.elbows)):
-        goals += [
-            PositionGoal(bodies[f"{side}_{role}"], path[k], weight=weight, soft=True)
-            for side, path in zip(SIDES, paths, strict=True)
-        ]
+    goals.append(OrientationGoal(bodies["head"], paths["head"][k].wxyz, weight=_HEAD, soft=True))
+    for part, weight in (("wrist", _HAND), ("elbow", _ELBOW)):
+        for role in (f"{side}_{part}" for side in SIDES):
+            goals.append(PositionGoal(bodies[role], paths[role][k], weight=weight, soft=True))
     return [*goals, PostureGoal(q, weight=_POSTURE, soft=True)]
 
 
-def _solve_frames(robot: Robot, bodies: Mapping[str, str], wanted: _Targets) -> tuple[list[Array], Array]:
+def _solve_frames(
+    robot: Robot, bodies: Mapping[str, str], paths: Mapping[str, Any]
+) -> tuple[list[Array], Array]:
     """Joint vectors (n, nq) and the misses of the hands (n, 2)."""
     rows: list[Array] = []
-    q, miss = np.array(robot.home), np.zeros((len(wanted.pelvis), 2))
+    q, miss = np.array(robot.home), np.zeros((len(paths["pelvis"]), 2))
     base = free_base(robot)
     if base is not None:
-        q[base : base + 3] += wanted.pelvis[0].position - robot.forward(q, bodies["pelvis"]).position
-    for k in range(len(wanted.pelvis)):
-        goals = _goals(bodies, wanted, k, robot.home)
+        q[base][:3] += paths["pelvis"][0].position - robot.forward(q, bodies["pelvis"]).position
+    for k in range(len(miss)):
+        goals = _goals(bodies, paths, k, robot.home)
         q = solve(robot, goals, solver="lm", start=q, budget=_BUDGET if k else _FIRST_BUDGET).q
         rows.append(q)
-        for i, side in enumerate(SIDES):
-            hand = robot.forward(q, bodies[f"{side}_wrist"]).position
-            miss[k, i] = np.linalg.norm(hand - wanted.hands[i][k])
+        for i, role in enumerate(f"{side}_wrist" for side in SIDES):
+            miss[k, i] = np.linalg.norm(robot.forward(q, bodies[role]).position - paths[role][k])
     return rows, miss

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,8 +19,11 @@ from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError,
 from robot_ik.files import write_atomically
 from robot_ik.motion.timing import PROFILES, Profile, quintic
 from robot_ik.ports import Array
-from robot_ik.reading import read_csv, shown
+from robot_ik.reading import LARGEST_NUMBER, read_csv, shown
 from robot_ik.robot import Robot
+
+if TYPE_CHECKING:
+    from robot_ik.hardware.config import ArmConfig
 
 # ------------------------------------------------------------------------------------------
 # What a move may ask of a robot: the checks that every planner shares.
@@ -135,7 +138,7 @@ def checked_samples(
     return t, rows
 
 
-_TIME_COLUMN, _ROBOT_COLUMN = "time_s", "robot"
+_TIME_COLUMNS, _ROBOT_COLUMN = ("time_s", "t"), "robot"
 _COMMANDED = re.compile(r"commanded\.(.+)$|(.+)_commanded$")
 """A column of what ``jobs.recording`` and ``jobs.reach_files`` write, beside what was measured."""
 
@@ -228,30 +231,40 @@ class Trajectory:
 
     def csv_text(self) -> str:
         """What ``save_csv`` writes."""
-        return csv_table([_TIME_COLUMN, *self.joints], np.column_stack([self.times, self.q]).tolist())
+        return csv_table([_TIME_COLUMNS[0], *self.joints], np.column_stack([self.times, self.q]).tolist())
 
     @classmethod
-    def load_csv(cls, path: Path | str) -> Trajectory:
-        """Reads what `save_csv` wrote.
+    def load_csv(cls, path: Path | str, joints: Sequence[str] = ()) -> Trajectory:
+        """Reads what `save_csv` wrote; lines that begin with # are passed over.
 
         Of a recording, or of the table of a reach, what was commanded (``commanded.JOINT``,
         ``JOINT_commanded``), without the rows in which nothing was.
+
+        Args:
+            path: Of the file.
+            joints: Names of columns, in the wanted order, if there are others, too.
 
         Raises:
             ConfigError: The file is missing or is not such a table; names the line.
         """
         source = Path(path)
-        rows = read_csv(source, "the motion")
-        head = rows[0] if rows else []
-        if head[:1] != [_TIME_COLUMN] or len(head) < 2:
+        rows = [(k, row) for k, row in enumerate(read_csv(source, "the motion"), 1) if row]
+        rows = [(k, row) for k, row in rows if not row[0].startswith("#")]
+        head = [cell.strip() for cell in rows[0][1]] if rows else []
+        if not head or head[0] not in _TIME_COLUMNS or len(head) < 2:
             raise ConfigError("is not a trajectory", file=source, key="line 1", allowed="time_s,joint names")
         names = {k: found[1] or found[2] for k, name in enumerate(head) if (found := _COMMANDED.match(name))}
         width, columns = len(head), names or dict(enumerate(head[1:], 1))
+        if joints:
+            if missing := [name for name in joints if name not in head]:
+                more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+                raise ConfigError(f"no column {missing[0]!r}{more}", file=source, key="line 1")
+            names, columns = {}, {head.index(name): name for name in joints}
         kept = [
-            (k, row) for k, row in enumerate(rows[1:], 2)
+            (k, row) for k, row in rows[1:]
             if not names or len(row) != width or any(row[c] for c in names)
         ]  # fmt: skip
-        samples = [csv_numbers(row, [0, *columns], width, source, k) for k, row in kept]
+        samples = [_numbers(row, [0, *columns], width, source, k) for k, row in kept]
         if not samples:
             raise ConfigError("has no samples", file=source, key="line 2", allowed="a row of numbers")
         if names and head[1] == _ROBOT_COLUMN and len({row[1] for _, row in kept}) > 1:
@@ -270,15 +283,13 @@ def csv_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return stream.getvalue()
 
 
-def csv_numbers(
-    row: list[str], columns: Sequence[int], width: int, file: Path, line: int, most: float | None = None
-) -> list[float]:
-    """The numbers (up to ``most``) in columns of a row that shall be so wide, or ``ConfigError``."""
+def _numbers(row: list[str], columns: Sequence[int], width: int, file: Path, line: int) -> list[float]:
+    """The numbers in columns of a row that shall be so wide, or ``ConfigError``."""
     with contextlib.suppress(ValueError):
         numbers = [float(row[k]) for k in columns] if len(row) == width else None
-        if numbers and (most is None or all(abs(number) <= most for number in numbers)):  # NaN neither
+        if numbers and all(abs(number) <= LARGEST_NUMBER for number in numbers):  # NaN is not
             return numbers
-    allowed = f"{width} numbers" if most is None else f"{width} cells, joints as numbers up to {most:g}"
+    allowed = f"{width} cells, joints as numbers up to {LARGEST_NUMBER:g}"
     got = f"got {shown(','.join(row), str)}"
     raise ConfigError(got, file=file, key=f"line {line}", allowed=allowed)
 
@@ -407,29 +418,7 @@ SMOOTHING = 0.1
 """s over which a recording is averaged before it is played."""
 
 
-class MotionCaps(Protocol):
-    """What an arm allows, as its file says: names of joints, (n,) limits and caps, rad, rad/s, rad/s²."""
-
-    @property
-    def rate_hz(self) -> float: ...
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-
-    @property
-    def lower(self) -> Array: ...
-
-    @property
-    def upper(self) -> Array: ...
-
-    @property
-    def velocity(self) -> Array: ...
-
-    @property
-    def acceleration(self) -> Array: ...
-
-
-def playable(motion: Trajectory, caps: MotionCaps, speed: float) -> tuple[Trajectory, float]:
+def playable(motion: Trajectory, caps: ArmConfig, speed: float) -> tuple[Trajectory, float]:
     """The motion within limits and velocity caps, at the arm's rate; and how much longer it takes."""
     smooth = smoothed(motion, caps.rate_hz)
     q = np.clip(smooth.q, caps.lower, caps.upper)
@@ -446,7 +435,7 @@ def smoothed(motion: Trajectory, rate: float) -> Trajectory:
     return Trajectory(np.arange(len(mean)) / rate, mean, motion.joints)
 
 
-def approach_profile(distance: Array, caps: MotionCaps) -> Profile:
+def approach_profile(distance: Array, caps: ArmConfig) -> Profile:
     """A quintic over (n,) distances at ``APPROACH`` of the caps; of no duration where all are zero."""
     with np.errstate(divide="ignore"):  # a joint that stands still needs no time
         fast, soft = np.min(
@@ -455,7 +444,7 @@ def approach_profile(distance: Array, caps: MotionCaps) -> Profile:
     return quintic(float(fast), float(soft))
 
 
-def approach(here: Array, there: Array, caps: MotionCaps) -> Trajectory:
+def approach(here: Array, there: Array, caps: ArmConfig) -> Trajectory:
     """From rest to rest by a quintic, at ``APPROACH`` of the caps."""
     shape = approach_profile(there - here, caps)
     seconds = max(shape.duration, 2.0 / caps.rate_hz)

@@ -108,10 +108,6 @@ class Solver(ABC):
         """Whether it can try this problem at all."""
         return not self.unsupported(problem)
 
-    def family(self, problem: Problem) -> str:
-        """What it has recognised the arm as, for this goal; empty when it recognises none."""
-        return ""
-
     def unsupported(self, problem: Problem) -> str:
         """What of the problem it cannot serve, as text; empty when nothing is."""
         for goal in problem.given:
@@ -145,14 +141,6 @@ class Solver(ABC):
         finally:
             token.append(None)
 
-    def solve_many(self, problem: Problem, targets: Array, starts: Array, results: BatchResult) -> None:
-        """One solve for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of a problem with one goal.
-
-        The problem's budget is that of each row; errors as of ``solve``.
-        """
-        with problem.in_use():
-            self.attempt_many(problem, targets, starts, results, problem.budget)
-
     @abstractmethod
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         """``solve`` within what others left of the budget; the caller holds the problem's token."""
@@ -160,7 +148,10 @@ class Solver(ABC):
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        """``solve_many`` within a budget for each row; methods with a compiled batch override this loop."""
+        """One solve, with the budget, for each row of ``targets`` (n, 12) and ``starts`` (n, nq) of one goal.
+
+        The caller holds the problem's token; methods with a compiled batch override this loop.
+        """
         for row in range(len(targets)):
             problem.target[0] = targets[row]
             solution = self.attempt(problem, starts[row], budget)
@@ -169,9 +160,17 @@ class Solver(ABC):
             results.miss[row] = solution.miss.position, solution.miss.angle
             results.iterations[row], results.restarts[row] = solution.iterations, solution.restarts
 
+    def load(self, problem: Problem) -> Any:
+        """What ``make`` makes, once for a problem; the first ``solve`` does the same, and raises the same."""
+        kept = problem.made.get(id(self))
+        if kept is None or kept[1] is None:
+            self.require_support(problem)
+            return problem.compiled.made_for(self, lambda: self.make(problem))
+        return kept[1]
+
     @abstractmethod
-    def load(self, problem: Problem) -> None:
-        """Compiles, or loads, all that a solve of the problem may need; the first ``solve`` does the same."""
+    def make(self, problem: Problem) -> Any:
+        """Compiles, or loads, all that a solve of a problem that it supports may need."""
 
 
 # What a problem may ask for beside its goals, as text.
@@ -216,13 +215,13 @@ class IterativeSolver(Solver):
         """What the kernel takes for a problem, in its order."""
         return compiled.tree, compiled.goals, compiled.work, self.option_values
 
-    def load(self, problem: Problem) -> None:
-        self._run_for(problem)
+    def make(self, problem: Problem) -> Run:
+        return Run(self, problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         # The hot loop: a warm solve spends as long here as in the kernel, so each line counts.
         kept = problem.made.get(id(self))
-        run: Run = self._run_for(problem) if kept is None else kept[1]
+        run: Run = self.load(problem) if kept is None else kept[1]
         if run.budget is not budget or run.seed != problem.seed:
             run.renew(budget, problem.seed)
         if start is run.start:
@@ -247,9 +246,6 @@ class IterativeSolver(Solver):
             run.best.copy(), STATUS_OF[status], iterations, restarts, time.perf_counter() - began,
             self.name, problem.robot, problem.given, run.target.copy(), trace,
         )  # fmt: skip
-
-    def _run_for(self, problem: Problem) -> Run:
-        return problem.compiled.made_for(self, lambda: Run(self, problem))
 
     def fresh_state(self, budget: Budget, seed: int) -> tuple[NDArray[np.int64], Array]:
         """``work.state`` and ``work.value`` as a solve begins with them."""
@@ -289,7 +285,6 @@ class Run:
     """
 
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
-        solver.require_support(problem)
         kernel, arrays = solver.kernel_for(problem), problem.arrays
         jit.announce(kernel, f"solver {solver.name!r}")
         self.solver, self.tables = solver, solver.tables(problem.compiled)

@@ -41,7 +41,7 @@ from robot_ik.kernels.vectors import (
     three,
 )
 from robot_ik.solvers.base import option, options_of
-from robot_ik.solvers.bones import BoneSolver
+from robot_ik.solvers.families import BoneSolver
 
 # A chain is straight when no point is farther than this share of its length from the line to the target.
 _STRAIGHT = 1e-6

@@ -29,7 +29,7 @@ from robot_ik.kernels.loop import advance, begin, copy, give_row, measure, proce
 from robot_ik.kernels.residuals import clamp_residual, curvature, goal_jacobian, open_goals
 from robot_ik.kernels.tree import HINGE, SLIDE, open_tree
 from robot_ik.problem import Budget, Problem
-from robot_ik.solvers.base import BatchResult, IterativeSolver, option, options_of
+from robot_ik.solvers.base import BatchResult, IterativeSolver, Run, option, options_of
 
 Array = NDArray[np.float64]
 
@@ -180,7 +180,7 @@ class LevenbergMarquardt(IterativeSolver):
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        run = self._run_for(problem)
+        run: Run = self.load(problem)
         if budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)  # only Python can read a clock
             return

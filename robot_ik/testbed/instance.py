@@ -170,7 +170,7 @@ class Instance:
                 )  # fmt: skip
                 self._drag.grab(*held)
                 self._held = held
-            self.move_to(self._drag.pull(drag.to))
+            self.move_to(self._drag.step(drag.to))
             self._status, self._iterations = "dragged", 0
         except RobotIkError as error:
             self._drag, self._status = None, str(error).splitlines()[0]

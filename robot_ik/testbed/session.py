@@ -413,7 +413,7 @@ class Session(Closing):
             self._figure = None
             self.instances[0].reset()
         if wanted != "off" and ready.abilities is not None:
-            self._figure = FigureSession(ready.abilities, mode=wanted, rate=self.start.rate)
+            self._figure = FigureSession(ready.abilities, mode=wanted)
             self._frame = self._figure.step()
             self._motion = "hand"
 

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from robot_ik.motion import Keyframes, KeyPoses
-from robot_ik.motion.bvh import Bvh
-from robot_ik.motion.bvh_robot import own_motion
+from robot_ik.motion.bvh import Bvh, own_motion
 from robot_ik.robot import load_robot
 
 

@@ -66,7 +66,7 @@ def require_smooth(abilities: Abilities, seed: int) -> None:
     frames, cut = interrupted(abilities, seed)
     name = f"seed {seed}, {' then '.join(PAIRS[seed % len(PAIRS)])}"
     figure, q = abilities.figure, np.array([f.q for f in frames])
-    _, _, speed = derivatives(figure, q, 1 / RATE)
+    _, _, speed = derivatives(figure, q)
     for k, frame in enumerate(frames[:-1]):
         assert (np.abs(speed[k, 6:]) <= figure.speeds[frames[k + 1].speeds][6:] * (1 + 1e-6)).all(), name
         left, after = frame.action, frames[k + 1].action

@@ -10,8 +10,7 @@ from robot_ik.figure.abilities import Abilities
 from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
 from robot_ik.figure.figure import Figure
-from robot_ik.figure.footprints import SHUFFLE, prints_of, shuffle_prints, walk_prints
-from robot_ik.figure.gait import Walk, walk
+from robot_ik.figure.gait import SHUFFLE, Walk, prints_of, shuffle_prints, walk, walk_prints
 from robot_ik.figure.jump import jump
 from robot_ik.geometry import axis_rotations
 
@@ -137,7 +136,7 @@ def test_a_jump_flies_by_its_own_momentum(
     height = np.array([figure.center(row)[2] for row in motion.q[air]])
     fall = np.diff(height, n=2) * 60.0**2
     assert fall == pytest.approx(np.full(len(fall), -9.81), abs=0.15)
-    _, _, forward = derivatives(figure, motion.q, 1 / 60.0)
+    _, _, forward = derivatives(figure, motion.q)
     whip = np.abs(np.diff(forward[air[0] : air[-1], 6:], axis=0)).max()
     assert whip <= 9.0, "a joint's speed changes about the apex"
 

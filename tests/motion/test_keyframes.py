@@ -113,7 +113,7 @@ def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
     middle[humanoid.joints.index("left_knee_pitch") + 6] += 0.4
     motion = Keyframes(humanoid, [0.0, 0.5, 1.0], [first, middle, last], loop=True)
     where = free_base(humanoid)
-    assert where == 0
+    assert where == slice(0, 7)
     for rounds in (1, 2, 5):
         t = rounds * motion.duration
         base = motion.at(t)
@@ -126,25 +126,16 @@ def test_a_loop_of_steps_walks_on_and_turns(humanoid: rik.Robot) -> None:
 def test_a_blend_begins_as_one_motion_and_ends_as_the_other(humanoid: rik.Robot) -> None:
     keys = random_keys(humanoid, 6, size=0.1)
     one, two = Keyframes.through(humanoid, keys[:3]), Keyframes.through(humanoid, keys[3:])
-    both = one.blended(two, 0.4, follow=False)
+    both = one.blended(two, 0.4)
     assert both.duration == pytest.approx(one.duration + two.duration - 0.4)
     assert np.abs(humanoid.difference(both.at(0.5), one.at(0.5))).max() < 1e-3
     end = both.duration - 0.5
-    assert np.abs(humanoid.difference(both.at(end), two.at(two.duration - 0.5))).max() < 1e-3
+    apart = humanoid.difference(both.at(end), two.at(two.duration - 0.5))
+    assert np.abs(apart[6:]).max() < 1e-3  # its base goes on from where the first one is
     rows = both.sampled(60.0).q
     largest = max(speeds(humanoid, m.sampled(60.0).q, 60.0).max() for m in (one, two))
     gap = np.abs(humanoid.difference(one.q[-1], two.q[0])).max()
     assert speeds(humanoid, rows, 60.0).max() < 2 * largest + 1.9 * gap / 0.4
-
-
-def test_a_motion_asked_too_fast_says_how_long_it_takes(humanoid: rik.Robot) -> None:
-    one, two = random_keys(humanoid, 2)
-    with pytest.raises(
-        TrajectoryError, match=r"(?s)joint '\w+' moves at .*; allowed: .*instead of 0.01 s"
-    ) as found:
-        Keyframes(humanoid, [0.0, 0.01], [one, two], velocity=humanoid.velocity)
-    wanted = float(str(found.value).split("give it ")[1].split(" s")[0])
-    Keyframes(humanoid, [0.0, 1.01 * wanted], [one, two], velocity=humanoid.velocity)
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ class OtherBranch(Solver):
 
     calls: list = field(default_factory=list)
 
-    def load(self, problem):
+    def make(self, problem):
         pass
 
     def attempt(self, problem, start, budget):

@@ -246,7 +246,7 @@ def measure():
 
 def test_the_table_of_first_choices_follows_the_times_and_nothing_else(measure):
     from robot_ik.solvers.analytic.recognise import Family
-    from robot_ik.solvers.first_choice import FIRST_CHOICE
+    from robot_ik.solvers.combined import FIRST_CHOICE
 
     families = {family.name.lower() for family in Family}
     assert {family for family, _ in FIRST_CHOICE} <= families
@@ -265,10 +265,11 @@ def test_the_table_of_first_choices_follows_the_times_and_nothing_else(measure):
 
 
 def test_what_the_choice_is_measured_on_has_a_closed_form_for_poses_in_every_family(measure):
-    from robot_ik.solvers.first_choice import FIRST_CHOICE
+    from robot_ik.solvers.combined import FIRST_CHOICE
 
     analytic, found = make_solver("analytic"), []
     for arm in measure.arms():
-        found.append(analytic.family(Problem(arm, PoseGoal(None, (0.0, 0.0, 0.0)))))
+        made = analytic.load(Problem(arm, PoseGoal(None, (0.0, 0.0, 0.0))))
+        found.append(made.form.family.name.lower())
     assert set(found) == {family for family, _ in FIRST_CHOICE}
     assert found[-1] == "limb" and measure.arms()[-1].name == "iiwa-like"

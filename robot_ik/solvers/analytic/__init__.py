@@ -14,12 +14,12 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import UnsupportedGoalError
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.kernels import jit
 from robot_ik.kernels import workspace as ws
@@ -137,7 +137,9 @@ class Prepared:
     family: int  # the form's number
     run: Callable[..., None]  # what solves one problem, without numba's inspection of its arguments
     batch: Callable[..., None]  # what solves many
-    prove: Callable[..., bool]  # what proves that no joint angles will do
+    prove: Callable[
+        [], bool
+    ]  # whether no joint angles bring the target within tolerance, as far as is proven
 
 
 @dataclass(frozen=True)
@@ -149,45 +151,27 @@ class Analytic(Solver):
     source: ClassVar[str] = "Paden 1986; Tolani et al. 2000; Elias & Wen 2022"
     goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
 
-    def applies(self, problem: Problem) -> bool:
-        """Whether this robot and goal have a closed form."""
-        return self.prepare(problem) is not None
+    def unsupported(self, problem: Problem) -> str:
+        if problem.compiled.made_for(self, lambda: self.make(problem)) is not None:
+            return ""
+        goals = " and ".join(f"a {goal.name}" for goal in problem.goals)
+        lacking = f"{goals} on {problem.robot.name}: {_what_has_a_form(problem)}"
+        return super().unsupported(problem) or lacking
 
-    def family(self, problem: Problem) -> str:
-        prepared = self.prepare(problem)
-        return "" if prepared is None else prepared.form.family.name.lower()
-
-    def prepare(self, problem: Problem) -> Prepared | None:
-        """The closed form for a problem, made once; None when there is none."""
-        return problem.compiled.made_for(self, lambda: _prepare(problem))
-
-    def load(self, problem: Problem) -> None:
-        self._require(problem)
-
-    def _require(self, problem: Problem) -> Prepared:
-        prepared = self.prepare(problem)
-        if prepared is None:
-            from robot_ik.solvers import able_solvers  # as in ``Solver.require_support``
-
-            self.require_support(problem)
-            raise UnsupportedGoalError(
-                self.name,
-                f"{' and '.join('a ' + g.name for g in problem.goals)} on {problem.robot.name}: "
-                + _what_has_a_form(problem),
-                tuple(name for name in able_solvers(problem) if name != self.name),
-            )
-        return prepared
+    def make(self, problem: Problem) -> Prepared | None:
+        """The closed form made ready; None when this robot and goal have none."""
+        return _prepare(problem)
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:
         kept = problem.made.get(id(self))
-        prepared: Prepared = (kept and kept[1]) or self._require(problem)
+        prepared: Prepared = (kept and kept[1]) or self.load(problem)
         arrays = problem.arrays
         take_start(problem, start)
         began = time.perf_counter()
         mode = subproblems.START_ONLY if budget.iterations < 1 or budget.seconds == 0.0 else subproblems.SOLVE
         prepared.run(*prepared.addresses, prepared.family, mode)
         state = arrays["state"]
-        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and _is_out_of_reach(prepared):
+        if mode == subproblems.SOLVE and state[ws.STATUS] != ws.CONVERGED and prepared.prove():
             state[ws.STATUS] = ws.UNREACHABLE
         if mode == subproblems.START_ONLY and state[ws.STATUS] != ws.CONVERGED:
             state[ws.STATUS] = ws.ITERATION_LIMIT if budget.iterations < 1 else ws.TIME_LIMIT
@@ -204,7 +188,7 @@ class Analytic(Solver):
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
     ) -> None:
-        prepared = self._require(problem)
+        prepared: Prepared = self.load(problem)
         if budget.iterations < 1 or budget.seconds is not None:
             super().attempt_many(problem, targets, starts, results, budget)
             return
@@ -218,7 +202,7 @@ class Analytic(Solver):
             return
         for row in missed:
             problem.target[0] = targets[row]
-            if _is_out_of_reach(prepared):
+            if prepared.prove():
                 results.status[row] = ws.UNREACHABLE
         results.status[(results.status != ws.CONVERGED) & _is_too_far(problem, targets)] = ws.UNREACHABLE
 
@@ -229,7 +213,7 @@ class Analytic(Solver):
             UnsupportedGoalError, ModelError, ProblemInUseError: As ``solve``.
         """
         with problem.in_use():
-            prepared = self._require(problem)
+            prepared: Prepared = self.load(problem)
             take_start(problem, start)
             prepared.run(*prepared.addresses, prepared.family, subproblems.EVERY)
             names = BRANCH_NAMES[prepared.form.family]
@@ -241,11 +225,6 @@ class Analytic(Solver):
                     q[prepared.arrays["qadr"]] = angles
                     found.append((" ".join(map("".join, zip(names, chosen, strict=True))), q))
             return found
-
-
-def _is_out_of_reach(prepared: Prepared) -> bool:
-    """Whether no joint angles bring the problem's target within tolerance, as far as that can be proven."""
-    return prepared.prove(prepared.addresses[1], prepared.addresses[3])
 
 
 def _is_too_far(problem: Problem, targets: Array) -> NDArray[np.bool_]:
@@ -276,9 +255,8 @@ def _prepare(problem: Problem) -> Prepared | None:
     run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
     prove = proofs.PROOFS[form.family]
     jit.announce(prove, "proofs of unreachable goals")
-    addresses = (tree, goals, space, numbers)
-    proof = jit.entry(prove, goals, numbers)
-    return Prepared(form, arrays, tables, addresses, int(form.family), run, batch, proof)
+    proof = partial(jit.entry(prove, goals, numbers), goals, numbers)
+    return Prepared(form, arrays, tables, (tree, goals, space, numbers), int(form.family), run, batch, proof)
 
 
 def _what_has_a_form(problem: Problem) -> str:

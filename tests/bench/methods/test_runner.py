@@ -30,7 +30,7 @@ class Scripted(Solver):
     solutions: tuple[tuple[float, ...], ...] = ()
     name: ClassVar[str] = "scripted"
 
-    def load(self, problem: Problem) -> None:
+    def make(self, problem: Problem) -> None:
         """Nothing is compiled."""
 
     def attempt(self, problem: Problem, start: ArrayLike | None, budget: Budget) -> Solution:

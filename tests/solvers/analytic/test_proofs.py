@@ -45,10 +45,10 @@ def row(pose):
 def called_unreachable(robot, goal, tolerance, poses):
     """(n,) what the proof alone says, whether or not a solution would be found."""
     problem = Problem(robot, goal, tolerance=tolerance)
-    prepared, found = make_solver("analytic").prepare(problem), []
+    prepared, found = make_solver("analytic").load(problem), []
     for pose in poses:
         problem.target[0] = row(pose)
-        found.append(prepared.prove(prepared.addresses[1], prepared.addresses[3]))
+        found.append(prepared.prove())
     return np.array(found)
 
 
