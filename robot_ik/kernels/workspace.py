@@ -25,9 +25,9 @@ OUTCOME = slice(STATUS, ANY_UNREACHABLE + 1)
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
 NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
-# Where some goals are proven out of reach, ``work.state[SEARCH]``: not begun, asked whether the best meets
-# the others, searching for what meets them, and on the way down from there with all goals again.
-ALL_GOALS, ASKED, SEARCHING, FOUND = range(4)
+# Where some goals are proven out of reach, ``work.state[SEARCH]``: all goals count, only the others do until
+# they are met, and they are (of use where there are levels).
+ALL_GOALS, SEARCHING, FOUND = range(3)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
