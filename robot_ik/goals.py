@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose, rotation_z_to
+from robot_ik.geometry import Pose, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# Squares of larger numbers, or of longer vectors, leave the range of floats.
-LARGEST = 1e100
 # Made once: goals are made in loops.
 _WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
 
@@ -54,42 +52,6 @@ class Tolerance:
             positive = False
         if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
-
-
-def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
-    """A new array of floats; raises ``InvalidGoalError`` with a clear message for text or uneven rows."""
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidGoalError(f"{what} must be {wanted}, not {values!r}") from error
-
-
-def vector(values: ArrayLike, size: int, what: str) -> Array:
-    """A read-only finite array (size,); raises ``InvalidGoalError`` with a message for anything else."""
-    array = numbers(values, what, f"{size} numbers")
-    if array.shape != (size,):
-        found = array.size if array.size != size else f"an array of shape {array.shape}"
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
-    found = array.tolist()  # Python's own numbers are quicker for so few
-    if not math.hypot(*found) <= LARGEST:  # NaN too
-        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
-        raise InvalidGoalError(f"{what} must be {bound}, not {found}")
-    array.setflags(write=False)
-    return array
-
-
-def unit_quaternion(values: ArrayLike) -> Array:
-    """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
-    array = vector(values, 4, "wxyz")
-    w, x, y, z = array.tolist()
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    if norm < 1e-9:
-        hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
-        raise InvalidGoalError("wxyz is a zero quaternion, which is no orientation", hint=hint)
-    if norm != 1.0:
-        array = array / norm
-        array.setflags(write=False)
-    return array
 
 
 def nonnegative_number(value: float, what: str) -> float:
