@@ -322,13 +322,6 @@ def load_robot(
         model, velocity = mjcf.read_model(path, path)
     if velocity:
         file = file.model_copy(update={"velocity": velocity | file.velocity})
-    return _make_robot(model, path, file, joints, tool)
-
-
-def _make_robot(
-    model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
-) -> Robot:
-    """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = mjcf.joint_names(model)
     rest = mjcf.home_qpos(model, path, file)
     tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)
