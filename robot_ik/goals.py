@@ -1,4 +1,4 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them all.
+"""Goals: what is wanted of the robot.  One class a kind; ``body_goals.GOALS`` lists them all.
 
 A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
 Targets are in the world, metres and unit quaternions (w, x, y, z).
@@ -6,7 +6,6 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -21,14 +20,6 @@ from robot_ik.geometry import Pose, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
-    from robot_ik.body_goals import GOALS as GOALS
-    from robot_ik.body_goals import CenterOfMassGoal as CenterOfMassGoal
-    from robot_ik.body_goals import PosePriorGoal as PosePriorGoal
-    from robot_ik.body_goals import PostureGoal as PostureGoal
-    from robot_ik.direction_goals import AimGoal as AimGoal
-    from robot_ik.direction_goals import HalfSpaceGoal as HalfSpaceGoal
-    from robot_ik.direction_goals import LineGoal as LineGoal
-    from robot_ik.direction_goals import PlaneGoal as PlaneGoal
     from robot_ik.robot import Robot
 
 
@@ -198,7 +189,7 @@ class Goal:
     def rows(self) -> Rows:
         """Which rows it makes; each kind sets it when it is made."""
         nothing = f"a {self.name} says nothing of what is wanted"
-        raise InvalidGoalError(nothing, hint="take one of rik.goals.GOALS")
+        raise InvalidGoalError(nothing, hint="take one of robot_ik.body_goals.GOALS")
 
     @cached_property
     def weights(self) -> tuple[float, float]:
@@ -384,15 +375,3 @@ class PoseGoal(Goal):
 
     def moved_to(self, target: Pose) -> PoseGoal:
         return replace(self, position=target.position, wxyz=target.wxyz)
-
-
-# Kinds that fewer problems need are loaded when they are first asked for.
-_HOME = dict.fromkeys(("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"), "direction_goals")
-_HOME |= dict.fromkeys(("GOALS", "CenterOfMassGoal", "PosePriorGoal", "PostureGoal"), "body_goals")
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        if name in _HOME:
-            return getattr(importlib.import_module(f"robot_ik.{_HOME[name]}"), name)
-        raise AttributeError(f"module 'robot_ik.goals' has no attribute {name!r}")
