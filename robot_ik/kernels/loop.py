@@ -147,15 +147,20 @@ def squared_distance(goal, reach, g):
 
 @outlined
 def mark_unreachable(goal, work):
-    """Marks in work.unreachable the goals that are proven out of reach; returns whether there are any."""
-    any_beyond = False
+    """Marks in work.unreachable the goals that are proven out of reach.
+
+    Returns whether there are any, and whether the first level needs something beside them.
+    """
+    any_beyond, others = False, False
     ask_for_all(goal)
     for g in range(goal.kind.shape[0]):
         far = work.reach[g, 3] < math.inf
         far = far and squared_distance(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
         work.unreachable[g] = 1 if far else 0
         any_beyond = any_beyond or far
-    return any_beyond
+        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
+        others = others or (needed and goal.level[g] == 0 and not far)
+    return any_beyond, others
 
 
 @pure
@@ -174,16 +179,6 @@ def drop_unreachable(goal, work):
         for i in range(2):
             if work.unreachable[g] == 1:
                 goal.weight[g, i], goal.tolerance[g, i] = 0.0, math.inf
-
-
-@outlined
-def some_within_reach(goal, work):
-    """Whether the first level needs something that is not proven out of reach."""
-    found = False
-    for g in range(goal.kind.shape[0]):
-        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
-        found = found or (needed and goal.level[g] == 0 and work.unreachable[g] == 0)
-    return found
 
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
@@ -247,9 +242,10 @@ def begin(tree, goal, work):
         if not abs(work.start[i]) < math.inf:  # NaN too
             state[ws.STATUS] = ws.NUMERICAL
             return
-    if mark_unreachable(goal, work):
+    any_beyond, others = mark_unreachable(goal, work)
+    if any_beyond:
         state[ws.ANY_UNREACHABLE] = 1
-        if work.level_cost.shape[0] == 0 and state[ws.MAX_RESTARTS] > 0 and some_within_reach(goal, work):
+        if others and work.level_cost.shape[0] == 0 and state[ws.MAX_RESTARTS] > 0:
             drop_unreachable(goal, work)
             state[ws.SEARCH] = ws.SEARCHING
         else:

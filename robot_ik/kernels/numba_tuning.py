@@ -9,7 +9,6 @@ pyproject.toml bounds, and so concerns all that the process compiles from then o
 from __future__ import annotations
 
 import functools
-import types as python_types
 from typing import Any
 
 from numba.core import ir, types
@@ -19,7 +18,7 @@ from numba.core.transforms import canonicalize_cfg
 from numba.core.types.functions import BaseFunction
 
 # As numba has them.
-find_call_type, variables_of = BaseFunction.get_call_type, ir.Inst._rec_list_vars
+find_call_type = BaseFunction.get_call_type
 run_post_processor = PostProcessor.run
 
 
@@ -28,7 +27,6 @@ def tune() -> None:
     """Applies all that this module has, once."""
     _remember_call_types()
     _compare_options_quickly()
-    _list_variables_quickly()
     _analyse_lifetimes_when_asked()
 
 
@@ -81,34 +79,6 @@ def _compare_options_quickly() -> None:
 
     setattr(TargetConfig, "__eq__", equal)  # noqa: B010 (mypy: a class's method)
     setattr(TargetConfig, "__hash__", lambda self: hash(type(self)))  # noqa: B010
-
-
-def _list_variables_quickly() -> None:
-    """Lets an instruction list its variables without a call for each of its texts, places and functions."""
-    leaves = {
-        str, int, bool, float, type(None), ir.Loc, ir.Const, ir.Global, ir.FreeVar, ir.Arg,
-        python_types.BuiltinFunctionType, python_types.FunctionType,
-    }  # fmt: skip
-
-    def collect(values: Any, found: list[Any]) -> None:
-        for item in values:
-            kind = type(item)
-            if kind is ir.Var:
-                found.append(item)
-            elif kind is ir.Expr:
-                collect(item._kws.values(), found)
-            elif kind is tuple or kind is list:
-                collect(item, found)
-            elif kind not in leaves:
-                found += variables_of(instruction, item)
-
-    def list_variables(self: Any, value: Any) -> list[Any]:
-        found: list[Any] = []
-        collect(value.values() if type(value) is dict else (value,), found)
-        return found
-
-    instruction = ir.Inst()
-    setattr(ir.Inst, "_rec_list_vars", list_variables)  # noqa: B010 (mypy: a class's method)
 
 
 def _analyse_lifetimes_when_asked() -> None:

@@ -34,8 +34,6 @@ NO_LIMIT = 1 << 60
 
 # Rows of a trace that are kept here, before Python takes them away.
 TRACE_CAPACITY = 1024
-# Columns of a trace row.
-TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 
 # With g goals, m rows, nu joints that move them, n nodes, k = max(m, nu), p = min(m, nu).
 WORK = Layout(
@@ -87,7 +85,7 @@ WORK = Layout(
     before="floats nu",  # gradient before the step
     moved="floats nu",  # how far the joints have really gone
     outward="floats nu",  # axis along which a ball would leave its cone
-    trace=f"table trace {len(TRACE_COLUMNS)}",  # no rows = no trace
+    trace="table trace 7",  # rows of ``solution.Step``; none = no trace
 )
 open_work = WORK.open
 

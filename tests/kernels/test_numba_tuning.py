@@ -12,7 +12,6 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core import ir
 from numba.core.compiler import Flags, run_frontend
 from numba.core.postproc import PostProcessor
 from numba.core.types.functions import BaseFunction
@@ -67,24 +66,6 @@ def test_what_is_remembered_under_some_options_is_not_taken_under_others() -> No
     for number in numbers.tolist():
         total += number
     assert numba.njit(lambda x: np.sum(x))(numbers) == total
-
-
-def test_an_instruction_lists_the_variables_that_numba_lists() -> None:
-    statements = [s for block in run_frontend(mixed).blocks.values() for s in block.body]
-    values = [getattr(s, "value", None) for s in statements]
-    seen = []
-    for statement in [*statements, *(v for v in values if isinstance(v, ir.Inst))]:
-        fields = statement.__dict__
-        listed = ir.Inst._rec_list_vars(statement, fields)
-        # numba's own one calls itself by name: it is compared as a whole with itself put back.
-        quick, ir.Inst._rec_list_vars = ir.Inst._rec_list_vars, numba_tuning.variables_of
-        try:
-            expected = ir.Inst._rec_list_vars(statement, fields)
-        finally:
-            ir.Inst._rec_list_vars = quick
-        assert [v.name for v in listed] == [v.name for v in expected]
-        seen += listed
-    assert len(seen) > 100
 
 
 def test_where_variables_live_is_what_numba_finds() -> None:
