@@ -57,6 +57,7 @@ class Execution:
         times: (n,) seconds since the first tick at which samples were really sent.
         commanded: (n, nq) what was sent.
         measured: (n, nq) what the source read after each, or None without a source.
+        measured_times: (n,) seconds since the first tick at which those were sampled.
         overruns: Ticks that came a whole period late or more.
         slipped: Seconds by which the schedule was moved because of them.
         samples: How many ticks belong to the trajectory; the rest is settling.
@@ -66,6 +67,7 @@ class Execution:
     times: Array
     commanded: Array
     measured: Array | None
+    measured_times: Array | None
     overruns: int
     slipped: float
     samples: int
@@ -99,6 +101,14 @@ class Execution:
     def final_error(self) -> Array | None:
         """(nq,) measured minus commanded at the last tick, rad or m; None without a source."""
         return None if self.measured is None else np.asarray(self.measured[-1] - self.commanded[-1])
+
+    @property
+    def measured_trajectory(self) -> Trajectory | None:
+        """What the arm did, by its own sensors; None without a source."""
+        if self.measured is None or self.measured_times is None:
+            return None
+        fresh = np.concatenate([[True], np.diff(self.measured_times) > 0.0])
+        return Trajectory(self.measured_times[fresh], self.measured[fresh], self.joints)
 
 
 @dataclass(frozen=True)
@@ -247,7 +257,7 @@ def execute(
         _require_start(trajectory, source.read().q, start_tolerance)
     due, commanded = _with_settling(trajectory, settle)
     schedule = Schedule(clock)
-    times, measured = np.zeros(len(due)), np.zeros(commanded.shape)
+    times, measured, measured_times = np.zeros(len(due)), np.zeros(commanded.shape), np.zeros(len(due))
     begin = schedule.origin
     for k, q in enumerate(commanded):
         now = schedule.wait(due[k], due[k] - due[k - 1] if k else 0.0)
@@ -256,7 +266,8 @@ def execute(
         for sink in sinks:
             sink.send(q, now)
         if source is not None:
-            measured[k] = source.read().q
+            reading = source.read()
+            measured[k], measured_times[k] = reading.q, reading.time - begin
         if on_tick is not None:
             on_tick(Tick(k, len(due), times[k], q, measured[k].copy() if source is not None else None))
     return Execution(
@@ -264,6 +275,7 @@ def execute(
         times,
         commanded,
         measured=None if source is None else measured,
+        measured_times=None if source is None else measured_times,
         overruns=schedule.overruns,
         slipped=schedule.slipped,
         samples=len(trajectory),

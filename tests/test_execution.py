@@ -48,6 +48,7 @@ def test_every_sample_goes_to_every_sink_at_its_time():
     assert done.rate == pytest.approx(100.0) and done.duration == pytest.approx(1.0)
     assert done.overruns == 0 and done.slipped == 0.0 and done.samples == 101
     assert done.measured is None and done.tracking_error is None and done.final_error is None
+    assert done.measured_trajectory is None
 
 
 def test_measured_and_commanded_are_kept_side_by_side():
@@ -58,6 +59,7 @@ def test_measured_and_commanded_are_kept_side_by_side():
     np.testing.assert_allclose(done.measured[1:], path.q[:-1])
     np.testing.assert_allclose(done.tracking_error, [0.005, 0.01])
     np.testing.assert_allclose(done.final_error, [-0.005, 0.01])
+    assert len(done.measured_trajectory) == 101
 
 
 def test_settling_repeats_the_last_sample_until_the_arm_arrives():

@@ -20,6 +20,7 @@ from tyro.conf import arg
 
 from robot_ik.cli.console import HELP_FLAGS, NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
+from robot_ik.reading import FORMER
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -325,6 +326,8 @@ class _Mistake:
         if flag is None:
             return wrong("", f"{' '.join(tokens) or found[1]!r}: nothing more is taken here", hint=self._hint)
         flags = re.findall(r"--[a-z][\w.-]*", self._help)
+        if (now := FORMER.get(flag)) in flags:
+            return wrong(flag, f"this option is called {now} now", hint=self._hint)
         close = close_matches(flag, flags, 1)
         meant = f"; did you mean {close[0]!r}?" if close else ""
         return wrong("", f"unknown option {flag!r}{meant}", hint=self._hint)

@@ -5,6 +5,7 @@ import os
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_marker
 from robot_ik.cli.main import main
 from robot_ik.geometry import Pose
 from robot_ik.jobs import films
+from robot_ik.reading import FORMER
 
 
 def test_a_photograph_with_one_marker(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,3 +115,12 @@ def test_the_self_test_judges(
     assert f"{rms:.3f}" in said.out and "no OpenGL here" in said.err
     assert main(["ar", "--self-test", "--json"]) == code
     assert json.loads(capsys.readouterr().out)["good"] is (code == 0)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--phantoms", "boxes.toml"), ("--phantom-geoms", "link1"), ("--place", "place.toml")]
+)
+def test_an_old_option_is_answered_with_its_new_name(robot_ik: Any, arguments: tuple[str, ...]) -> None:
+    run = robot_ik("ar", *arguments)
+    run.assert_one_screen_error()
+    assert f"{arguments[0]}: this option is called {FORMER[arguments[0]]} now" in run.err
