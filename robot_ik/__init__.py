@@ -16,24 +16,14 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from robot_ik.batch import solve_batch
+    from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
     from robot_ik.branches import solve_all
     from robot_ik.chain import make_chain
+    from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
     from robot_ik.errors import NotConvergedError, RobotIkError
     from robot_ik.execution import execute, follow
     from robot_ik.geometry import Pose
-    from robot_ik.goals import (
-        AimGoal,
-        CenterOfMassGoal,
-        Goal,
-        HalfSpaceGoal,
-        LineGoal,
-        OrientationGoal,
-        PlaneGoal,
-        PoseGoal,
-        PositionGoal,
-        PostureGoal,
-        Tolerance,
-    )
+    from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal, Tolerance
     from robot_ik.inverse_kinematics import solve, warm_up
     from robot_ik.motion.line import line_move
     from robot_ik.motion.trajectory import Trajectory, joint_move
@@ -46,15 +36,14 @@ if TYPE_CHECKING:
 
 _HOME = {
     "robot_ik.batch": ("solve_batch",),
+    "robot_ik.body_goals": ("CenterOfMassGoal", "PostureGoal"),
     "robot_ik.branches": ("solve_all",),
     "robot_ik.chain": ("make_chain",),
+    "robot_ik.direction_goals": ("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"),
     "robot_ik.errors": ("NotConvergedError", "RobotIkError"),
     "robot_ik.execution": ("execute", "follow"),
     "robot_ik.geometry": ("Pose",),
-    "robot_ik.goals": (
-        "AimGoal", "CenterOfMassGoal", "Goal", "HalfSpaceGoal", "LineGoal", "OrientationGoal", "PlaneGoal",
-        "PoseGoal", "PositionGoal", "PostureGoal", "Tolerance",
-    ),
+    "robot_ik.goals": ("Goal", "OrientationGoal", "PoseGoal", "PositionGoal", "Tolerance"),
     "robot_ik.motion.line": ("line_move",),
     "robot_ik.motion.trajectory": ("Trajectory", "joint_move"),
     "robot_ik.ports": ("RealClock", "VirtualClock"),

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose, rotation_entries
-from robot_ik.goals import LARGEST, PoseGoal, PositionGoal, Tolerance, numbers
+from robot_ik.geometry import LARGEST, Pose, numbers, rotation_entries
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
 from robot_ik.problem import Budget, Problem, require_options

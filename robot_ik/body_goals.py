@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import InvalidGoalError, ModelError, UnknownJointError
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, numbers, vector
 from robot_ik.goals import (
     Array,
     Goal,
@@ -21,8 +21,6 @@ from robot_ik.goals import (
     PositionGoal,
     Rows,
     nonnegative_number,
-    numbers,
-    vector,
 )
 from robot_ik.kernels import residuals as codes
 from robot_ik.kernels.tree import FREE, SLIDE, V_WIDTH

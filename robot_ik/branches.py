@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast, overload
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,34 +43,13 @@ class Branch:
         return f"Branch({self.name!r}, q={short_numbers(self.q)}, inside={self.inside})"
 
 
-Branches = tuple[Branch, ...]
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: Goal | Pose, *, start: ArrayLike | None = None, limits: bool = True
-) -> Branches: ...
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: Sequence[Goal | Pose], *, start: ArrayLike | None = None, limits: bool = True
-) -> tuple[Branches, ...]: ...
-
-
-@overload
-def solve_all(
-    robot: Robot, goal: NDArray[np.float64], *, start: ArrayLike | None = None, limits: bool = True
-) -> Branches | tuple[Branches, ...]: ...
-
-
 def solve_all(
     robot: Robot,
-    goal: Goal | Pose | NDArray[np.float64] | Sequence[Goal | Pose],
+    goal: Goal | Pose | NDArray[np.float64],
     *,
     start: ArrayLike | None = None,
     limits: bool = True,
-) -> Branches | tuple[Branches, ...]:
+) -> tuple[Branch, ...]:
     """Every branch with which the closed form meets a goal, the nearest to ``start`` first.
 
     At a singular pose one joint angle is free; it is kept as near to ``start`` as can be.
@@ -80,25 +58,13 @@ def solve_all(
         robot: From ``load_robot``.
         goal: A pose for six axes or a limb of seven (each branch at the swivel nearest to ``start``), a
             position for a planar two-link or the wrist's centre of a limb.  A ``Pose`` or a
-            matrix (4, 4) is the tool's.  Of a list, or of matrices (n, 4, 4), each on its own.
+            matrix (4, 4) is the tool's.
         start: (nq,); default home.
         limits: Leave out branches outside the joint limits.
-
-    Returns:
-        The branches; for a list, those of each.
 
     Raises:
         UnsupportedGoalError: No closed form is known for this robot and goal.
     """
-    if isinstance(goal, Goal | Pose) or (isinstance(goal, np.ndarray) and goal.ndim == 2):
-        return _branches(robot, goal, start, limits)
-    return tuple(_branches(robot, one, start, limits) for one in goal)
-
-
-def _branches(
-    robot: Robot, goal: Goal | Pose | NDArray[np.float64], start: ArrayLike | None, limits: bool
-) -> Branches:
-    """``solve_all`` for one."""
     pose = Pose.from_matrix(goal) if isinstance(goal, np.ndarray) else goal
     wanted = PoseGoal.at(None, pose) if isinstance(pose, Pose) else pose
     with borrowed_problem(robot, wanted, "analytic", {}, None, None, 0) as (solver, problem):

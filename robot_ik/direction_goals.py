@@ -7,8 +7,8 @@ from typing import ClassVar
 
 from numpy.typing import ArrayLike
 
-from robot_ik.geometry import Pose, rotation_z_to
-from robot_ik.goals import Goal, Rows, axis_vector, nonnegative_number, vector
+from robot_ik.geometry import Pose, rotation_z_to, vector
+from robot_ik.goals import Goal, Rows, axis_vector, nonnegative_number
 from robot_ik.kernels import residuals as codes
 
 

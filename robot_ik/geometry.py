@@ -14,7 +14,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import InvalidPoseError
+from robot_ik.errors import InvalidGoalError, InvalidPoseError, RobotIkError
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,48 @@ Array = NDArray[np.float64]
 _SMALL_ANGLE = 1e-8
 # How far a matrix may be from a rotation: what six written digits leave.
 _ROUNDING = 1e-5
+# Squares of larger numbers, or of longer vectors, leave the range of floats.
+LARGEST = 1e100
+
+
+def numbers(
+    values: ArrayLike, what: str, wanted: str = "numbers", error: type[RobotIkError] = InvalidGoalError
+) -> Array:
+    """A new array of floats; raises ``error`` with a clear message for text or uneven rows."""
+    try:
+        return np.array(values, dtype=float)
+    except (TypeError, ValueError) as reason:
+        raise error(f"{what} must be {wanted}, not {values!r}") from reason
+
+
+def vector(
+    values: ArrayLike, size: int, what: str, error: type[RobotIkError] = InvalidGoalError, hint: str = ""
+) -> Array:
+    """A new read-only finite array (size,); raises ``error`` with a message for anything else."""
+    array = numbers(values, what, f"{size} numbers", error)
+    if array.shape != (size,):
+        found = array.size if array.size != size else f"an array of shape {array.shape}"
+        raise error(f"{what} must be {size} numbers, not {found} ({values!r})", hint=hint)
+    found = array.tolist()  # Python's own numbers are quicker for so few
+    if not math.hypot(*found) <= LARGEST:  # NaN too
+        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
+        raise error(f"{what} must be {bound}, not {found}")
+    array.setflags(write=False)
+    return array
+
+
+def unit_quaternion(values: ArrayLike, error: type[RobotIkError] = InvalidGoalError) -> Array:
+    """A new read-only unit quaternion (4,), w first; raises ``error`` for anything else."""
+    array = vector(values, 4, "wxyz", error)
+    w, x, y, z = array.tolist()
+    norm = math.sqrt(w * w + x * x + y * y + z * z)
+    if norm < 1e-9:
+        hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
+        raise error("wxyz is a zero quaternion, which is no orientation", hint=hint)
+    if norm != 1.0:
+        array = array / norm
+        array.setflags(write=False)
+    return array
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
@@ -112,30 +154,15 @@ class Pose:
     their numbers are: q and -q are the same rotation, but not the same numbers (``distance`` asks for that).
 
     Raises:
-        InvalidPoseError: Wrong shape, a number that is not finite, or a zero quaternion.
+        InvalidPoseError: Wrong shape, a number that is not finite or beyond ``LARGEST``, a zero quaternion.
     """
 
     position: Array
     wxyz: Array
 
     def __init__(self, position: ArrayLike = (0.0, 0.0, 0.0), wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)) -> None:
-        try:
-            p = np.array(position, dtype=float)
-            q = np.array(wxyz, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InvalidPoseError(f"a pose is made of numbers, not {position!r}, {wxyz!r}") from error
-        if p.shape != (3,) or q.shape != (4,):
-            shapes = f"{p.shape}, {q.shape}"
-            raise InvalidPoseError(f"a pose is a position (3,) and a quaternion wxyz (4,), not {shapes}")
-        w, x, y, z = q.tolist()
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
-        if not math.isfinite(sum(p.tolist(), norm)) and not (np.isfinite(p).all() and np.isfinite(q).all()):
-            raise InvalidPoseError(f"a pose must be finite, not {p.tolist()}, {q.tolist()}")
-        if norm < 1e-12:
-            raise InvalidPoseError("a zero quaternion is no orientation; (1, 0, 0, 0) is the identity")
-        q /= norm
-        p.flags.writeable = q.flags.writeable = False
-        self.__dict__.update(position=p, wxyz=q)
+        place = vector(position, 3, "a position", InvalidPoseError)
+        self.__dict__.update(position=place, wxyz=unit_quaternion(wxyz, InvalidPoseError))
 
     @classmethod
     def of_checked(cls, position: Array, wxyz: Array) -> Pose:

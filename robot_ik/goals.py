@@ -1,4 +1,4 @@
-"""Goals: what is wanted of the robot.  One class a kind; ``GOALS`` lists them all.
+"""Goals: what is wanted of the robot.  One class a kind; ``body_goals.GOALS`` lists them all.
 
 A goal knows its frame and its target; solvers see only the rows it makes (``kernels/residuals.py``).
 Targets are in the world, metres and unit quaternions (w, x, y, z).
@@ -6,7 +6,6 @@ Targets are in the world, metres and unit quaternions (w, x, y, z).
 
 from __future__ import annotations
 
-import importlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -17,25 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose, rotation_z_to
+from robot_ik.geometry import Pose, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
-    from robot_ik.body_goals import GOALS as GOALS
-    from robot_ik.body_goals import CenterOfMassGoal as CenterOfMassGoal
-    from robot_ik.body_goals import PosePriorGoal as PosePriorGoal
-    from robot_ik.body_goals import PostureGoal as PostureGoal
-    from robot_ik.direction_goals import AimGoal as AimGoal
-    from robot_ik.direction_goals import HalfSpaceGoal as HalfSpaceGoal
-    from robot_ik.direction_goals import LineGoal as LineGoal
-    from robot_ik.direction_goals import PlaneGoal as PlaneGoal
     from robot_ik.robot import Robot
 
 
 Array = NDArray[np.float64]
 
-# Squares of larger numbers, or of longer vectors, leave the range of floats.
-LARGEST = 1e100
 # Made once: goals are made in loops.
 _WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
 
@@ -54,42 +43,6 @@ class Tolerance:
             positive = False
         if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
-
-
-def numbers(values: ArrayLike, what: str, wanted: str = "numbers") -> Array:
-    """A new array of floats; raises ``InvalidGoalError`` with a clear message for text or uneven rows."""
-    try:
-        return np.array(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InvalidGoalError(f"{what} must be {wanted}, not {values!r}") from error
-
-
-def vector(values: ArrayLike, size: int, what: str) -> Array:
-    """A read-only finite array (size,); raises ``InvalidGoalError`` with a message for anything else."""
-    array = numbers(values, what, f"{size} numbers")
-    if array.shape != (size,):
-        found = array.size if array.size != size else f"an array of shape {array.shape}"
-        raise InvalidGoalError(f"{what} must be {size} numbers, not {found} ({values!r})")
-    found = array.tolist()  # Python's own numbers are quicker for so few
-    if not math.hypot(*found) <= LARGEST:  # NaN too
-        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
-        raise InvalidGoalError(f"{what} must be {bound}, not {found}")
-    array.setflags(write=False)
-    return array
-
-
-def unit_quaternion(values: ArrayLike) -> Array:
-    """A read-only unit quaternion (4,), w first; raises ``InvalidGoalError`` for anything else."""
-    array = vector(values, 4, "wxyz")
-    w, x, y, z = array.tolist()
-    norm = math.sqrt(w * w + x * x + y * y + z * z)
-    if norm < 1e-9:
-        hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
-        raise InvalidGoalError("wxyz is a zero quaternion, which is no orientation", hint=hint)
-    if norm != 1.0:
-        array = array / norm
-        array.setflags(write=False)
-    return array
 
 
 def nonnegative_number(value: float, what: str) -> float:
@@ -236,7 +189,7 @@ class Goal:
     def rows(self) -> Rows:
         """Which rows it makes; each kind sets it when it is made."""
         nothing = f"a {self.name} says nothing of what is wanted"
-        raise InvalidGoalError(nothing, hint="take one of rik.goals.GOALS")
+        raise InvalidGoalError(nothing, hint="take one of robot_ik.body_goals.GOALS")
 
     @cached_property
     def weights(self) -> tuple[float, float]:
@@ -422,15 +375,3 @@ class PoseGoal(Goal):
 
     def moved_to(self, target: Pose) -> PoseGoal:
         return replace(self, position=target.position, wxyz=target.wxyz)
-
-
-# Kinds that fewer problems need are loaded when they are first asked for.
-_HOME = dict.fromkeys(("AimGoal", "HalfSpaceGoal", "LineGoal", "PlaneGoal"), "direction_goals")
-_HOME |= dict.fromkeys(("GOALS", "CenterOfMassGoal", "PosePriorGoal", "PostureGoal"), "body_goals")
-
-if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> object:
-        if name in _HOME:
-            return getattr(importlib.import_module(f"robot_ik.{_HOME[name]}"), name)
-        raise AttributeError(f"module 'robot_ik.goals' has no attribute {name!r}")

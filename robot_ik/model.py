@@ -96,30 +96,24 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
     """What ``read_model`` compiles, for who adds to it; and the URDF that it was."""
     if isinstance(source, mujoco.MjSpec):
         return source.copy(), None
-    urdf = _urdf_of(_text_of(source), source.parent) if isinstance(source, Path) else _urdf_of(source)
-    if urdf is not None and urdf.problem[0]:
+    urdf, text, folder = None, source, Path()
+    if isinstance(source, Path):
+        try:
+            text = read_text(source, "the model", errors="replace")  # MuJoCo takes bytes that are no UTF-8
+        except ConfigError as error:
+            raise ModelError(str(error.args[0]), path=source, reason="it cannot be read") from error
+        folder = source.parent
+    if "<robot" in str(text):
+        from robot_ik.urdf import Urdf  # which few robots need
+
+        urdf = Urdf.of_text(str(text), folder)
         reason, hint = urdf.problem
-        raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
+        if reason:
+            raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
     with _as_model_error(path):
         if urdf is None and isinstance(source, Path):
             return mujoco.MjSpec.from_file(str(source)), None
         return mujoco.MjSpec.from_string(str(source) if urdf is None else urdf.text()), urdf
-
-
-def _urdf_of(text: str, folder: Path = Path()) -> Urdf | None:
-    """The URDF in a text; None where it is something else, of which the reader is not even loaded."""
-    if "<robot" not in text:
-        return None
-    from robot_ik.urdf import Urdf
-
-    return Urdf.of_text(text, folder)
-
-
-def _text_of(path: Path) -> str:
-    try:
-        return read_text(path, "the model", errors="replace")  # MuJoCo takes bytes that are no UTF-8
-    except ConfigError as error:
-        raise ModelError(str(error.args[0]), path=path, reason="it cannot be read") from error
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -61,9 +61,9 @@ def read_toml(path: Path, what: str, hint: str = "") -> dict[str, Any]:
     return parse_toml(read_text(path, what, hint), path)
 
 
-def read_json(path: Path, what: str, hint: str = "") -> Any:
+def read_json(path: Path, what: str) -> Any:
     """The content of a JSON file; arguments and errors as of ``read_text`` and ``parse_json``."""
-    return parse_json(read_text(path, what, hint), path)
+    return parse_json(read_text(path, what), path)
 
 
 def read_csv(path: Path, what: str) -> list[list[str]]:

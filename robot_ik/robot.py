@@ -8,7 +8,6 @@ frame's origin.
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 import threading
 from collections.abc import Sequence
@@ -23,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik import model as mjcf
 from robot_ik.errors import ModelError, UnknownFrameError, UnsupportedJointError, apart
-from robot_ik.geometry import Pose
+from robot_ik.geometry import Pose, vector
 from robot_ik.kernels import kinematics
 from robot_ik.kernels.tree import Tree
 from robot_ik.robot_file import RobotFile, find_robot
@@ -138,18 +137,9 @@ class Robot:
             raise UnknownFrameError(str(name), self._frames) from None
 
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
-        """``q`` as a float array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
-        try:
-            array = np.asarray(q, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise ModelError(f"{what} must be {self.nq} numbers, not {q!r}") from error
-        if array.shape != (self.nq,):
-            hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
-            raise ModelError(f"{what} must have shape ({self.nq},), not {array.shape}", hint=hint)
-        # A sum of floats is finite whenever all are (and of a sane size), and costs a third of isfinite.
-        if not math.isfinite(sum(array.tolist())) and not np.isfinite(array).all():
-            raise ModelError(f"{what} must be finite, not {array.tolist()}")
-        return array
+        """``q`` as a new read-only array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
+        hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
+        return vector(q, self.nq, what, ModelError, hint)
 
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
         """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
@@ -332,13 +322,6 @@ def load_robot(
         model, velocity = mjcf.read_model(path, path)
     if velocity:
         file = file.model_copy(update={"velocity": velocity | file.velocity})
-    return _make_robot(model, path, file, joints, tool)
-
-
-def _make_robot(
-    model: mujoco.MjModel, path: Path, file: RobotFile, joints: Sequence[str] | str | None, tool: str | None
-) -> Robot:
-    """A robot of MuJoCo's model and of what ``robot.toml`` says; the rest as in ``load_robot``."""
     names = mjcf.joint_names(model)
     rest = mjcf.home_qpos(model, path, file)
     tree, bodies = mjcf.build_tree(model, mjcf.active_joints(names, joints, file), rest)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose
-from robot_ik.goals import Goal, numbers, vector
+from robot_ik.geometry import Pose, numbers, vector
+from robot_ik.goals import Goal
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import entry, kernel
 from robot_ik.kernels.residuals import OF_FRAME, OF_JOINTS, OF_MASS

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from robot_ik.body_goals import PostureGoal
 from robot_ik.errors import (
     ConfigError,
     ModelError,
@@ -13,7 +14,7 @@ from robot_ik.errors import (
     UnsupportedGoalError,
     UnsupportedJointError,
 )
-from robot_ik.goals import PositionGoal, PostureGoal, Tolerance
+from robot_ik.goals import PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Problem
 from robot_ik.robot import load_robot

@@ -98,7 +98,7 @@ def test_defaults_are_home_a_tenth_of_a_millimetre_and_a_milliradian(puma, goal)
 
 
 def test_wrong_starts_are_refused(puma, goal):
-    with pytest.raises(ModelError, match=r"start must have shape \(6,\)"):
+    with pytest.raises(ModelError, match="start must be 6 numbers, not 2"):
         rik.solve(puma, goal, start=[0, 0])
     with pytest.raises(ModelError, match="start must be finite"):
         rik.solve(puma, goal, start=[np.nan] * 6)
@@ -241,17 +241,13 @@ def test_an_error_leaves_the_next_call_alone(puma, goal):
         rik.solve("puma560", goal)
 
 
-def test_all_branches_of_a_pose_of_an_array_and_of_a_list(puma, goal):
+def test_all_branches_of_a_pose_and_of_an_array(puma, goal):
     wanted = rik.solve_all(puma, goal)
     pose = goal.target
     for given in (pose, pose.matrix):
         found = rik.solve_all(puma, given)
         assert [b.name for b in found] == [b.name for b in wanted]
         assert np.allclose([b.q for b in found], [b.q for b in wanted])
-    several = rik.solve_all(puma, [goal, pose, PoseGoal.at(None, puma.forward(puma.home))])
-    assert [b.name for b in several[0]] == [b.name for b in several[1]] == [b.name for b in wanted]
-    assert len(several) == 3 and all(len(branches) for branches in several)
-    assert len(rik.solve_all(puma, np.array([pose.matrix] * 2))) == 2
 
 
 def test_warming_up_serves_every_method_and_refuses_what_a_solve_would(puma, goal):

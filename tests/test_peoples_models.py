@@ -101,7 +101,7 @@ def test_a_urdf_keeps_its_fixed_frames_and_speed_limits_and_needs_no_inertia(
     np.testing.assert_allclose(robot.forward([0.0, np.pi / 2]).position, [0.25, 0, 0.3], atol=1e-12)
     assert "meshes left out" in caplog.text and ": 1 (" in caplog.text and "fore.dae)" in caplog.text
     with pytest.raises(ModelError, match="no mass"):
-        rik.solve(robot, rik.goals.CenterOfMassGoal(position=[0.1, 0.0, 0.3]))
+        rik.solve(robot, rik.CenterOfMassGoal(position=[0.1, 0.0, 0.3]))
 
 
 def test_a_urdf_that_asks_for_it_is_fused() -> None:

@@ -9,9 +9,10 @@ import textwrap
 import numpy as np
 import pytest
 
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.errors import GoalError, InvalidGoalError, UnknownFrameError
 from robot_ik.geometry import Pose
-from robot_ik.goals import CenterOfMassGoal, OrientationGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
 from robot_ik.solvers import make_solver

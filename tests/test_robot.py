@@ -173,7 +173,7 @@ def test_unknown_joints_groups_and_frames_list_the_close_names(arm_file):
 
 def test_wrong_joint_angles_are_refused(arm_file):
     robot = load_robot(arm_file)
-    with pytest.raises(ModelError, match=r"shape \(6,\), not \(3,\)(.|\n)*shoulder, rail, wrist"):
+    with pytest.raises(ModelError, match=r"q must be 6 numbers, not 3 (.|\n)*shoulder, rail, wrist"):
         robot.forward([1, 2, 3])
     with pytest.raises(ModelError, match="finite"):
         robot.forward([np.nan, 0, 1, 0, 0, 0])

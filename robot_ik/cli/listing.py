@@ -209,7 +209,7 @@ def run_solvers(options: SolversOptions) -> int:
 
 def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
-    from robot_ik.goals import GOALS
+    from robot_ik.body_goals import GOALS
 
     served = [goal for goal in GOALS if issubclass(goal, kind.goals)]
     blank = {"low": None, "high": None, "choices": (), "unit": "", "help": ""}

@@ -30,7 +30,7 @@ from robot_ik.figure.gait import (
 )
 from robot_ik.figure.jump import jump_slices
 from robot_ik.figure.poses import BEND, REACH
-from robot_ik.goals import vector
+from robot_ik.geometry import vector
 from robot_ik.ports import Array
 
 

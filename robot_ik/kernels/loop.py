@@ -127,7 +127,7 @@ def record(tolerance, work):
 
 
 # A goal for a position farther away than all links laid end to end cannot be met from any start.  The goals
-# beside it can: they are searched for without it, and all goals share the last descent.
+# beside it can: it is left out until they are met, and all goals share the last descent.
 
 
 @pure
@@ -147,15 +147,20 @@ def squared_distance(goal, reach, g):
 
 @outlined
 def mark_unreachable(goal, work):
-    """Marks in work.unreachable the goals that are proven out of reach; returns whether there are any."""
-    any_beyond = False
+    """Marks in work.unreachable the goals that are proven out of reach.
+
+    Returns whether there are any, and whether the first level needs something beside them.
+    """
+    any_beyond, others = False, False
     ask_for_all(goal)
     for g in range(goal.kind.shape[0]):
         far = work.reach[g, 3] < math.inf
         far = far and squared_distance(goal, work.reach, g) > work.reach[g, 3] * work.reach[g, 3]
         work.unreachable[g] = 1 if far else 0
         any_beyond = any_beyond or far
-    return any_beyond
+        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
+        others = others or (needed and goal.level[g] == 0 and not far)
+    return any_beyond, others
 
 
 @pure
@@ -174,16 +179,6 @@ def drop_unreachable(goal, work):
         for i in range(2):
             if work.unreachable[g] == 1:
                 goal.weight[g, i], goal.tolerance[g, i] = 0.0, math.inf
-
-
-@outlined
-def some_within_reach(goal, work):
-    """Whether the first level needs something that is not proven out of reach."""
-    found = False
-    for g in range(goal.kind.shape[0]):
-        needed = min(goal.asked[g, 2], goal.asked[g, 3]) < math.inf
-        found = found or (needed and goal.level[g] == 0 and work.unreachable[g] == 0)
-    return found
 
 
 # A later try replaces the best only when it is better by more than this share of the cost, so that
@@ -247,8 +242,14 @@ def begin(tree, goal, work):
         if not abs(work.start[i]) < math.inf:  # NaN too
             state[ws.STATUS] = ws.NUMERICAL
             return
-    if mark_unreachable(goal, work):  # no other start will help these goals
-        state[ws.ANY_UNREACHABLE], state[ws.FIRST_STEPS] = 1, ws.NO_LIMIT
+    any_beyond, others = mark_unreachable(goal, work)
+    if any_beyond:
+        state[ws.ANY_UNREACHABLE] = 1
+        if others and work.level_cost.shape[0] == 0 and state[ws.MAX_RESTARTS] > 0:
+            drop_unreachable(goal, work)
+            state[ws.SEARCH] = ws.SEARCHING
+        else:
+            state[ws.FIRST_STEPS] = ws.NO_LIMIT  # no other start will help these goals
     copy(work.start, work.q)
     clip(tree, tree.every, work.q)
     follow(tree, work.q)
@@ -284,8 +285,9 @@ def next_try(tree, goal, work):
         draw_next(tree, work)
         return True
     if state[ws.SEARCH] == ws.SEARCHING:  # in vain
-        end_search(goal, work)
-        return False
+        copy(work.best, work.q)
+        descend_with_all(goal, work)
+        return True
     if state[ws.POLISHING] == 0:
         value[ws.RIVAL] = math.inf
         if state[ws.RESTARTS] > 0:  # what was found near the start first: it keeps the arm where it is
@@ -294,12 +296,7 @@ def next_try(tree, goal, work):
             copy(work.nearby, work.best)
         copy(work.best, work.q)
         value[ws.BEST_COST] = math.inf
-    elif state[ws.SEARCH] == ws.FOUND:
-        end_search(goal, work)
-        return False
     elif not rival_wins(work):
-        if begin_search(goal, work):
-            return True
         if more:  # it was steps that ran out, not tries
             state[ws.STATUS] = ws.ITERATION_LIMIT
         else:  # limits hold the best point, or nothing does but its own slope
@@ -312,33 +309,12 @@ def next_try(tree, goal, work):
 
 
 @pure
-def begin_search(goal, work):
-    """Where some goals are proven out of reach: is there a pose that meets the others?  False if not asked.
-
-    The solution near the start is kept: what is found must clearly beat it.
-    """
-    state, value = work.state, work.value
-    if state[ws.ANY_UNREACHABLE] == 0 or state[ws.SEARCH] != ws.ALL_GOALS or state[ws.MAX_RESTARTS] == 0:
-        return False
-    if not some_within_reach(goal, work):
-        return False
-    drop_unreachable(goal, work)
-    copy(work.best, work.rival)
-    copy(work.best, work.q)
-    value[ws.RIVAL] = value[ws.BEST_COST]
-    state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.ASKED, 0, ws.TRY
-    return True
-
-
-@pure
-def end_search(goal, work):
-    """The better of what was kept and what was found; the former unless the latter clearly beats it."""
+def descend_with_all(goal, work):
+    """The last descent, from work.q: what is proven out of reach counts too from here on."""
     state, value = work.state, work.value
     ask_for_all(goal)
-    if state[ws.SEARCH] != ws.FOUND or not value[ws.BEST_COST] < value[ws.RIVAL] * (1.0 - _CLEARLY_BETTER):
-        copy(work.rival, work.best)
-        value[ws.BEST_COST] = value[ws.RIVAL]
-    state[ws.STATUS] = ws.BLOCKED if state[ws.PRESSED] > 0 else ws.STALLED
+    value[ws.BEST_COST], value[ws.RIVAL], value[ws.SHARE] = math.inf, math.inf, min(value[ws.SHARE], 1.0)
+    state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.ALL_GOALS, 1, ws.TRY
 
 
 @pure
@@ -379,19 +355,12 @@ def judge(tree, goal, work, within):
             state[ws.STATUS] = ws.NUMERICAL
             return
     if within and state[ws.SEARCH] == ws.SEARCHING:
-        ask_for_all(goal)  # what meets those within reach is found: from there all count again
-        value[ws.BEST_COST], value[ws.SHARE] = math.inf, min(value[ws.SHARE], 1.0)
-        state[ws.SEARCH], state[ws.POLISHING], state[ws.AWAITED] = ws.FOUND, 1, ws.TRY
-        return
-    if within and state[ws.SEARCH] == ws.ASKED:  # the solution near the start meets them already
-        end_search(goal, work)
+        descend_with_all(goal, work)
         return
     if within:
         state[ws.STATUS] = ws.CONVERGED
         keep_best(work)
         return
-    if state[ws.SEARCH] == ws.ASKED:
-        state[ws.SEARCH] = ws.SEARCHING
     if awaited == ws.DRAW:
         if cost < value[ws.LOWEST]:
             value[ws.LOWEST] = cost
@@ -411,7 +380,7 @@ def judge(tree, goal, work, within):
         else value[ws.BEST_COST] * (1.0 - _CLEARLY_BETTER)
     )
     better = first or cost < bar
-    if better and state[ws.SEARCH] != ws.SEARCHING:
+    if better:
         keep_best(work)
     if awaited != ws.STEP:
         state[ws.TRY_STEPS] = state[ws.STALLS] = 0
@@ -438,8 +407,8 @@ def proceed(tree, goal, work):
         if state[ws.ITERATIONS] >= state[ws.SLICE_END]:
             return False
         if state[ws.ITERATIONS] >= state[ws.MAX_ITERATIONS]:
-            if state[ws.SEARCH] != ws.ALL_GOALS:
-                end_search(goal, work)
+            if state[ws.SEARCH] == ws.SEARCHING:
+                ask_for_all(goal)
             elif state[ws.POLISHING] > 0:
                 rival_wins(work)
             state[ws.STATUS] = ws.ITERATION_LIMIT
@@ -447,7 +416,7 @@ def proceed(tree, goal, work):
         patience = state[ws.PATIENCE]
         if state[ws.POLISHING] > 0:
             limit, patience = _POLISH_STEPS, max(patience, _POLISH_PATIENCE)
-        elif state[ws.RESTARTS] == 0 and state[ws.SEARCH] == ws.ALL_GOALS:
+        elif state[ws.RESTARTS] == 0:
             limit = state[ws.FIRST_STEPS]
         else:
             limit = state[ws.TRY_LIMIT]

@@ -187,7 +187,7 @@ def try_again(tree, goal, work):
     if state[ws.SEARCH] == ws.SEARCHING or not beyond:
         start_anew(tree, goal, work)
         return True
-    if not loop.some_within_reach(goal, work):
+    if not loop.mark_unreachable(goal, work)[1]:
         return False
     loop.drop_unreachable(goal, work)
     state[ws.SEARCH] = ws.SEARCHING

@@ -25,17 +25,15 @@ OUTCOME = slice(STATUS, ANY_UNREACHABLE + 1)
 # What ``work.state[AWAITED]`` says of work.q while it is not yet measured.
 NOTHING, STEP, DRAW, TRY, BACK = range(5)
 
-# Where some goals are proven out of reach, ``work.state[SEARCH]``: not begun, asked whether the best meets
-# the others, searching for what meets them, and on the way down from there with all goals again.
-ALL_GOALS, ASKED, SEARCHING, FOUND = range(4)
+# Where some goals are proven out of reach, ``work.state[SEARCH]``: all goals count, only the others do until
+# they are met, and they are (of use where there are levels).
+ALL_GOALS, SEARCHING, FOUND = range(3)
 
 # As a limit of steps: none.
 NO_LIMIT = 1 << 60
 
 # Rows of a trace that are kept here, before Python takes them away.
 TRACE_CAPACITY = 1024
-# Columns of a trace row.
-TRACE_COLUMNS = ("iteration", "restart", "cost", "position", "angle", "damping", "step")
 
 # With g goals, m rows, nu joints that move them, n nodes, k = max(m, nu), p = min(m, nu).
 WORK = Layout(
@@ -87,7 +85,7 @@ WORK = Layout(
     before="floats nu",  # gradient before the step
     moved="floats nu",  # how far the joints have really gone
     outward="floats nu",  # axis along which a ball would leave its cone
-    trace=f"table trace {len(TRACE_COLUMNS)}",  # no rows = no trace
+    trace="table trace 7",  # rows of ``solution.Step``; none = no trace
 )
 open_work = WORK.open
 

@@ -1,6 +1,6 @@
 """Learning a pose prior from motion: a Gaussian mixture by expectation-maximisation.
 
-Frames in, ``PosePrior`` out, for ``robot_ik.goals.PosePriorGoal``: poses are mirrored, thinned to those that
+Frames in, ``PosePrior`` out, for a ``PosePriorGoal``: poses are mirrored, thinned to those that
 differ, scaled by their spread, and a mixture is fitted whose covariances are shrunk towards spheres, so that
 a few hundred poses are enough for forty joints.  It prefers poses like those that it was shown.
 """

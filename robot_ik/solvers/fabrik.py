@@ -209,7 +209,7 @@ def lacks_wrist(tree, goal, bones):
 def fabrik_step(tree, goal, work, bones, options):
     """Back from the goals, forward from the root; leaves q moved."""
     n = tree.parent.shape[0]
-    if work.state[ws.SEARCH] != ws.ALL_GOALS:  # which goals count may have changed
+    if work.state[ws.ANY_UNREACHABLE] == 1:  # which goals count may have changed
         link_points(tree, goal, work.nodes, bones)
     for g in range(goal.kind.shape[0]):
         put(bones.target, n + g, three(goal.target, g, 0))

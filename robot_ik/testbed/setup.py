@@ -14,22 +14,14 @@ from typing import Any, Literal
 
 import numpy as np
 
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.branches import Branch, solve_all
+from robot_ik.direction_goals import AimGoal, LineGoal, PlaneGoal
 from robot_ik.errors import ConfigError, RobotIkError, UnknownSolverError
 from robot_ik.figure.abilities import Abilities, load_abilities
 from robot_ik.figure.figure import load_figure
 from robot_ik.geometry import Pose
-from robot_ik.goals import (
-    AimGoal,
-    CenterOfMassGoal,
-    Goal,
-    LineGoal,
-    OrientationGoal,
-    PlaneGoal,
-    PoseGoal,
-    PositionGoal,
-    PostureGoal,
-)
+from robot_ik.goals import Goal, OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.kernels.tree import FREE, HINGE, SLIDE
 from robot_ik.motion.drag import Drag

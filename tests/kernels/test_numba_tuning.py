@@ -12,10 +12,8 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core import ir
 from numba.core.compiler import Flags, run_frontend
 from numba.core.postproc import PostProcessor
-from numba.core.registry import cpu_target
 from numba.core.types.functions import BaseFunction
 
 from robot_ik.kernels import numba_tuning
@@ -70,24 +68,6 @@ def test_what_is_remembered_under_some_options_is_not_taken_under_others() -> No
     assert numba.njit(lambda x: np.sum(x))(numbers) == total
 
 
-def test_an_instruction_lists_the_variables_that_numba_lists() -> None:
-    statements = [s for block in run_frontend(mixed).blocks.values() for s in block.body]
-    values = [getattr(s, "value", None) for s in statements]
-    seen = []
-    for statement in [*statements, *(v for v in values if isinstance(v, ir.Inst))]:
-        fields = statement.__dict__
-        listed = ir.Inst._rec_list_vars(statement, fields)
-        # numba's own one calls itself by name: it is compared as a whole with itself put back.
-        quick, ir.Inst._rec_list_vars = ir.Inst._rec_list_vars, numba_tuning.variables_of
-        try:
-            expected = ir.Inst._rec_list_vars(statement, fields)
-        finally:
-            ir.Inst._rec_list_vars = quick
-        assert [v.name for v in listed] == [v.name for v in expected]
-        seen += listed
-    assert len(seen) > 100
-
-
 def test_where_variables_live_is_what_numba_finds() -> None:
     function = run_frontend(mixed)
     blocks, lazily = function.blocks, function.variable_lifetime
@@ -121,50 +101,6 @@ def test_python_objects_and_generators_are_compiled_as_before() -> None:
 
     assert objects(["a", "b", "b"]) == ["B", "B"]
     assert list(generator(6)) == [1, 4, 9]
-
-
-def test_what_is_registered_late_is_found() -> None:
-    def late(x): ...
-
-    with pytest.raises(numba.TypingError):
-        numba.njit(lambda x: late(x))(1.0)
-
-    numba.extending.overload(late)(lambda x: lambda x: 2 * x)
-    assert numba.njit(lambda x: late(x))(1.0) == 2.0
-
-
-def test_a_remembered_size_is_the_size() -> None:
-    context = cpu_target.target_context
-    for kind in (numba.types.float64[:, ::1], numba.types.Tuple((numba.types.int8, numba.types.float64))):
-        value = context.get_value_type(kind)
-        sizes = [context.get_abi_sizeof(value) for _ in range(2)]
-        assert sizes == [value.get_abi_size(context.target_data)] * 2
-
-
-@pytest.mark.parametrize(("level", "camera"), [(3, 2), (2, 2), (0, 0)])
-def test_the_cameras_code_is_optimised_less(level: int, camera: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    config: Any = numba.core.config
-    monkeypatch.setattr(config, "OPT", type(config.OPT)(level))
-    levels = []
-
-    def compiled(a, b): ...
-
-    @numba.extending.overload(compiled)  # called while its caller is compiled
-    def _(a, b):
-        levels.append(config.OPT)
-        return lambda a, b: None
-
-    def caller(a, b):
-        compiled(a, b)
-
-    caller.__module__ = "robot_ik.camera.lens"
-    numba.njit(caller)(1, 2.0)
-    assert set(levels) == {camera} and level == config.OPT
-    for module, argument in ("robot_ik.kernels.linalg", 1.0), ("robot_ik.camera.drawing.painter", 1j):
-        levels.clear()
-        caller.__module__ = module
-        numba.njit(caller)(argument, 2)
-        assert set(levels) == {level} and level == config.OPT
 
 
 @pytest.mark.parametrize("enabled", [True, False])

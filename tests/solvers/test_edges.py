@@ -7,6 +7,8 @@ from hypothesis import strategies as st
 
 import robot_ik as rik
 from robot_ik.batch import solve_batch
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
     GoalError,
     InvalidGoalError,
@@ -15,18 +17,7 @@ from robot_ik.errors import (
     UnknownSolverError,
     UnsupportedGoalError,
 )
-from robot_ik.goals import (
-    AimGoal,
-    CenterOfMassGoal,
-    HalfSpaceGoal,
-    LineGoal,
-    OrientationGoal,
-    PlaneGoal,
-    PoseGoal,
-    PositionGoal,
-    PostureGoal,
-    Tolerance,
-)
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot

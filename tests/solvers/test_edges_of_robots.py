@@ -6,21 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import robot_ik as rik
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
     ModelError,
 )
-from robot_ik.goals import (
-    AimGoal,
-    CenterOfMassGoal,
-    HalfSpaceGoal,
-    LineGoal,
-    OrientationGoal,
-    PlaneGoal,
-    PoseGoal,
-    PositionGoal,
-    PostureGoal,
-    Tolerance,
-)
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from robot_ik.batch import solve_batch
+from robot_ik.body_goals import GOALS, PosePriorGoal
 from robot_ik.branches import solve_all
 from robot_ik.errors import UnsupportedGoalError, UnsupportedJointError
 from robot_ik.execution import follow
 from robot_ik.geometry import Pose
-from robot_ik.goals import GOALS, PoseGoal, PosePriorGoal, PositionGoal, Tolerance
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.motion import RecorderSink, ScriptSource
 from robot_ik.ports import VirtualClock

@@ -7,21 +7,10 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from robot_ik.body_goals import GOALS, CenterOfMassGoal, PosePriorGoal, PostureGoal
+from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import (
-    GOALS,
-    AimGoal,
-    CenterOfMassGoal,
-    HalfSpaceGoal,
-    LineGoal,
-    OrientationGoal,
-    PlaneGoal,
-    PoseGoal,
-    PosePriorGoal,
-    PositionGoal,
-    PostureGoal,
-    Tolerance,
-)
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot

@@ -5,16 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+from robot_ik.direction_goals import AimGoal, PlaneGoal
 from robot_ik.errors import UnsupportedGoalError
-from robot_ik.goals import (
-    AimGoal,
-    CenterOfMassGoal,
-    PlaneGoal,
-    PoseGoal,
-    PositionGoal,
-    PostureGoal,
-    Tolerance,
-)
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget
 from robot_ik.robot import load_robot

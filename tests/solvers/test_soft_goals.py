@@ -6,8 +6,10 @@ import pickle
 import numpy as np
 import pytest
 
+from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
+from robot_ik.direction_goals import AimGoal
 from robot_ik.errors import InvalidGoalError, UnsupportedGoalError
-from robot_ik.goals import AimGoal, CenterOfMassGoal, PoseGoal, PositionGoal, PostureGoal, Tolerance
+from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import solve
 from robot_ik.problem import Budget, Problem
 from robot_ik.robot import load_robot
