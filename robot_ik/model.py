@@ -107,8 +107,8 @@ def read_spec(source: Path | str | mujoco.MjSpec, path: Path) -> tuple[mujoco.Mj
         from robot_ik.urdf import Urdf  # which few robots need
 
         urdf = Urdf.of_text(str(text), folder)
-        reason, hint = urdf.problem
-        if reason:
+        if urdf is not None and urdf.problem[0]:
+            reason, hint = urdf.problem
             raise ModelError(f"{path}: {reason}", path=path, reason=reason, hint=hint)
     with _as_model_error(path):
         if urdf is None and isinstance(source, Path):
