@@ -37,7 +37,12 @@ def numbers(
 
 
 def vector(
-    values: ArrayLike, size: int, what: str, error: type[RobotIkError] = InvalidGoalError, hint: str = ""
+    values: ArrayLike,
+    size: int,
+    what: str,
+    error: type[RobotIkError] = InvalidGoalError,
+    hint: str = "",
+    largest: float = LARGEST,
 ) -> Array:
     """A new read-only finite array (size,); raises ``error`` with a message for anything else."""
     array = numbers(values, what, f"{size} numbers", error)
@@ -45,8 +50,8 @@ def vector(
         found = array.size if array.size != size else f"an array of shape {array.shape}"
         raise error(f"{what} must be {size} numbers, not {found} ({values!r})", hint=hint)
     found = array.tolist()  # Python's own numbers are quicker for so few
-    if not math.hypot(*found) <= LARGEST:  # NaN too
-        bound = f"below {LARGEST:g}" if all(map(math.isfinite, found)) else "finite"
+    if not math.hypot(*found) <= largest:  # NaN too
+        bound = f"below {largest:g}" if all(map(math.isfinite, found)) else "finite"
         raise error(f"{what} must be {bound}, not {found}")
     array.setflags(write=False)
     return array

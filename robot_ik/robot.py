@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import sys
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -139,7 +140,8 @@ class Robot:
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
         """``q`` as a new read-only array (nq,); raises ``ModelError`` unless it is nq finite numbers."""
         hint = f"{self.name} has these active joints: {', '.join(self.joints)}"
-        return vector(q, self.nq, what, ModelError, hint)
+        # Of any size: joint angles are clipped to their limits, and nobody squares them before.
+        return vector(q, self.nq, what, ModelError, hint, sys.float_info.max)
 
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
         """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""

@@ -62,7 +62,7 @@ class BoneSolver(IterativeSolver):
             UnsupportedGoalError: A kind of goal, a goal without a position, or several at once.
             UnsupportedJointError: A joint that this method cannot move.
         """
-        if stiff := self._stiff(problem):
+        if (stiff := self._stiff(problem)) and self.unsupported(problem) == stiff:
             raise UnsupportedJointError(
                 f"solver {self.name!r} cannot use the {stiff}; "
                 f"it takes {' and '.join(_KIND_NAMES[kind] for kind in self.kinds)} joints",
