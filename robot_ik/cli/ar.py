@@ -59,8 +59,8 @@ class ArOptions:
     """Id of the marker to follow."""
     marker_size: float = 0.05
     """Side of its black square, metres."""
-    backend: Annotated[str, arg(metavar="painter|gl")] = "painter"
-    """Who draws: painter needs nothing, gl needs OpenGL."""
+    backend: Annotated[str, arg(metavar="painter|ray|gl")] = "painter"
+    """Who draws: painter needs nothing, ray is exact, gl needs OpenGL."""
     occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()

@@ -14,11 +14,12 @@ from robot_ik.bench.camera.accuracy import BENT
 from robot_ik.camera.boards.board import MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.drawing.painter import Layer
-from robot_ik.camera.drawing.raycast import Caster, ray_field
 from robot_ik.camera.drawing.renderers import (
+    Artist,
     BoxTable,
     DrawnRobot,
     PainterArtist,
+    RayArtist,
     load_occluders,
     occluder_boxes,
 )
@@ -43,26 +44,20 @@ def overlap(a: np.ndarray, b: np.ndarray) -> float:
     return float((a & b).sum() / max((a | b).sum(), 1))
 
 
-def seen_by_rays(drawn: DrawnRobot, qpos: np.ndarray) -> np.ndarray:
-    """Pixels (h, w) that see the robot by MuJoCo's rays."""
-    rays = np.dstack([ray_field(BENT).box(0, 0, *BENT.size), np.ones(BENT.size[::-1])]).reshape(-1, 3)
-    caster, camera = Caster(drawn.model), drawn.camera(EYE)
-    caster.place(qpos)
-    depth = caster.cast(camera.position, rays @ camera.rotation.T).depth * drawn.scale
-    if drawn.occluders is not None:
-        real = Caster(drawn.occluders)
-        real.place(drawn.occluders.qpos0)
-        depth[real.cast(EYE.position, rays @ EYE.rotation.T).depth < depth] = np.inf
-    return np.isfinite(depth).reshape(BENT.size[::-1])
-
-
-def test_the_painter_draws_what_rays_see_behind_the_same_things() -> None:
+def test_painter_and_rays_draw_the_same_robot_behind_the_same_things() -> None:
     box = BoxTable(position=(0.02, -0.12, 0.06), size=(0.10, 0.04, 0.12), yaw_deg=15.0)
     masks = {}
     for occluders in (None, occluder_boxes([box])):
         drawn, qpos = standing(occluders=occluders)
-        painted = PainterArtist().draw(drawn, qpos, BENT, EYE).robot.mask(640, 480)
-        assert overlap(painted > 127, seen_by_rays(drawn, qpos)) > 0.985
+        drawings = [artist.draw(drawn, qpos, BENT, EYE) for artist in (PainterArtist(), RayArtist())]
+        painted, cast = (d.robot.mask(640, 480) for d in drawings)
+        assert overlap(painted > 127, cast > 127) > 0.985
+        both = [np.zeros((480, 640, 3), np.uint8) for _ in drawings]
+        for drawing, image in zip(drawings, both, strict=True):
+            drawing.over(image)
+        inside = cv2.erode(((painted == 255) & (cast == 255)).astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        apart = np.abs(both[0].astype(int) - both[1].astype(int)).max(axis=2)
+        assert np.mean(apart[inside] > 12) < 0.05, "light and colours are alike"
         masks[occluders is None] = painted > 127
     hidden = masks[True] & ~masks[False]
     corners = np.array(np.meshgrid(*[[-0.5, 0.5]] * 3)).reshape(3, -1).T * box.size
@@ -102,8 +97,9 @@ def test_a_robot_larger_than_the_picture_throws_a_shadow_no_softer_than_the_pict
     assert max(softness) <= 3.0
 
 
-def test_spheres_are_where_opencv_projects_them() -> None:
-    misses = accuracy.projection_identity(PainterArtist(), BENT)
+@pytest.mark.parametrize("artist", [PainterArtist(), RayArtist()], ids=["painter", "ray"])
+def test_spheres_are_where_opencv_projects_them(artist: Artist) -> None:
+    misses = accuracy.projection_identity(artist, BENT)
     assert misses.count > 100
     assert misses.rms <= 0.08
     assert misses.worst <= 0.20

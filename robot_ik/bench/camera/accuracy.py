@@ -18,7 +18,7 @@ from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.handeye import solve_handeye
 from robot_ik.camera.calibration.intrinsic import calibrate
 from robot_ik.camera.drawing.gl import make_artist
-from robot_ik.camera.drawing.renderers import Artist, DrawnRobot, PainterArtist
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, DrawnRobot, PainterArtist
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation
 from robot_ik.camera.registration import BoardWatcher, LatencyOptions, Registrar, Seen
@@ -433,8 +433,9 @@ def _spheres(artist: Artist, seed: int) -> Iterator[Quantity]:
 
 
 def projection(effort: Effort) -> Iterator[Quantity]:
-    """Middles of spheres that the painter draws, against OpenCV's projection."""
-    yield from _spheres(PainterArtist(), effort.seed)
+    """Middles of spheres that are drawn without OpenGL, against OpenCV's projection."""
+    for make in ARTISTS.values():
+        yield from _spheres(make(), effort.seed)
 
 
 def gl_projection(effort: Effort) -> Iterator[Quantity]:

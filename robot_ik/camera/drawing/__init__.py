@@ -2,5 +2,5 @@
 
 ``meshes`` makes faces of a MuJoCo model, ``painter`` puts them into a picture by the compiled
 ``rasteriser``, ``raycast`` asks MuJoCo what a pixel sees, ``prints`` has ink on paper, flat or before a
-camera; ``renderers`` and ``gl`` draw a robot on a board, ``overlay`` draws outlines and captions.
+camera; ``renderers`` lists the back ends, ``overlay`` draws outlines and captions.
 """

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from robot_ik.camera.drawing.meshes import VISIBLE_GROUPS
 from robot_ik.camera.drawing.painter import Layer
 from robot_ik.camera.drawing.raycast import ray_field
-from robot_ik.camera.drawing.renderers import Artist, PainterArtist, RobotView
+from robot_ik.camera.drawing.renderers import ARTISTS, Artist, RobotView
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.environment import GL_OFF, probe_gl
 from robot_ik.errors import CameraError
@@ -60,13 +60,13 @@ def make_artist(name: str) -> tuple[Artist, str]:
     Raises:
         CameraError: Unknown name.
     """
-    if name == "painter":
-        return PainterArtist(), ""
+    if name in ARTISTS:
+        return ARTISTS[name](), ""
     if name != "gl":
-        raise CameraError(f"unknown back end {name!r}", hint="known: painter, gl")
+        raise CameraError(f"unknown back end {name!r}", hint=f"known: {', '.join(ARTISTS)}, gl")
     backend, reason = choose_gl()
     if not backend:
-        return PainterArtist(), f"no OpenGL here ({reason}): the painter draws instead"
+        return ARTISTS["painter"](), f"no OpenGL here ({reason}): the painter draws instead"
     return GlArtist(backend), ""
 
 

@@ -329,6 +329,14 @@ def base_colours(model: mujoco.MjModel, tint: tuple[float, float, float] | None 
     )
 
 
+def lit_colours(base: Array, normals: Array) -> Array:
+    """Colours (n, 3) of surfaces of colour ``base`` (n, 3) with ``normals`` (n, 3) in the camera frame."""
+    wrapped = 0.5 + 0.5 * normals @ LIGHT
+    shine = np.maximum(normals @ _HALFWAY, 0.0) ** 32
+    light = np.maximum(_AMBIENT + (1.0 - _AMBIENT) * wrapped**2, 0.0)
+    return np.minimum(base * light[:, None] + (_GLOSS * shine)[:, None], 255.0)
+
+
 def paint_mask(
     shape: tuple[int, int], faces: Faces, corner: tuple[int, int] = (0, 0), count: int = 4
 ) -> Image:

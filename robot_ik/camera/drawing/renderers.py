@@ -1,13 +1,14 @@
-"""A robot drawn on a board: by the painter, which needs nothing; what needs OpenGL is in ``gl.py``.
+"""Back ends that draw a robot on a board: ``painter`` (default) and ``ray``; ``gl`` is in ``gl.py``.
 
-Both give the same sheets for the same robot and camera.
+All of them give the same sheets for the same robot, camera and light, and none but ``gl`` needs OpenGL.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from pydantic import Field
 
 from robot_ik.camera.drawing import painter
 from robot_ik.camera.drawing.painter import EMPTY, Layer
-from robot_ik.camera.drawing.raycast import ray_field
+from robot_ik.camera.drawing.raycast import Caster, ray_field
 from robot_ik.camera.image import Box
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError
@@ -200,6 +201,57 @@ class PainterArtist(Artist):
             samples.fill(view.occluders, occluders=True)
         samples.fill(view.faces, occluders=False if drawn.occluder_geoms is None else drawn.occluder_geoms)
         return samples.layer(painter.base_colours(drawn.model))
+
+
+@lru_cache(maxsize=4)
+def _caster(model: mujoco.MjModel) -> Caster:
+    return Caster(model)
+
+
+class RayArtist(Artist):
+    """MuJoCo's own rays (``mj_multiRay``), analytic for primitives: exact outlines, slower."""
+
+    name = "ray"
+
+    def _robot(self, view: RobotView) -> Layer:
+        box = view.box
+        size = (box[3] - box[1], box[2] - box[0])
+        near = cv2.dilate(painter.paint_mask(size, view.faces, box[:2]), np.ones((5, 5), np.uint8)) > 0
+        base = painter.base_colours(view.drawn.model)
+        rows, columns = np.nonzero(near)
+        total = np.zeros((len(rows), 4))
+        for offset in painter.SAMPLES[4]:
+            geom, normal = self._cast(view, np.stack([columns + box[0], rows + box[1]], axis=1) + offset)
+            on = geom >= 0
+            total[on, :3] += painter.lit_colours(base[geom[on]], normal[on])
+            total[on, 3] += 255.0
+        total /= len(painter.SAMPLES[4])
+        sheet = np.zeros((*size, 4), dtype=np.uint8)
+        sheet[rows, columns] = np.rint(total)
+        return Layer(box, np.ascontiguousarray(sheet[..., :3]), np.ascontiguousarray(sheet[..., 3]))
+
+    def _cast(self, view: RobotView, pixels: Array) -> tuple[NDArray[np.int32], Array]:
+        """Geoms (n,) and normals (n, 3) in the camera frame of what pixels (n, 2) see."""
+        drawn, pose = view.drawn, view.pose_board_camera
+        normalized = ray_field(view.intrinsics).points(pixels)
+        rays = np.concatenate([normalized, np.ones((len(normalized), 1))], axis=1)
+        caster = _caster(drawn.model)
+        caster.place(view.qpos)
+        camera = drawn.camera(pose)
+        hits = caster.cast(camera.position, rays @ camera.rotation.T)
+        geom = hits.geom.copy()
+        if drawn.occluder_geoms is not None:
+            geom[(geom >= 0) & drawn.occluder_geoms[geom]] = -1
+        if drawn.occluders is not None:
+            real = _caster(drawn.occluders)
+            real.place(drawn.occluders.qpos0)
+            before = real.cast(pose.position, rays @ pose.rotation.T, normals=False).depth
+            geom[before < hits.depth * drawn.scale] = -1
+        return geom, hits.normal @ camera.rotation
+
+
+ARTISTS: dict[str, Callable[[], Artist]] = {"painter": PainterArtist, "ray": RayArtist}
+"""Back ends that every machine has, by name."""
 
 
 # ------------------------------------------------------------------------------------------

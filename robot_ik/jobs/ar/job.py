@@ -53,7 +53,7 @@ class ArRequest:
         scale: Drawn over true size; 0 is 1 for a real camera and what suits the synthetic table.
         motion: See ``make_motion``.
         marker: Id and side (m) of the marker to follow.
-        backend: ``painter`` or ``gl``.
+        backend: ``painter``, ``ray`` or ``gl``.
         occluders: File of real objects that hide the robot; ``occluder_geoms`` names of the model's own.
         alpha: 1 hides what is behind the robot.
         out: Film, picture or folder.
