@@ -71,7 +71,7 @@ def test_drawings_are_where_opencv_projects_them_and_a_shift_would_be_seen(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = figures(accuracy.projection)
-    assert len(found) == 4 and all(one.passed for one in found.values()), found
+    assert len(found) == 8 and all(one.passed for one in found.values()), found
 
     class Shifted(PainterArtist):
         """A painter that takes the middle of a pixel for its corner."""
