@@ -226,7 +226,6 @@ def open_source(
     text: str | int | Path,
     *,
     size: tuple[int, int] | None = None,
-    rate_hz: float | None = None,
     timeout: float | None = None,
 ) -> FrameSource:
     """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
@@ -234,13 +233,11 @@ def open_source(
     Args:
         text: Index of a camera, path or URL.
         size: (width, height) in pixels; asked of a camera, required of everything else.
-        rate_hz: Pictures a second, asked of a camera.
         timeout: Seconds a camera or stream may stay without a new picture.
 
     Raises:
         CameraNotFoundError: It cannot be opened; the hint says what exists.
         FrameSizeError: A camera does not deliver ``size``, or the file has another one.
-        CameraError: A camera does not run at ``rate_hz``.
     """
     text = str(text).strip()
     if text.startswith("file://"):
@@ -248,7 +245,7 @@ def open_source(
     is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device
     if text.isdigit() or is_node or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text):
         device = int(text) if text.isdigit() else text
-        return _opener("device")(device, size=size, rate_hz=rate_hz, timeout=timeout)
+        return _opener("device")(device, size=size, timeout=timeout)
     source = _opener("synthetic")(text) if text.startswith("synthetic:") else _open_file(text)
     if size is not None and source.size != size:
         source.close()
