@@ -189,7 +189,7 @@ class MarkerTracker:
         """
         observations = []
         chosen = None if ids is None else frozenset(ids)
-        found = [(i, c) for i, c in self._refined(frame) if chosen is None or i in chosen]
+        found = [(i, c) for i, c in self.refined(frame) if chosen is None or i in chosen]
         count = Counter(i for i, _ in found)
         for marker_id, corners in found:
             size = self._sizes[marker_id] if isinstance(self._sizes, dict) else self._sizes
@@ -229,7 +229,7 @@ class MarkerTracker:
         Raises:
             CalibrationError: The frame has not the size of the calibration.
         """
-        found = self._refined(frame)
+        found = self.refined(frame)
         count = Counter(i for i, _ in found)
         return {i: c for i, c in found if count[i] == 1}
 
@@ -242,7 +242,8 @@ class MarkerTracker:
             return branches.alone
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
-    def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+    def refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+        """Ids and corners of the wanted markers in the frame, sorted by id; raises as ``observe``."""
         require_frame(frame)
         if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
             return self._seen[1]
