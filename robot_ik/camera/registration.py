@@ -103,15 +103,8 @@ class BoardWatcher:
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
         sides = {i: layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids}
         board_points = {(i, k): sides[i][k] for i in body.ids for k in range(4)}
-        return Seen(
-            body.pose_camera_body,
-            body.covariance,
-            points,
-            board_points,
-            marker,
-            body.reprojection_error,
-            frame.time,
-        )
+        pose, error = body.pose_camera_body, body.reprojection_error
+        return Seen(pose, body.covariance, points, board_points, marker, error, frame.time)
 
     def _see_pattern(
         self, board: PatternBoard, frame: Frame, marker: MarkerObservation | None
