@@ -33,12 +33,6 @@ from robot_ik.camera.image import (
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.ports import Closing, Image
 
-#: Sources that other modules know how to open: the module, and its function or class.
-_OPENERS = {
-    "device": ("robot_ik.camera.device", "DeviceSource"),
-    "synthetic": ("robot_ik.camera.synthetic.datasets", "open_moving"),
-}
-
 _DEFAULT_RATE_HZ = 30.0  # of folders, and of films that do not state theirs
 
 
@@ -245,8 +239,9 @@ def open_source(
     is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device
     if text.isdigit() or is_node or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text):
         device = int(text) if text.isdigit() else text
-        return _opener("device")(device, size=size, timeout=timeout)
-    source = _opener("synthetic")(text) if text.startswith("synthetic:") else _open_file(text)
+        return _opener("device", "DeviceSource")(device, size=size, timeout=timeout)
+    computed = text.startswith("synthetic:")
+    source = _opener("synthetic.datasets", "open_moving")(text) if computed else _open_file(text)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(
@@ -256,10 +251,9 @@ def open_source(
     return source
 
 
-def _opener(kind: str) -> Callable[..., FrameSource]:
+def _opener(module: str, name: str) -> Callable[..., FrameSource]:
     """What opens a source that is not a file: those modules build on this one."""
-    module, name = _OPENERS[kind]
-    opener: Callable[..., FrameSource] = getattr(importlib.import_module(module), name)
+    opener: Callable[..., FrameSource] = getattr(importlib.import_module(f"robot_ik.camera.{module}"), name)
     return opener
 
 

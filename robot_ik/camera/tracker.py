@@ -99,21 +99,13 @@ class BranchMemory:
         odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
-        return BranchChoice(index, self._ambiguity(branches, alone, odds, index, scale))
-
-    @staticmethod
-    def _ambiguity(
-        branches: Branches, alone: list[float], odds: list[float], index: int, scale: float
-    ) -> float:
-        """The ratio of errors that one picture with as much evidence would have.
-
-        That of this picture or, where it is more, half of it and half of all: pictures in a row share errors.
-        """
         if len(odds) < 2:
-            return 0.0
+            return BranchChoice(index, 0.0)
+        # The ratio of errors that one picture with as much evidence would have: that of this picture or,
+        # where it is more, half of it and half of all, for pictures in a row share errors.
         now = alone[index] - alone[1 - index]
         more = 2.0 * scale * max(now, 0.5 * (now + odds[index] - odds[1 - index]), 0.0)
-        return 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected))
+        return BranchChoice(index, 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected)))
 
 
 def _plausible(one: Pose, other: Pose, variance: float) -> float:

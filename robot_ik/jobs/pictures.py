@@ -71,11 +71,6 @@ class Sighting:
     markers: Sequence[MarkerObservation | Corners]
     bodies: Mapping[str, BodyObservation]
 
-    @property
-    def ids(self) -> tuple[int, ...]:
-        """Ids of the markers."""
-        return tuple(m.id for m in self.markers)
-
 
 class MarkerFinder:
     """Looks for markers and bodies in pictures.
