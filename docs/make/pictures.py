@@ -175,7 +175,7 @@ def _table_with(name: str, objects: mujoco.MjModel | None, height: float, yaw: f
     base = rik.Pose((0.0, 0.0, -scale * low), rotation_exp([0.0, 0.0, np.radians(yaw)]))
     watcher = BoardWatcher(parse_board(BOARD), optics)
     registrar = Registrar(watcher, PainterArtist(16), DrawnRobot(robot.model, base, scale, objects), optics)
-    return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home)).image
+    return registrar.compose(registrar.track(frame), frame, robot.qpos(robot.home))[0]
 
 
 def error_map() -> Image:

@@ -17,7 +17,7 @@ import cv2
 
 from robot_ik.camera.image import quiet
 from robot_ik.camera.sources import Frame, FrameSource
-from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
+from robot_ik.errors import CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.ports import Image
 
 #: Whether this system lets its cameras be listed, without opening any.  macOS and Windows tell them only to
@@ -90,8 +90,6 @@ _CLOSE_TIMEOUT_S = 1.0
 # A camera drops a picture now and then; this many in a row mean that it is gone.
 _FAILURES_ALLOWED = 5
 _FRAME_COUNT = cv2.CAP_PROP_FRAME_COUNT
-# 29.97 is 30.
-_RATE_TOLERANCE = 0.95
 
 
 class DeviceSource(FrameSource):
@@ -103,7 +101,6 @@ class DeviceSource(FrameSource):
     Args:
         device: Index, device path or URL.
         size: (width, height) in pixels to ask for; what comes is verified.
-        rate_hz: Pictures a second to ask for; what the camera then says it does is verified.
         timeout: Seconds that ``read`` waits; None: ``DEFAULT_TIMEOUT``.
         opener: For tests: gives a ``cv2.VideoCapture`` or something with its methods.
 
@@ -114,7 +111,6 @@ class DeviceSource(FrameSource):
     Raises:
         CameraNotFoundError: It cannot be opened, or gives no first picture.
         FrameSizeError: Pictures have another size than asked for.
-        CameraError: It runs slower than asked for.
     """
 
     live = True
@@ -124,7 +120,6 @@ class DeviceSource(FrameSource):
         device: int | str,
         *,
         size: tuple[int, int] | None = None,
-        rate_hz: float | None = None,
         timeout: float | None = None,
         opener: Callable[[], Any] | None = None,
     ) -> None:
@@ -138,8 +133,6 @@ class DeviceSource(FrameSource):
         if size is not None:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
             self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
-        if rate_hz is not None:
-            self._capture.set(cv2.CAP_PROP_FPS, rate_hz)
         # Fewer buffered pictures, less delay; drivers that cannot do it refuse without harm.
         self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
         self._news = threading.Condition()
@@ -150,7 +143,6 @@ class DeviceSource(FrameSource):
         self._thread = threading.Thread(target=self._grab, name=f"camera {device}", daemon=True)
         self._thread.start()
         self._check_first(size)
-        self._check_rate(rate_hz)
 
     def _check_first(self, size: tuple[int, int] | None) -> None:
         with self._news:
@@ -170,18 +162,6 @@ class DeviceSource(FrameSource):
                 hint="ask for a size that the camera has; the calibration must be made at that size",
             )
         self.size = first.size
-
-    def _check_rate(self, asked: float | None) -> None:
-        """Drivers answer a request with the nearest rate that they have, or with 0 when they do not say."""
-        if asked is None:
-            return
-        set_to = float(self._capture.get(cv2.CAP_PROP_FPS))
-        if 0.0 < set_to < _RATE_TOLERANCE * asked:
-            self.close()
-            raise CameraError(
-                f"camera {self.label} was asked for {asked:g} pictures/s and does {set_to:g}",
-                hint="ask for fewer, or for a smaller picture; in poor light many cameras halve their rate",
-            )
 
     def _grab(self) -> None:
         sequence = failures = 0

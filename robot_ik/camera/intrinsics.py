@@ -12,7 +12,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -296,11 +296,7 @@ class _Loader(yaml.SafeLoader):
     """Plain YAML plus OpenCV's tag for matrices."""
 
 
-def _matrix_node(loader: yaml.SafeLoader, node: yaml.MappingNode) -> dict[Any, Any]:
-    return loader.construct_mapping(node, deep=True)
-
-
-_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix_node)
+_Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", partial(_Loader.construct_mapping, deep=True))
 
 
 _HINT = (

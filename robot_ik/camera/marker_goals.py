@@ -274,8 +274,6 @@ class MarkerGoalSource:
         pose_marker_tool: The wanted pose of the frame, seen from the marker (x right, y up, z out of the
             printed face) or from the body.
         frame: Name of the robot's frame that shall go there.
-        normal: World direction (3,) of the marker's z axis where it is known, for example (0, 0, 1) on a
-            table.  The branch nearer to it is taken, and no orientation is uncertain any more.
         motion: What the filter assumes; None: no filter, each picture is for itself.
         predict: Goals for the time asked for, not for that of the picture.  None: where pictures are live.
         lead: Seconds to predict beyond the time asked for: the servos' own lag.
@@ -299,7 +297,6 @@ class MarkerGoalSource:
         pose_marker_tool: Pose,
         frame: str = "gripper",
         *,
-        normal: ArrayLike | None = None,
         motion: FilterOptions | None = FilterOptions(),  # noqa: B008 - frozen
         predict: bool | None = None,
         lead: float = 0.0,
@@ -314,7 +311,6 @@ class MarkerGoalSource:
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
         self.made, self.used = DelayMeter(), DelayMeter()
-        self._normal = None if normal is None else np.asarray(normal, dtype=float).reshape(3)
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
@@ -408,15 +404,9 @@ class MarkerGoalSource:
         pose = pose_world_camera.compose(own)
         rotation = np.kron(np.eye(2), pose_world_camera.rotation)
         covariance = rotation @ seen.covariance @ rotation.T
-        if seen.alternative is None:
+        if seen.alternative is None or seen.ambiguity <= AMBIGUITY_LIMIT:
             return pose, covariance, None
         other = pose_world_camera.compose(seen.alternative)
-        if self._normal is not None:
-            # The one whose z axis is nearer to the known direction.
-            cosines = [branch.rotation[:, 2] @ self._normal for branch in (pose, other)]
-            return pose if cosines[0] >= cosines[1] else other, covariance, None
-        if seen.ambiguity <= AMBIGUITY_LIMIT:
-            return pose, covariance, None
         one, two = (branch.apply(self.pose_marker_tool.position) for branch in (pose, other))
         if np.linalg.norm(one - two) > _SAME_POSITION:
             return None

@@ -93,7 +93,18 @@ class BoardWatcher:
             others = tracker.observe(frame, self._other[:1])
             marker = others[0] if len(others) == 1 else None
         if isinstance(self._board, PatternBoard):
-            return self._see_pattern(self._board, frame, marker)
+            view = self._board.see(frame, self._intrinsics)
+            if view is None:
+                return None
+            middle = self._board.layout[0][1]
+            covariance = np.diag(np.repeat(np.square(_PATTERN_SIGMA), 3))
+            off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - view.pixels
+            error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+            keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
+            points = dict(zip(keys, view.pixels, strict=True))
+            board_points = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
+            pose = view.pose_camera_board.compose(middle)
+            return Seen(pose, covariance, points, board_points, marker, error, frame.time)
         assert tracker is not None, "a board of markers has a tracker"
         layout = self._board.layout
         body = tracker.observe_body(frame, layout)
@@ -103,31 +114,8 @@ class BoardWatcher:
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
         sides = {i: layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids}
         board_points = {(i, k): sides[i][k] for i in body.ids for k in range(4)}
-        return Seen(
-            body.pose_camera_body,
-            body.covariance,
-            points,
-            board_points,
-            marker,
-            body.reprojection_error,
-            frame.time,
-        )
-
-    def _see_pattern(
-        self, board: PatternBoard, frame: Frame, marker: MarkerObservation | None
-    ) -> Seen | None:
-        view = board.see(frame, self._intrinsics)
-        if view is None:
-            return None
-        middle = board.layout[0][1]
-        sigma = np.repeat(np.square(_PATTERN_SIGMA), 3)
-        off = self._intrinsics.project(view.pose_camera_board.apply(view.points)) - view.pixels
-        error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-        keys = [(round(1e5 * x), round(1e5 * y)) for x, y, _ in view.points]
-        points = dict(zip(keys, view.pixels, strict=True))
-        board_points = dict(zip(keys, middle.inverse().apply(view.points), strict=True))
-        pose = view.pose_camera_board.compose(middle)
-        return Seen(pose, np.diag(sigma), points, board_points, marker, error, frame.time)
+        pose, error = body.pose_camera_body, body.reprojection_error
+        return Seen(pose, body.covariance, points, board_points, marker, error, frame.time)
 
 
 def optical_motion(before: Points, after: Points) -> Array:
@@ -161,23 +149,6 @@ class LatencyOptions:
     sync: Sync = "tracked"
     predict: bool = False
     shift: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Shown:
-    """One picture with the robot in it.
-
-    Attributes:
-        image: (height, width, 3).
-        drawing: What was laid over it; None when there was no board to stand on.
-        pose_camera_board: For which it was drawn; before any shift.
-        seen: What was tracked.
-    """
-
-    image: Image
-    drawing: Drawing | None
-    pose_camera_board: Pose | None
-    seen: Seen | None
 
 
 class Registrar:
@@ -223,17 +194,20 @@ class Registrar:
             self._last = None
         return self._last
 
-    def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> Shown:
-        """The robot at ``qpos`` (nq,), drawn for ``seen``, laid over the picture ``shown``."""
+    def compose(self, seen: Seen | None, shown: Frame, qpos: ArrayLike) -> tuple[Image, Drawing | None]:
+        """The picture ``shown`` with the robot at ``qpos`` (nq,), drawn for ``seen``, and the drawing.
+
+        That is None when there was no board to stand on.
+        """
         pose, motion = self.place(seen, shown)
         if pose is None:
-            return Shown(shown.image, None, None, seen)
+            return shown.image, None
         drawing = self.artist.draw(self.drawn, qpos, self._intrinsics, pose.inverse())
         if motion is not None:
             drawing = drawing.shifted(motion, *self._intrinsics.size)
         image = shown.image.copy()
         drawing.over(image, self._alpha)
-        return Shown(image, drawing, pose, seen)
+        return image, drawing
 
     def place(self, seen: Seen | None, shown: Frame) -> tuple[Pose | None, Array | None]:
         """``pose_camera_board`` to draw for, and how to move the drawing (2, 3) after that, if at all."""

@@ -33,12 +33,6 @@ from robot_ik.camera.image import (
 from robot_ik.errors import CameraError, CameraNotFoundError, FrameSizeError, FrameTimeoutError
 from robot_ik.ports import Closing, Image
 
-#: Sources that other modules know how to open: the module, and its function or class.
-_OPENERS = {
-    "device": ("robot_ik.camera.device", "DeviceSource"),
-    "synthetic": ("robot_ik.camera.synthetic.datasets", "open_moving"),
-}
-
 _DEFAULT_RATE_HZ = 30.0  # of folders, and of films that do not state theirs
 
 
@@ -226,7 +220,6 @@ def open_source(
     text: str | int | Path,
     *,
     size: tuple[int, int] | None = None,
-    rate_hz: float | None = None,
     timeout: float | None = None,
 ) -> FrameSource:
     """Opens ``0``, ``/dev/video0``, ``clip.mp4``, ``photo.jpg``, ``folder/``, ``http://…``, ``synthetic:…``.
@@ -234,13 +227,11 @@ def open_source(
     Args:
         text: Index of a camera, path or URL.
         size: (width, height) in pixels; asked of a camera, required of everything else.
-        rate_hz: Pictures a second, asked of a camera.
         timeout: Seconds a camera or stream may stay without a new picture.
 
     Raises:
         CameraNotFoundError: It cannot be opened; the hint says what exists.
         FrameSizeError: A camera does not deliver ``size``, or the file has another one.
-        CameraError: A camera does not run at ``rate_hz``.
     """
     text = str(text).strip()
     if text.startswith("file://"):
@@ -248,8 +239,9 @@ def open_source(
     is_node = text.startswith("/dev/") and not Path(text).is_file()  # a file of /dev/shm is no device
     if text.isdigit() or is_node or re.match(r"[a-zA-Z][a-zA-Z0-9+.-]+://", text):
         device = int(text) if text.isdigit() else text
-        return _opener("device")(device, size=size, rate_hz=rate_hz, timeout=timeout)
-    source = _opener("synthetic")(text) if text.startswith("synthetic:") else _open_file(text)
+        return _opener("device", "DeviceSource")(device, size=size, timeout=timeout)
+    computed = text.startswith("synthetic:")
+    source = _opener("synthetic.datasets", "open_moving")(text) if computed else _open_file(text)
     if size is not None and source.size != size:
         source.close()
         raise FrameSizeError(
@@ -259,10 +251,9 @@ def open_source(
     return source
 
 
-def _opener(kind: str) -> Callable[..., FrameSource]:
+def _opener(module: str, name: str) -> Callable[..., FrameSource]:
     """What opens a source that is not a file: those modules build on this one."""
-    module, name = _OPENERS[kind]
-    opener: Callable[..., FrameSource] = getattr(importlib.import_module(module), name)
+    opener: Callable[..., FrameSource] = getattr(importlib.import_module(f"robot_ik.camera.{module}"), name)
     return opener
 
 

@@ -99,21 +99,13 @@ class BranchMemory:
         odds = [value - max(odds) for value in odds]
         self._poses, self._odds, self._spread = branches.poses, odds, spread
         self._chosen, self._time = index, time
-        return BranchChoice(index, self._ambiguity(branches, alone, odds, index, scale))
-
-    @staticmethod
-    def _ambiguity(
-        branches: Branches, alone: list[float], odds: list[float], index: int, scale: float
-    ) -> float:
-        """The ratio of errors that one picture with as much evidence would have.
-
-        That of this picture or, where it is more, half of it and half of all: pictures in a row share errors.
-        """
         if len(odds) < 2:
-            return 0.0
+            return BranchChoice(index, 0.0)
+        # The ratio of errors that one picture with as much evidence would have: that of this picture or,
+        # where it is more, half of it and half of all, for pictures in a row share errors.
         now = alone[index] - alone[1 - index]
         more = 2.0 * scale * max(now, 0.5 * (now + odds[index] - odds[1 - index]), 0.0)
-        return 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected))
+        return BranchChoice(index, 1.0 / math.sqrt(1.0 + more / (branches.costs[0] + branches.expected)))
 
 
 def _plausible(one: Pose, other: Pose, variance: float) -> float:
@@ -189,7 +181,7 @@ class MarkerTracker:
         """
         observations = []
         chosen = None if ids is None else frozenset(ids)
-        found = [(i, c) for i, c in self._refined(frame) if chosen is None or i in chosen]
+        found = [(i, c) for i, c in self.refined(frame) if chosen is None or i in chosen]
         count = Counter(i for i, _ in found)
         for marker_id, corners in found:
             size = self._sizes[marker_id] if isinstance(self._sizes, dict) else self._sizes
@@ -229,7 +221,7 @@ class MarkerTracker:
         Raises:
             CalibrationError: The frame has not the size of the calibration.
         """
-        found = self._refined(frame)
+        found = self.refined(frame)
         count = Counter(i for i, _ in found)
         return {i: c for i, c in found if count[i] == 1}
 
@@ -242,7 +234,8 @@ class MarkerTracker:
             return branches.alone
         return self._memories.setdefault(who, BranchMemory()).choose(branches, time)
 
-    def _refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+    def refined(self, frame: Frame) -> list[tuple[int, RefinedCorners]]:
+        """Ids and corners of the wanted markers in the frame, sorted by id; raises as ``observe``."""
         require_frame(frame)
         if frame is self._seen[0]:  # several bodies in one picture: it is looked at once
             return self._seen[1]

@@ -73,21 +73,18 @@ class Film(PictureSink):
         self._first = self._last = 0
 
     def write(self, image: Image, time: float) -> None:
-        with _unbroken():
-            self._write(image, time)
-
-    def _write(self, image: Image, time: float) -> None:
         import av
 
-        if self._container is None:
-            self._open(image)
-            self._first, self._last = round(time * _TICKS), -1
-        frame = av.VideoFrame.from_ndarray(_even(image), format="bgr24")
-        # two pictures of one time would be refused
-        self._last = max(round(time * _TICKS) - self._first, self._last + 1)
-        frame.pts = self._last
-        frame.time_base = Fraction(1, _TICKS)
-        self._encode(frame)
+        with _unbroken():
+            if self._container is None:
+                self._open(image)
+                self._first, self._last = round(time * _TICKS), -1
+            frame = av.VideoFrame.from_ndarray(_even(image), format="bgr24")
+            # two pictures of one time would be refused
+            self._last = max(round(time * _TICKS) - self._first, self._last + 1)
+            frame.pts = self._last
+            frame.time_base = Fraction(1, _TICKS)
+            self._encode(frame)
 
     def _encode(self, frame: Any) -> None:
         """Adds one to the file; None: what is left is written."""

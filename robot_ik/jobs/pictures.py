@@ -15,10 +15,8 @@ from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
-from robot_ik.camera.corner_refinement import is_print, refine_markers
-from robot_ik.camera.detection import MarkerDetector
 from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
-from robot_ik.camera.image import dictionary_size, to_gray, write_image
+from robot_ik.camera.image import dictionary_size, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
@@ -73,11 +71,6 @@ class Sighting:
     markers: Sequence[MarkerObservation | Corners]
     bodies: Mapping[str, BodyObservation]
 
-    @property
-    def ids(self) -> tuple[int, ...]:
-        """Ids of the markers."""
-        return tuple(m.id for m in self.markers)
-
 
 class MarkerFinder:
     """Looks for markers and bodies in pictures.
@@ -110,26 +103,22 @@ class MarkerFinder:
             body.require_dictionary(dictionary)
         known = {i: side for body in self.bodies for i, side in body.sizes.items()}
         wanted = sorted(ids) or (sorted(known) if known and size is None else None)
-        self._detector = MarkerDetector(dictionary, wanted)
-        self._tracker: MarkerTracker | None = None
         if size is not None:
             marker_points(size)
-        if intrinsics is None:
-            if self.bodies:
-                raise CameraError(
-                    "the pose of a body needs the camera's intrinsics",
-                    hint="make them with: camera calibrate",
-                )
-            return
-        if size is None and not known:
+        if intrinsics is None and self.bodies:
+            raise CameraError(
+                "the pose of a body needs the camera's intrinsics", hint="make them with: camera calibrate"
+            )
+        if intrinsics is not None and size is None and not known:
             raise CameraError(
                 "a pose needs the size of the marker", hint="give the side of its black square in metres"
             )
-        sizes: float | dict[int, float] = size if size is not None else 0.0
+        sizes: float | dict[int, float] = size if size is not None else 1.0
         if known:
             every = wanted if wanted is not None else range(dictionary_size(dictionary))
             sizes = {i: known.get(i, size) for i in every if known.get(i, size) is not None}  # type: ignore[misc]
-        self._tracker = MarkerTracker(intrinsics, dictionary, sizes, wanted, window=film)
+        lens, window = intrinsics or _straight(1, 1), film and intrinsics is not None
+        self._tracker = MarkerTracker(lens, dictionary, sizes, wanted, window=window)
 
     def observe(self, frame: Frame) -> Sighting:
         """Everything in one picture.
@@ -137,26 +126,19 @@ class MarkerFinder:
         Raises:
             CalibrationError: The picture has not the size of the calibration.
         """
-        if self._tracker is None:
-            return Sighting(self._corners(frame), {})
+        if self.intrinsics is None:
+            require_frame(frame)
+            self._tracker.intrinsics = _straight(*frame.size)
+            seen = self._tracker.refined(frame)
+            return Sighting([Corners(i, one.corners, one.sigma, one.refined) for i, one in seen], {})
         markers = self._tracker.observe(frame)
         found = {body.name: self._tracker.observe_body(frame, body) for body in self.bodies}
         return Sighting(markers, {name: seen for name, seen in found.items() if seen is not None})
 
-    def _corners(self, frame: Frame) -> list[Corners]:
-        require_frame(frame)
-        width, height = frame.size
-        # The lens is unknown: edges are taken to be straight in the picture.
-        straight = CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
-        gray = to_gray(frame.image)
-        found = self._detector.detect(gray)
-        ids, corners = [d.id for d in found], [d.corners for d in found]
-        refined = refine_markers(gray, corners, ids, self._detector.dictionary, straight)
-        return [
-            Corners(i, one.corners, one.sigma, one.refined)
-            for i, one in zip(ids, refined, strict=True)
-            if is_print(one)
-        ]
+
+def _straight(width: int, height: int) -> CameraIntrinsics:
+    """Of an unknown lens: edges are taken to be straight in the picture."""
+    return CameraIntrinsics(width, height, width, width, 0.5 * (width - 1), 0.5 * (height - 1))
 
 
 def _values(sighting: Sighting) -> dict[str, Any]:
@@ -388,34 +370,24 @@ def gather_views(
                     gatherer.notices.append(f"left out: {frame.args[0]}")
                 else:
                     gatherer.offer(frame, path.name, selective=False)
-        elif isinstance(source, ImageSource):
-            gatherer.offer(source.read(), Path(name).name, selective=False)
-        else:
-            _gather_moving(source, name, gatherer, folder, count, say)
-
-
-def _gather_moving(
-    source: FrameSource,
-    name: str,
-    gatherer: ViewGatherer,
-    folder: ViewFolder,
-    count: int,
-    say: Callable[[str], None],
-) -> None:
-    live, unseen = source.live, 0
-    if live:
-        say("show the board, hold it still, move it on; Ctrl-C when done")
-    while not source.exhausted and len(gatherer.views) < MOST_VIEWS:
-        frame = source.read()
-        taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", selective=True)
-        unseen = 0 if gatherer.in_view else unseen + 1
-        if live and unseen == UNSEEN:
-            say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")
-        if not taken:
-            continue
-        if live:
-            folder.keep(frame)
-        missing = gatherer.coverage.missing
-        say(f"view {len(gatherer.views)} of {count}: {missing_text(missing)}")
-        if len(gatherer.views) >= count and not missing:
             return
+        if isinstance(source, ImageSource):
+            gatherer.offer(source.read(), Path(name).name, selective=False)
+            return
+        unseen = 0
+        if source.live:
+            say("show the board, hold it still, move it on; Ctrl-C when done")
+        while not source.exhausted and len(gatherer.views) < MOST_VIEWS:
+            frame = source.read()
+            taken = gatherer.offer(frame, f"{Path(name).name or name} {frame.sequence}", selective=True)
+            unseen = 0 if gatherer.in_view else unseen + 1
+            if source.live and unseen == UNSEEN:
+                say(f"no {describe(gatherer.pattern)} in view: is it the one? light and focus?")
+            if not taken:
+                continue
+            if source.live:
+                folder.keep(frame)
+            missing = gatherer.coverage.missing
+            say(f"view {len(gatherer.views)} of {count}: {missing_text(missing)}")
+            if len(gatherer.views) >= count and not missing:
+                return

@@ -94,7 +94,7 @@ def test_nothing_is_found_in_clutter() -> None:
             image[y : y + h, x : x + w] = tile
         assert strict.detect(image) == []
         nearly += len(MarkerDetector("DICT_5X5_50").detect(image))
-        assert finder.observe(Frame(image, 0.0, 0)).ids == ()
+        assert finder.observe(Frame(image, 0.0, 0)).markers == []
     assert nearly > 0  # or this asks nothing of the print
 
 

@@ -285,19 +285,3 @@ def test_where_both_orientations_agree_the_position_is_a_goal() -> None:
     goal = goals.poll(0.0)
     assert isinstance(goal, PositionGoal)
     assert goal.position == pytest.approx(truth.position, abs=0.1)
-
-
-def test_a_known_normal_settles_the_doubt() -> None:
-    goals, truth = ambiguous_source(HOVER)
-    for normal in (truth.rotation[:, 2], truth.rotation[:, 2] * 5):
-        goals, _ = ambiguous_source(HOVER, normal=normal)
-        goal = goals.poll(0.0)
-        assert isinstance(goal, PoseGoal)
-        angle = Pose(goal.position, goal.wxyz).distance(truth.compose(HOVER))[1]
-        assert angle < np.deg2rad(10)
-    # The other side's normal picks the other branch: it is the normal that decides.
-    mirrored = truth.rotation[:, 2] * [-1, -1, 1]
-    goals, _ = ambiguous_source(HOVER, normal=mirrored)
-    other = goals.poll(0.0)
-    assert isinstance(other, PoseGoal)
-    assert Pose(other.position, other.wxyz).distance(truth.compose(HOVER))[1] > np.deg2rad(25)

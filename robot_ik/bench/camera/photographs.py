@@ -62,7 +62,7 @@ def photographs(effort: Effort) -> Iterator[Quantity]:
         yield Quantity(f"finds of any dictionary on {min(len(boards), _ASKED)} chessboards", finds, "", 0)
     plain = [one for one in pictures if all(one is not other for other, _ in boards)]
     finder = MarkerFinder("DICT_5X5_50")
-    finds = sum(len(finder.observe(frame_of(one)).ids) for one in plain)
+    finds = sum(len(finder.observe(frame_of(one)).markers) for one in plain)
     yield Quantity(f"finds in {len(plain)} photographs without markers (DICT_5X5_50)", finds, "", 0)
     yield from _of_chessboards(boards)
     yield from _of_charuco(plain, folder)
@@ -70,7 +70,7 @@ def photographs(effort: Effort) -> Iterator[Quantity]:
 
 def any_finds(picture: Image) -> int:
     """How many markers all dictionaries together find in a picture."""
-    return sum(len(MarkerFinder(name).observe(frame_of(picture)).ids) for name in largest_dictionaries())
+    return sum(len(MarkerFinder(name).observe(frame_of(picture)).markers) for name in largest_dictionaries())
 
 
 def _of_chessboards(boards: list[tuple[Image, FoundPattern]]) -> Iterator[Quantity]:

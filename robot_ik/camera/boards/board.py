@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -159,29 +160,21 @@ def parse_board(text: str, dictionary: str = "") -> Board:
     Raises:
         CameraError: It means nothing; says what is possible.
     """
-    fields = text.split(":")
-    kind, numbers = fields[0], fields[1:]
     chosen = dictionary or _DICTIONARY
+    kind, *numbers = text.split(":")
     if kind.endswith(".toml"):
         return _body(Path(kind), numbers[0] if numbers else "", chosen)
-    try:
-        if kind == "marker" and len(numbers) == 2:
-            return MarkerBoard({int(numbers[0]): (_metres(numbers[1]), Pose())}, chosen)
-        if kind == "grid" and len(numbers) == 3:
-            columns, rows = _count(numbers[0])
-            return MarkerBoard(
-                grid_body(columns, rows, _metres(numbers[1]), _metres(numbers[2])).markers, chosen
-            )
-        if kind == "charuco" and len(numbers) == 3:
-            columns, rows = _count(numbers[0])
-            return PatternBoard(
-                CharucoPattern(columns, rows, _metres(numbers[1]), _metres(numbers[2]), chosen)
-            )
-        if kind == "chessboard" and len(numbers) == 2:
-            columns, rows = _count(numbers[0])
-            return PatternBoard(ChessboardPattern(columns, rows, _metres(numbers[1])))
-    except ValueError:
-        pass
+    with contextlib.suppress(ValueError):
+        match kind, *numbers:
+            case ["marker", id, side]:
+                return MarkerBoard({int(id): (_metres(side), Pose())}, chosen)
+            case ["grid", counts, side, gap]:
+                return MarkerBoard(grid_body(*_count(counts), _metres(side), _metres(gap)).markers, chosen)
+            case ["charuco", counts, square, marker]:
+                sides = _metres(square), _metres(marker)
+                return PatternBoard(CharucoPattern(*_count(counts), *sides, chosen))
+            case ["chessboard", counts, square]:
+                return PatternBoard(ChessboardPattern(*_count(counts), _metres(square)))
     raise CameraError(f"{text!r} is no board", hint=f"possible: {_KINDS}")
 
 

@@ -161,7 +161,7 @@ def calibrate(
         used = [k for k in range(len(named)) if k not in left_out]
         _require_views(len(used), len(named))
         fit = _fit([named[k].found for k in used], size, coefficients)
-        _require_tilt(fit.tilts)
+        _require_tilt(fit.rotations)
         worst = max(_OUTLIER_PX, _OUTLIER_RATIO * float(np.median(fit.per_view)))
         if last or fit.per_view.max() <= worst:
             break
@@ -237,11 +237,6 @@ class _Fit:
     std: Array
     per_view: Array
     rotations: list[Array]
-
-    @property
-    def tilts(self) -> Array:
-        """(n,) angle between board and picture plane, degrees."""
-        return np.degrees([np.arccos(np.clip(abs(r[2, 2]), 0.0, 1.0)) for r in self.rotations])
 
 
 def _fit(
@@ -336,10 +331,12 @@ def _require_views(used: int, given: int) -> None:
         )
 
 
-def _require_tilt(tilts: Array) -> None:
-    if tilts.max() < _LEAST_TILT_DEG:
+def _require_tilt(rotations: Sequence[Array]) -> None:
+    """Checks the angles between board and picture plane."""
+    tilt = np.degrees(np.arccos(min(1.0, *(abs(r[2, 2]) for r in rotations))))
+    if tilt < _LEAST_TILT_DEG:
         raise CalibrationError(
-            f"the board was held square to the camera in all views (tilt at most {tilts.max():.0f} degrees): "
+            f"the board was held square to the camera in all views (tilt at most {tilt:.0f} degrees): "
             "focal length and distance cannot be told apart",
             hint="tilt the board by 20 to 40 degrees, to the left, right, up and down",
         )

@@ -325,7 +325,16 @@ def fit_zero_offsets(
             offsets explain.
         UnknownJointError: ``hold`` names a joint that is not there.
     """
-    _check(views, robot, hold)
+    if len(views) < LEAST_VIEWS:
+        raise CalibrationError(
+            f"{len(views)} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
+            hint="take 30 that bend every joint",
+        )
+    if robot.nq != robot.nv:
+        raise CalibrationError("zero offsets are for hinges and slides; this robot has ball or free joints")
+    for name in hold:
+        if name not in robot.joints:
+            raise UnknownJointError(name, robot.joints)
     model = ArmModel(robot, frame, intrinsics, tuple(views), camera, board, mounting)
     held = set(hold)
     unobservable: list[Unobservable] = []
@@ -341,19 +350,6 @@ def fit_zero_offsets(
             return _result(model, state, normal, unobservable, judge=not set(hold) >= set(robot.joints))
         unobservable.append(worst)
         held.add(worst.joint)
-
-
-def _check(views: Sequence[CalibrationStation], robot: Robot, hold: Sequence[str]) -> None:
-    if len(views) < LEAST_VIEWS:
-        raise CalibrationError(
-            f"{len(views)} views are too few to tell how the joints are off; {LEAST_VIEWS} are the least",
-            hint="take 30 that bend every joint",
-        )
-    if robot.nq != robot.nv:
-        raise CalibrationError("zero offsets are for hinges and slides; this robot has ball or free joints")
-    for name in hold:
-        if name not in robot.joints:
-            raise UnknownJointError(name, robot.joints)
 
 
 def _result(

@@ -83,7 +83,13 @@ class ViewGatherer:
             FrameSizeError: It has another size than the others.
             CalibrationError: Another pattern than the wanted one is in the pictures.
         """
-        self._check_size(frame, name)
+        self.size = self.size or frame.size
+        if frame.size != self.size:
+            raise FrameSizeError(
+                f"{name} has {frame.size[0]}x{frame.size[1]} px, the pictures before it "
+                f"{self.size[0]}x{self.size[1]} px",
+                hint="a calibration is for one picture size: calibrate each size by itself",
+            )
         found = self.pattern.find(frame.image)
         if found is None:
             self._previous = None
@@ -131,16 +137,6 @@ class ViewGatherer:
         return cover(found, [_pose_guess(f, size)[0] for f in found], size)
 
     # ---------------------------------------------------------------------------------- parts
-
-    def _check_size(self, frame: Frame, name: str) -> None:
-        if self.size is None:
-            self.size = frame.size
-        if frame.size != self.size:
-            raise FrameSizeError(
-                f"{name} has {frame.size[0]}x{frame.size[1]} px, the pictures before it "
-                f"{self.size[0]}x{self.size[1]} px",
-                hint="a calibration is for one picture size: calibrate each size by itself",
-            )
 
     def _identify_pattern(self, *, last: bool) -> None:
         images = list(self._unmatched) if last else list(self._unmatched)[-_IDENTIFIED:]

@@ -308,7 +308,7 @@ class ModelMesh:
     Attributes:
         vertices: (v, 3), of each geom in its own frame, metres.
         faces: (f, 4) into ``vertices``; a triangle repeats its last corner.
-        normals, corner_normals: (f, 3) and (f, 4, 3) as of ``GeomMesh``.
+        corner_normals: (f, 4, 3) as of ``GeomMesh``.
         edges, edge_faces, crease: (e, 2), (e, 2) and (e,) as its ``edges``.
         geoms: (g,) geom ids of the model, in the order of ``*_geom``.
         vertex_geom: (v,) which of ``geoms``; ``face_geom`` (f,), and ``face_geom_id`` (f,): its id.
@@ -316,7 +316,6 @@ class ModelMesh:
 
     vertices: Array
     faces: Index
-    normals: Array
     corner_normals: Array
     edges: Index
     edge_faces: Index
@@ -371,7 +370,6 @@ def cached_mesh(model: mujoco.MjModel, *, planes: bool = False, segments: Segmen
     return ModelMesh(
         vertices=np.concatenate([p.vertices for p in parts]),
         faces=np.concatenate([p.faces + o for p, o in zip(parts, first_vertex, strict=True)]),
-        normals=np.concatenate([p.normals for p in parts]),
         corner_normals=np.concatenate([p.corner_normals for p in parts]),
         edges=np.concatenate([p.edges[0] + o for p, o in zip(parts, first_vertex, strict=True)]),
         edge_faces=np.concatenate([p.edges[1] + o for p, o in zip(parts, first_face, strict=True)]),

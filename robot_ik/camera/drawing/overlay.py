@@ -186,15 +186,10 @@ def draw_robot(
         mask = np.zeros((box[3] - box[1], box[2] - box[0]), dtype=np.uint8)
         lines = _fixed(visible_lines(faces, samples) - box[:2])
         cv2.polylines(mask, list(lines), False, 255, 1, cv2.LINE_AA, _SHIFT)
-        _stain(result[box[1] : box[3], box[0] : box[2]], mask, line_colour)
+        region, where = result[box[1] : box[3], box[0] : box[2]], np.nonzero(mask)
+        share, colour = mask[where][:, None] * np.float32(1 / 255), np.array(line_colour, dtype=np.float32)
+        region[where] = np.rint(region[where] * (1 - share) + colour * share)
     return result
-
-
-def _stain(region: Image, mask: Image, colour: Colour) -> None:
-    """Lays ``colour`` over ``region`` as far as ``mask`` (0..255) says, in place."""
-    where = np.nonzero(mask)
-    share = mask[where][:, None] * np.float32(1 / 255)
-    region[where] = np.rint(region[where] * (1 - share) + np.array(colour, dtype=np.float32) * share)
 
 
 def _fixed(pixels: Array) -> NDArray[np.int32]:

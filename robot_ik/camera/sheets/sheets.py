@@ -251,31 +251,30 @@ def make_sheet_page(request: SheetRequest) -> PrintedPage:
             f"a gap of {request.gap:g} mm is too small for markers of {request.size:g} mm",
             hint=f"the white round a marker must be a cell wide: at least {request.size * QUIET:.1f} mm",
         )
-    make = MAKERS[request.kind]
-    for paper in _both_ways(request.page):
-        block = make(request, _printable_area(paper))
-        if _fits(block, paper):
-            return _on_page(block, paper, request)
-    raise _does_not_fit(request, make)
+    if (found := _laid_out(request)) is None:
+        raise _does_not_fit(request)
+    return _on_page(*found, request)
 
 
-def _both_ways(page: str) -> list[Area]:
-    width, height = PAPERS[page]
-    return [(width, height), (height, width)]
+def _laid_out(request: SheetRequest) -> tuple[Block, Area] | None:
+    """The block, and the paper, upright or lying, on which it fits; None: on neither."""
+    upright = PAPERS[request.page]
+    for paper in (upright, upright[::-1]):
+        area = _printable_area(paper)
+        block = MAKERS[request.kind](request, area)
+        if block.width <= area[0] + 1e-9 and block.height <= area[1] + 1e-9:
+            return block, paper
+    return None
 
 
 def _printable_area(paper: Area) -> Area:
     return paper[0] - 2 * _MARGIN - _SIDE, paper[1] - 2 * _MARGIN - _FOOT
 
 
-def _fits(block: Block, paper: Area) -> bool:
-    area = _printable_area(paper)
-    return block.width <= area[0] + 1e-9 and block.height <= area[1] + 1e-9
-
-
-def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
-    block = make(request, _printable_area(PAPERS[request.page]))
-    areas = " or ".join("{:.0f}x{:.0f}".format(*_printable_area(paper)) for paper in _both_ways(request.page))
+def _does_not_fit(request: SheetRequest) -> CameraError:
+    upright = PAPERS[request.page]
+    block = MAKERS[request.kind](request, _printable_area(upright))
+    areas = " or ".join("{:.0f}x{:.0f}".format(*_printable_area(one)) for one in (upright, upright[::-1]))
     hints = []
     for size in np.arange(np.floor(request.size * 2 - 1e-6) / 2, 5.0, -0.5):
         share = float(size) / request.size
@@ -286,14 +285,10 @@ def _does_not_fit(request: SheetRequest, make: Maker) -> CameraError:
             edge_mm=None if request.edge_mm is None else request.edge_mm * share,
             marker_mm=None if request.marker_mm is None else request.marker_mm * share,
         )
-        if any(_fits(make(less, _printable_area(paper)), paper) for paper in _both_ways(request.page)):
+        if _laid_out(less) is not None:
             hints.append(f"--size-mm {size:g} fits")
             break
-    larger = [
-        p
-        for p in PAPERS
-        if any(_fits(make(request, _printable_area(paper)), paper) for paper in _both_ways(p))
-    ]
+    larger = [page for page in PAPERS if _laid_out(replace(request, page=page)) is not None]
     hints += [f"it fits --page {name}" for name in larger[:1]]
     return CameraError(
         f"{block.about} needs {block.width:.0f}x{block.height:.0f} mm; "

@@ -221,13 +221,13 @@ def _draw(
             start = time.perf_counter()
             seen = registrar.track(tracked)
             compiling.wait()
-            made = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time - begin, seen)))
+            image, drawing = registrar.compose(seen, shown, robot.qpos(motion.q(shown.time - begin, seen)))
             report.seconds += time.perf_counter() - start
-            sink.write(made.image, shown.time)
+            sink.write(image, shown.time)
             report.pictures += 1
-            if made.drawing is not None:
+            if drawing is not None:
                 report.drawn += 1
-                report.in_view += bool(made.drawing.robot.coverage.any())
+                report.in_view += bool(drawing.robot.coverage.any())
                 errors += [] if seen is None else [seen.error]
             progress(report.pictures, opened.total)
     except KeyboardInterrupt:

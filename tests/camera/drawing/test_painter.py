@@ -120,7 +120,7 @@ def test_a_primitive_is_closed_faces_outwards_and_has_its_volume(
     assert total == pytest.approx(volume, rel=0.02)
     model = cached_mesh(model_of(f"<geom type='{kind}' {size}/>"))
     assert (model.edge_faces[:, 0] != model.edge_faces[:, 1]).all(), "an open edge"
-    assert (np.einsum("ij,ij->i", model.normals, model.vertices[model.faces].mean(axis=1)) > 0).all()
+    assert (np.einsum("ij,ij->i", mesh.normals, mesh.vertices[mesh.faces].mean(axis=1)) > 0).all()
 
 
 @pytest.mark.parametrize("kind", SHAPES)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from robot_ik.camera.bodies import grid_body
-from robot_ik.camera.drawing.renderers import DrawnRobot
-from robot_ik.camera.registration import LatencyOptions, Registrar, Shown
+from robot_ik.camera.drawing.renderers import Drawing, DrawnRobot
+from robot_ik.camera.registration import LatencyOptions, Registrar
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError, MissingExtraError, OutputError
 from robot_ik.geometry import Pose
@@ -21,6 +21,7 @@ from robot_ik.jobs.ar.job import ArRequest, run_ar
 from robot_ik.jobs.ar.motion import make_motion, play_script, robot_of
 from robot_ik.jobs.ar.scene import lens, synthetic_scene
 from robot_ik.motion.trajectory import Trajectory
+from robot_ik.ports import Image
 from robot_ik.robot import load_robot
 from robot_ik.robot_file import catalogue
 
@@ -152,11 +153,11 @@ def test_all_of_a_robot_is_in_the_pictures_of_the_scene(
     width, height = 640, 360
     drawings, compose = [], Registrar.compose
 
-    def watched(*arguments: object) -> Shown:
-        made = compose(*arguments)  # type: ignore[arg-type]
-        assert made.drawing is not None
-        drawings.append(made.drawing.robot.mask(width, height))
-        return made
+    def watched(*arguments: object) -> tuple[Image, Drawing | None]:
+        image, drawing = compose(*arguments)  # type: ignore[arg-type]
+        assert drawing is not None
+        drawings.append(drawing.robot.mask(width, height))
+        return image, drawing
 
     monkeypatch.setattr(Registrar, "compose", watched)
     run_ar(ArRequest(robot=name, size=(width, height), seconds=0.1, out=tmp_path / "a.png"))
