@@ -70,8 +70,8 @@ class Gamepad(Jog):
         stop: Callable[[], object] = lambda: None,
         hand: bool = True,
     ) -> None:
-        super().__init__(config, hand, stop)
-        self._read, self._wait = read, recover
+        super().__init__(config, read, stop=stop, hand=hand)
+        self._wait = recover
         self._grippers = [k for k, joint in enumerate(self.joints) if joint.name not in config.names]
         self._down: frozenset[str] = frozenset()
         self._last: float | None = None
