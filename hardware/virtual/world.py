@@ -38,11 +38,7 @@ DAMPING = 1.0
 class JointMotor:
     """One servo on a joint of the world; the ``body`` of its shaft.
 
-    Args:
-        joint: The joint.
-        row: The joint by this servo.
-        servo: The servo.
-        start: rad (m) of the joint at first: there this shaft stands where it stands.
+    ``row`` is the joint by this servo; ``start``, rad (m), is the joint's value where this shaft stands.
 
     Attributes:
         position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
@@ -182,7 +178,8 @@ class World:
             self.data.qpos[to] = self.model.qpos0[to] + share * (self.data.qpos[at] - self.model.qpos0[at])
         mujoco.mj_forward(self.model, self.data)
         for joint in self._joints:
-            joint.attach()
+            for motor in joint.motors:
+                motor.attach()
         bus.world = self
 
     def advance(self, now: float) -> None:
@@ -275,10 +272,6 @@ class _Joint:
         mujoco.mj_forward(model, data)
         self.read_encoders()
 
-    def attach(self) -> None:
-        for motor in self.motors:
-            motor.attach()
-
     def read_encoders(self) -> None:
         for motor in self.motors:
             motor.read_encoder()
@@ -300,7 +293,13 @@ class _Joint:
             self._held = self.angle
         demands = [demand for demand in self._demands if demand is not None]
         mean = sum(demands) / len(demands) if demands else 0.0
-        inertia = self._inertia() if len(demands) > 1 else 0.0
+        inertia = 0.0
+        if len(demands) > 1:
+            model = self._world.model
+            unit, column = np.zeros(model.nv), np.zeros(model.nv)
+            unit[self.dof] = 1.0
+            mujoco.mj_mulM(model, self._world.data, column, unit)
+            inertia = float(column[self.dof])
         total = 0.0
         for motor, demand in zip(self.motors, self._demands, strict=True):
             share = 0.0 if demand is None else (force + inertia * (demand - mean)) / len(demands)
@@ -323,13 +322,6 @@ class _Joint:
         if q != data.qpos[self._at]:
             data.qpos[self._at] = q
             data.qvel[self.dof] = 0.0
-
-    def _inertia(self) -> float:
-        model, data = self._world.model, self._world.data
-        unit, column = np.zeros(model.nv), np.zeros(model.nv)
-        unit[self.dof] = 1.0
-        mujoco.mj_mulM(model, data, column, unit)
-        return float(column[self.dof])
 
 
 # ------------------------------------------------------------------------------------------
