@@ -203,10 +203,7 @@ def load_lerobot(
     Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
     middle of the range.  Directions are those of the arm file.
 
-    Args:
-        path: The file.
-        config: The arm.
-        limits: Joint -> limits of the model, rad (m of a slide).
+    ``limits``: joint -> limits of the model, rad (m of a slide).
 
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
@@ -329,17 +326,15 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
     if calibration.exists():
         found = Calibration.load(calibration)
         kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
-        _with_zeros(found, new).save(calibration)
+        # Else arm and calibration would contradict each other.
+        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.shadow_of is None}
+        joints, twins = (
+            tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
+            for rows in (found.joints, found.twins)
+        )
+        replace(found, joints=joints, twins=twins).save(calibration)
     write_atomically(file, edited)
     return tuple(kept)
-
-
-def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
-    """The calibration with the arm's zeros: else arm and calibration would contradict each other."""
-    zeros = {servo.id: servo.zero_ticks for servo in arm.servos if servo.shadow_of is None}
-    moved = tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in found.rows)
-    n = len(found.joints)
-    return replace(found, joints=moved[:n], twins=moved[n:])
 
 
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
