@@ -69,12 +69,8 @@ class VirtualBus:
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
-        Args:
-            config: The arm.
-            clock: Time of the servos.
-            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
-                the middle of their ranges.
-            seed: Of the random faults.
+        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
+        the middle of their ranges.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
