@@ -85,11 +85,7 @@ class Calibration:
         return self.joints + self.twins
 
     def save(self, path: Path) -> None:
-        """Writes the file whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
         lines = [f"schema = {SCHEMA}"]
         lines += [f"{k} = {json.dumps(getattr(self, k))}" for k in ("arm", "robot", "created")]
         for table, rows in (("joints", self.joints), ("twins", self.twins)):

@@ -281,7 +281,6 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
-    """The profile registers of a servo."""
     # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
     gear = servo.ratio / servo.levers[0]
     speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s

@@ -396,7 +396,6 @@ class VirtualServo:
     # ------------------------------------------------------------------- by its registers
 
     def _written(self, name: str, had_torque: bool) -> None:
-        """What a write sets off."""
         mode = self._values["operating_mode"]
         match name:
             case "torque_enable":

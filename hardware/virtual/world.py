@@ -77,7 +77,6 @@ class JointMotor:
         self._servo.shaft.body = self
 
     def read_encoder(self) -> None:
-        """What the encoder says now."""
         angle = self._joint.angle
         self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK

@@ -87,7 +87,6 @@ class JointCoupling:
         return {n: float(np.interp(leader[n], *self._ranges[n])) for n in self.names}
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        """Of the leader, likewise."""
         return {n: float(np.interp(follower[n], *self._ranges[n][::-1])) for n in self.names}
 
 
