@@ -32,8 +32,6 @@ ASKED_WIGGLE = math.radians(10.0)
 STILL_TICKS = 12
 """About 1 degree: a held joint moves by less while its zero is taken."""
 
-_HALF = TICKS_PER_REVOLUTION // 2
-
 
 class OperatorError(HardwareError):
     """A person did not do what a step asks for; the step can be repeated."""
@@ -59,7 +57,7 @@ class Sweep:
             if value is None:
                 continue
             step = value - before
-            if abs(step) > _HALF:
+            if abs(step) > TICKS_PER_REVOLUTION // 2:
                 step -= round(step / TICKS_PER_REVOLUTION) * TICKS_PER_REVOLUTION
             self._raw[id] = value
             self.now[id] += step

@@ -263,9 +263,6 @@ _JOINT = re.compile(r"\s*\[\[\s*joints\s*\]\]")
 _TWIN = re.compile(r"\s*\[\s*joints\s*\.\s*twin\s*\]")
 _ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)", re.MULTILINE)
 
-# Where an arm file says no zero.
-_MIDDLE = TICKS_PER_REVOLUTION // 2
-
 
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
@@ -359,7 +356,7 @@ def _edited(text: str, new: ArmConfig, file: Path) -> str:
 def _with_zero(table: str, zero: int) -> str:
     """The text of a table with this zero; one without (its zero was the default) gets it as first key."""
     edited, found = _ZERO.subn(lambda m: m[0] if int(m[2]) == zero else f"{m[1]}{zero}", table, count=1)
-    if found or zero == _MIDDLE:
+    if found or zero == TICKS_PER_REVOLUTION // 2:
         return edited
     head, _, rest = table.partition("\n")
     return f"{head}\nzero_ticks = {zero}\n{rest}"

@@ -204,7 +204,7 @@ class World:
         for leader, follower, share in self._followers:
             self._force[leader] += share * self._force[follower]
         for joint in self._joints:
-            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof]) + joint.outside()
+            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof])
         mujoco.mj_step2(model, data)
         for joint in self._joints:
             joint.hold()
@@ -284,7 +284,8 @@ class _Joint:
     def push(self, force: float) -> float:
         """N m (N) at the joint of all motors together: ``force`` within what each can do and is allowed to.
 
-        Two that want different things pull against each other, as hard as they differ.
+        Two that want different things pull against each other, as hard as they differ.  What the fault
+        ``push`` puts there is in it: the motors have to hold against that.
         """
         if not any(motor.stuck for motor in self.motors):
             self._held = None
@@ -303,11 +304,7 @@ class _Joint:
         for motor, demand in zip(self.motors, self._demands, strict=True):
             share = 0.0 if demand is None else (force + inertia * (demand - mean)) / len(demands)
             total += motor.push(share)
-        return total
-
-    def outside(self) -> float:
-        """N m (N) at the joint that the fault ``push`` puts there: the motors have to hold against it."""
-        return sum(motor.outside() for motor in self.motors)
+        return total + sum(motor.outside() for motor in self.motors)
 
     def hold(self) -> None:
         """A joint that something holds stays where it is; one that meets a stop goes no further."""
