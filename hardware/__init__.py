@@ -40,12 +40,14 @@ class Bus:
         title: One line for help texts.
         virtual: Its servos are simulated.
         make: (name given, config, servos or None) -> bus, not open yet.
+        virtual_time: Its simulated servos run on a clock of their own.
     """
 
     name: str
     title: str
     virtual: bool
     make: Callable[[str, ArmConfig, VirtualBus | None], ServoBus]
+    virtual_time: bool = False
 
 
 def _sim(name: str, config: ArmConfig, servos: VirtualBus | None) -> ServoBus:
@@ -83,7 +85,7 @@ BUSES: Mapping[str, Bus] = MappingProxyType(
     {
         bus.name: bus
         for bus in (
-            Bus("sim", "virtual servos in this process, on virtual time", True, _sim),
+            Bus("sim", "virtual servos in this process, on virtual time", True, _sim, True),
             Bus("pty", "virtual servos behind a real pty, driven as real ones", True, _pty),
             Bus("PORT", "servos on a serial port, e.g. /dev/ttyUSB0", False, _port),
         )
@@ -172,4 +174,4 @@ def _servos(
     from robot_ik.hardware.virtual.bus import VirtualBus
     from robot_ik.ports import RealClock, VirtualClock  # they bring numpy: commands ask for names only
 
-    return VirtualBus.from_config(config, VirtualClock() if row.name == "sim" else RealClock(), start)
+    return VirtualBus.from_config(config, VirtualClock() if row.virtual_time else RealClock(), start)
