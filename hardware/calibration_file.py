@@ -22,9 +22,6 @@ from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of,
 
 SCHEMA = 1  # raised when a key changes its meaning
 
-SUFFIX = ".calibration.toml"
-"""``my_arm.toml`` has its calibration beside it in ``my_arm.calibration.toml``."""
-
 
 _Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
 _Byte = Annotated[int, Field(ge=0, le=255)]
@@ -105,8 +102,8 @@ class Calibration:
 
 
 def calibration_beside(arm_file: Path) -> Path:
-    """Where the calibration of an arm file is, or would be."""
-    return arm_file.with_name(arm_file.stem + SUFFIX)
+    """Where the calibration of an arm file is, or would be: of ``my.toml`` in ``my.calibration.toml``."""
+    return arm_file.with_name(arm_file.stem + ".calibration.toml")
 
 
 _NOT_READ = ("firmware", "present_at_save")  # keys of joints in older files

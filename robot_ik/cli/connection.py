@@ -221,10 +221,9 @@ def driving(arm: Arm, *, space: bool = True) -> Iterator[None]:
 
 def require_model(config: ArmConfig) -> None:
     """``check_model``, which asks for the model only where there is a calibration beside the arm file."""
-    from robot_ik.hardware.calibration import check_model
-    from robot_ik.hardware.calibration_file import calibration_beside
+    from robot_ik.hardware.calibration import check_model, own_calibration
 
-    if config.file is not None and calibration_beside(config.file).exists():
+    if own_calibration(config) is not None:
         check_model(config, model_limits(config))
 
 
