@@ -115,7 +115,6 @@ class Arm(Closing):
         self.state = ArmState.DISCONNECTED
         self.fault: HardwareError | None = None
         self.exit_report: ExitReport | None = None
-        self._real = virtual_bus is None
         self._shares_bus = False  # it was open when we came
         self._cycle = Cycle(config, bus)
         self._park_at = park_at
@@ -156,7 +155,7 @@ class Arm(Closing):
         self._shares_bus = self.bus.is_open
         try:
             self.bus.open()
-            feedback = verify(self.bus, self.config, real=self._real)
+            feedback = verify(self.bus, self.config, real=self.virtual_bus is None)
         except BaseException:
             self._close_bus()
             raise
@@ -179,7 +178,7 @@ class Arm(Closing):
             KeyboardInterrupt, SystemExit: The signal.
         """
         after = self._after("enable")
-        if self._real:
+        if self.virtual_bus is None:
             require_calibrated(self.config)
         if not self.config.stale_ms:
             log.warning("stale_ms = 0: in a pause of commands nothing holds the arm, a loaded joint sinks")
@@ -405,7 +404,7 @@ class Arm(Closing):
             for row in rows:
                 if row.silence is not None:
                     raise row.silence
-            self._begin_anew(verify(self.bus, self.config, real=self._real), after)
+            self._begin_anew(verify(self.bus, self.config, real=self.virtual_bus is None), after)
             return tuple(dict.fromkeys(row.joint for row in rows if row.restarted))
 
     def reconnect(self, timeout: float = 10.0) -> None:
@@ -421,7 +420,7 @@ class Arm(Closing):
         """
         with self._lock:
             after = self._after("reconnect")
-            feedback = find_again(self.bus, self.config, timeout, real=self._real)
+            feedback = find_again(self.bus, self.config, timeout, real=self.virtual_bus is None)
             self._begin_anew(feedback, after)
 
     def _begin_anew(self, feedback: Feedback, after: ArmState) -> None:

@@ -218,10 +218,7 @@ def shared_register(config: ArmConfig, name: str) -> Register:
 def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source: str) -> None:
     """Every servo is there, and is the right model.
 
-    Args:
-        bus: Open.
-        wanted: Servo id -> its joint, and its Model Number.
-        source: Who says so: "the arm file".
+    ``wanted``: servo id -> its joint, and its Model Number; ``source``: who says so, "the arm file".
 
     Raises:
         ServoMismatchError: Missing or another model.
@@ -258,11 +255,7 @@ def require_models(bus: ServoBus, wanted: Mapping[int, tuple[str, int]], source:
 def read_all(bus: ServoBus, config: ArmConfig, name: str, *, absent: int | None = None) -> dict[int, int]:
     """One register of every servo; who misses the common read is asked alone.
 
-    Args:
-        bus: Open.
-        config: The arm.
-        name: Of the register.
-        absent: What it is taken to read where older firmware does not have it.
+    ``absent``: what it is taken to read where older firmware does not have it.
 
     Raises:
         BusTimeoutError, BusCorruptError, BusDisconnectedError, ServoRefusedError: By joint name.

@@ -32,8 +32,6 @@ ASKED_WIGGLE = math.radians(10.0)
 STILL_TICKS = 12
 """About 1 degree: a held joint moves by less while its zero is taken."""
 
-_HALF = TICKS_PER_REVOLUTION // 2
-
 
 class OperatorError(HardwareError):
     """A person did not do what a step asks for; the step can be repeated."""
@@ -42,9 +40,7 @@ class OperatorError(HardwareError):
 class Sweep:
     """Smallest and largest position of every servo, whole revolutions counted here.
 
-    Args:
-        config: The arm.
-        ticks: Servo id -> Present Position at the beginning.
+    ``ticks``: servo id -> Present Position at the beginning.
     """
 
     def __init__(self, config: ArmConfig, ticks: Mapping[int, int]) -> None:
@@ -61,7 +57,7 @@ class Sweep:
             if value is None:
                 continue
             step = value - before
-            if abs(step) > _HALF:
+            if abs(step) > TICKS_PER_REVOLUTION // 2:
                 step -= round(step / TICKS_PER_REVOLUTION) * TICKS_PER_REVOLUTION
             self._raw[id] = value
             self.now[id] += step
@@ -227,14 +223,8 @@ def measured_calibration(
 ) -> Calibration:
     """Puts what the hand has shown together with what the servos say of themselves.
 
-    Args:
-        bus: Open.
-        config: The arm.
-        sweep: Ranges.
-        zero: Servo id -> ticks at ``pose``; ``pose``: joint -> rad (m of a slide).
-        pose: See there.
-        directions: Servo id -> +1 or -1.
-        limits: Joint -> limits of the model, rad (m).
+    ``zero``: servo id -> ticks at ``pose``, joint -> rad (m of a slide); ``limits``: joint -> those of the
+    model, rad (m).
     """
     drive_mode, homing = (read_all(bus, config, name) for name in ("drive_mode", "homing_offset"))
     check_shadows(config, directions, zero)
@@ -297,17 +287,6 @@ def check_calibration(
         )
 
 
-def check_beside(bus: ServoBus, config: ArmConfig) -> None:
-    """Compares the servos of an arm with the calibration beside its arm file, where there is one.
-
-    Raises:
-        CalibrationMismatchError: With a table of what differs.
-        ConfigError: The calibration cannot be read, or is of another arm.
-    """
-    if (found := _beside(config)) is not None:
-        check_calibration(bus, config, found, {})
-
-
 def require_calibrated(config: ArmConfig) -> None:
     """Raises ``ConfigError`` for an arm file whose zeros are placeholders."""
     if config.uncalibrated:
@@ -328,7 +307,7 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
         CalibrationMismatchError: With a table of what differs.
         ConfigError: The calibration cannot be read.
     """
-    if (found := _beside(config)) is None:
+    if (found := own_calibration(config)) is None:
         return
     joints = {joint.name: joint for joint in config.whole.joints}
     known = {name for name, ends in limits.items() if all(map(math.isfinite, ends))}
@@ -339,7 +318,7 @@ def check_model(config: ArmConfig, limits: Mapping[str, tuple[float, float]]) ->
         )
 
 
-def _beside(config: ArmConfig) -> Calibration | None:
+def own_calibration(config: ArmConfig) -> Calibration | None:
     """The calibration beside an arm file; of the joints in use, where the program uses some of them only."""
     if config.file is None or not calibration_beside(config.file).exists():
         return None

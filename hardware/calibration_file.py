@@ -22,9 +22,6 @@ from robot_ik.tables import SchemaVersion, Several, Table, check_table, keys_of,
 
 SCHEMA = 1  # raised when a key changes its meaning
 
-SUFFIX = ".calibration.toml"
-"""``my_arm.toml`` has its calibration beside it in ``my_arm.calibration.toml``."""
-
 
 _Ticks = Annotated[int, Field(ge=-MULTI_TURN_TICKS, le=MULTI_TURN_TICKS)]
 _Byte = Annotated[int, Field(ge=0, le=255)]
@@ -85,11 +82,7 @@ class Calibration:
         return self.joints + self.twins
 
     def save(self, path: Path) -> None:
-        """Writes the file whole or not at all.
-
-        Raises:
-            OutputError: It cannot be written.
-        """
+        """Writes the file whole or not at all; raises ``OutputError`` where it cannot."""
         lines = [f"schema = {SCHEMA}"]
         lines += [f"{k} = {json.dumps(getattr(self, k))}" for k in ("arm", "robot", "created")]
         for table, rows in (("joints", self.joints), ("twins", self.twins)):
@@ -109,8 +102,8 @@ class Calibration:
 
 
 def calibration_beside(arm_file: Path) -> Path:
-    """Where the calibration of an arm file is, or would be."""
-    return arm_file.with_name(arm_file.stem + SUFFIX)
+    """Where the calibration of an arm file is, or would be: of ``my.toml`` in ``my.calibration.toml``."""
+    return arm_file.with_name(arm_file.stem + ".calibration.toml")
 
 
 _NOT_READ = ("firmware", "present_at_save")  # keys of joints in older files
@@ -203,10 +196,7 @@ def load_lerobot(
     Joints are matched by name, or all by id where the names are others.  q = 0 is LeRobot's zero: the
     middle of the range.  Directions are those of the arm file.
 
-    Args:
-        path: The file.
-        config: The arm.
-        limits: Joint -> limits of the model, rad (m of a slide).
+    ``limits``: joint -> limits of the model, rad (m of a slide).
 
     Raises:
         ConfigError: Unreadable, a key missing or out of range, or a joint without a row.
@@ -270,9 +260,6 @@ _JOINT = re.compile(r"\s*\[\[\s*joints\s*\]\]")
 _TWIN = re.compile(r"\s*\[\s*joints\s*\.\s*twin\s*\]")
 _ZERO = re.compile(r"^(\s*zero_ticks\s*=\s*)([+-]?[0-9_]+)", re.MULTILINE)
 
-# Where an arm file says no zero.
-_MIDDLE = TICKS_PER_REVOLUTION // 2
-
 
 def zeros_moved(config: ArmConfig, offsets: Mapping[str, float]) -> ArmConfig:
     """The arm with zeros by which the joints are where they really are.
@@ -329,17 +316,15 @@ def write_zeros(file: Path, used: ArmConfig, offsets: Mapping[str, float]) -> tu
     if calibration.exists():
         found = Calibration.load(calibration)
         kept.append(_backup(calibration, calibration.read_bytes().decode("utf-8")))
-        _with_zeros(found, new).save(calibration)
+        # Else arm and calibration would contradict each other.
+        zeros = {servo.id: servo.zero_ticks for servo in new.servos if servo.shadow_of is None}
+        joints, twins = (
+            tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in rows)
+            for rows in (found.joints, found.twins)
+        )
+        replace(found, joints=joints, twins=twins).save(calibration)
     write_atomically(file, edited)
     return tuple(kept)
-
-
-def _with_zeros(found: Calibration, arm: ArmConfig) -> Calibration:
-    """The calibration with the arm's zeros: else arm and calibration would contradict each other."""
-    zeros = {servo.id: servo.zero_ticks for servo in arm.servos if servo.shadow_of is None}
-    moved = tuple(replace(row, zero_ticks=zeros.get(row.id, row.zero_ticks)) for row in found.rows)
-    n = len(found.joints)
-    return replace(found, joints=moved[:n], twins=moved[n:])
 
 
 def _edited(text: str, new: ArmConfig, file: Path) -> str:
@@ -368,7 +353,7 @@ def _edited(text: str, new: ArmConfig, file: Path) -> str:
 def _with_zero(table: str, zero: int) -> str:
     """The text of a table with this zero; one without (its zero was the default) gets it as first key."""
     edited, found = _ZERO.subn(lambda m: m[0] if int(m[2]) == zero else f"{m[1]}{zero}", table, count=1)
-    if found or zero == _MIDDLE:
+    if found or zero == TICKS_PER_REVOLUTION // 2:
         return edited
     head, _, rest = table.partition("\n")
     return f"{head}\nzero_ticks = {zero}\n{rest}"

@@ -274,7 +274,6 @@ class ArmConfig:
 
     @cached_property
     def servo_ids(self) -> tuple[int, ...]:
-        """Ids of ``servos``."""
         return tuple(servo.id for servo in self.servos)
 
     def spread(self, q: ArrayLike) -> Array:

@@ -78,10 +78,7 @@ def scan(
 ) -> list[FoundServo]:
     """Asks at every rate who is there, and each of them how it is.  Writes nothing to any servo.
 
-    Args:
-        port: Of the adapter.
-        bauds: Rates to try, bits/s.
-        progress: Called with (what is going on, share done).
+    ``bauds``: rates to try, bits/s; ``progress`` is called with (what is going on, share done).
 
     Returns:
         Servos by rate, then by id.

@@ -166,7 +166,6 @@ class DynamixelBus:
         return self._handler is not None
 
     def _make_handler(self) -> SleepingPortHandler:
-        """What reads and writes the port."""
         return SleepingPortHandler(self.port, self.baud, self.counters)
 
     def open(self) -> None:

@@ -79,7 +79,6 @@ class Fingers:
         return now - self._since >= REST
 
     def report(self, bus: ServoBus, cycle: Cycle) -> tuple[Grip, ...]:
-        """How each of them came to rest."""
         grips, at = [], self._at(cycle)
         for joint in self._joints:
             asked, q = self.goals[joint.name], at[joint.name]

@@ -280,7 +280,6 @@ class JointMap:
 
     @property
     def table(self) -> ControlTable:
-        """Control table of the servo."""
         return control_table(self.model)
 
     @cached_property

@@ -107,12 +107,10 @@ class StatusParser:
         self.damaged = 0
 
     def feed(self, data: bytes, *, last: bool = False) -> list[StatusPacket]:
-        """Replies that are complete now.
+        """Replies that are complete with these bytes.
 
-        Args:
-            data: The next bytes.
-            last: Nothing more will come: what looks like the head of a packet that is not all there is
-                passed over, for it may be noise with packets behind it.
+        ``last``: nothing more will come: what looks like the head of a packet that is not all there is
+        passed over, for it may be noise with packets behind it.
         """
         buffer = self._buffer + data
         packets = []

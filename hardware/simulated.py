@@ -20,12 +20,7 @@ if TYPE_CHECKING:
 
 
 class SimBus(DynamixelBus):
-    """Implements ``ServoBus`` on a ``VirtualBus``, usually on a ``VirtualClock``.
-
-    Args:
-        virtual_bus: The servos.
-        retries: How often an unanswered or corrupt request is repeated.
-    """
+    """Implements ``ServoBus`` on a ``VirtualBus``, usually on a ``VirtualClock``."""
 
     def __init__(self, virtual_bus: VirtualBus, *, retries: int = 2) -> None:
         super().__init__("sim", retries=retries, clock=virtual_bus.clock)

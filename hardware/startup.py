@@ -26,7 +26,7 @@ from robot_ik.errors import (
     UnsafeCommandError,
 )
 from robot_ik.hardware.bus import ServoBus, read_all, require_models
-from robot_ik.hardware.calibration import check_beside
+from robot_ik.hardware.calibration import check_calibration, own_calibration
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
@@ -75,22 +75,11 @@ def verify(bus: ServoBus, config: ArmConfig, *, real: bool) -> Feedback:
     """These are the arm file's servos, healthy and set up; what a control cycle reads from them.
 
     ``real``: not made from the arm file; they are compared with the calibration beside it as well.
-    """
-    check_servos(bus, config)
-    if real:
-        check_beside(bus, config)
-    set_up_servos(bus, config)
-    feedback = Feedback(config)
-    feedback.prepare(bus, read_all(bus, config, "firmware_version"))
-    return feedback
-
-
-def check_servos(bus: ServoBus, config: ArmConfig) -> None:
-    """Every servo is there, is the right model and healthy, and answers as expected; torque is not touched.
 
     Raises:
         ServoMismatchError: Missing or another model.
         MotorFaultError: A latched hardware error, or a supply outside the servo's limits.
+        CalibrationMismatchError: With a table of what differs.  Otherwise as ``set_up_servos``.
     """
     wanted = {servo.id: (servo.name, servo.table.number) for servo in config.servos}
     require_models(bus, wanted, "the arm file")
@@ -106,6 +95,12 @@ def check_servos(bus: ServoBus, config: ArmConfig) -> None:
     _check_voltage(bus, config)
     for joint in config.servos:
         _clear_watchdog(bus, config, joint)
+    if real and (found := own_calibration(config)) is not None:
+        check_calibration(bus, config, found, {})
+    set_up_servos(bus, config)
+    feedback = Feedback(config)
+    feedback.prepare(bus, read_all(bus, config, "firmware_version"))
+    return feedback
 
 
 def _clear_watchdog(bus: ServoBus, config: ArmConfig, joint: JointMap) -> None:
@@ -286,7 +281,6 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
 
 
 def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
-    """The profile registers of a servo."""
     # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
     gear = servo.ratio / servo.levers[0]
     speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s

@@ -44,7 +44,7 @@ class VirtualBus:
         wire: Transmits the replies to the host.
         echo: The adapter returns what was sent.
         unplugged: The port is away; whoever serves the bus (``PtyPort``, ``SimBus``) takes it away.
-        latency: Seconds by which replies come later than they should, besides what the port was given.
+        latency: Seconds by which replies come later than they should, as from a USB adapter.
     """
 
     def __init__(self, servos: Iterable[VirtualServo], clock: Clock, seed: int = 0) -> None:
@@ -69,12 +69,8 @@ class VirtualBus:
     ) -> VirtualBus:
         """The servos an arm file names, set up as it says (id, model, mode, baud rate), without torque.
 
-        Args:
-            config: The arm.
-            clock: Time of the servos.
-            start: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
-                the middle of their ranges.
-            seed: Of the random faults.
+        ``start``: (n,) joint angles at first, rad; default 0, or the limit next to it.  Auxiliary joints:
+        the middle of their ranges.
 
         Raises:
             ConfigError: ``start`` has another shape or is not finite.
@@ -156,7 +152,6 @@ class VirtualBus:
             self._built.setdefault(servo.id, servo)
 
     def remove(self, servo: VirtualServo) -> None:
-        """Takes a servo off the wire."""
         with self.lock:
             self.servos = tuple(s for s in self.servos if s is not servo)
 

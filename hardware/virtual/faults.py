@@ -223,7 +223,6 @@ def _register(name: str, convert: Callable[[float], int] = int) -> _Override:
 
 
 def _chance(name: str) -> _Override:
-    """A probability of the wire."""
     return _Override(lambda bus: bus.wire.chances[name], lambda bus, p: bus.wire.chances.update({name: p}))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from robot_ik.hardware.control_table import (
     ACCELERATION_UNIT,
@@ -133,19 +134,16 @@ def _at(piece: _Piece, t: float) -> tuple[float, float]:
     return position + (velocity + 0.5 * acceleration * dt) * dt, velocity + acceleration * dt
 
 
-class MotorMotion:
-    """A planned motion.  Plain, for one is made for every goal that comes over the bus.
+class MotorMotion(NamedTuple):
+    """A planned motion.
 
     ``pieces`` in order of time, the last one goes on for ever; ``end``: when it is over, s, infinite for
     turning at a velocity; ``kind``: as Moving Status reports it.
     """
 
-    __slots__ = ("end", "kind", "pieces")
-
-    def __init__(self, pieces: tuple[_Piece, ...], end: float, kind: ProfileKind = ProfileKind.STEP) -> None:
-        self.pieces = pieces
-        self.end = end
-        self.kind = kind
+    pieces: tuple[_Piece, ...]
+    end: float
+    kind: ProfileKind = ProfileKind.STEP
 
     def at(self, t: float) -> tuple[float, float]:
         """(position, velocity) at time ``t``, s, not before the start."""

@@ -48,7 +48,6 @@ class PtyPort(Closing):
         link: Also make this symbolic link to the port: a name that stays the same from run to run.
         match_baud: Servos hear only a client whose rate is theirs; without, any rate does.
         wire_baud: Take as long as the bytes of request and reply take at this rate; 0: no time at all.
-        latency_ms: Replies come so much later, as from a USB adapter.
 
     Attributes:
         path: Of the port, e.g. ``/dev/pts/7``; another one after it was unplugged.
@@ -65,13 +64,11 @@ class PtyPort(Closing):
         *,
         match_baud: bool = False,
         wire_baud: int = 0,
-        latency_ms: float = 0.0,
     ) -> None:
         self.bus = bus
         self.link = Path(link) if link is not None else None
         self._match_baud = match_baud
         self._wire_baud = wire_baud
-        self._latency = latency_ms / 1000.0
         self._closed = threading.Event()
         self._wake_reader, self._wake_writer = os.pipe()
         self._master = self._slave = -1
@@ -188,7 +185,7 @@ class PtyPort(Closing):
 
     def _pace(self, arrived: float, received: int, sent: int, delay: float) -> None:
         """Waits until the last byte of the reply would have come over the wire."""
-        seconds = self._latency + delay if sent else 0.0
+        seconds = delay if sent else 0.0
         if self._wire_baud:
             seconds += (received + sent) * _BITS_PER_BYTE / self._wire_baud
         if seconds > 0.0:

@@ -21,7 +21,7 @@ from robot_ik.hardware.control_table import (
     control_table,
 )
 from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory
-from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics, Load
+from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
@@ -51,7 +51,6 @@ class VirtualServo:
         position_ticks: What Present Position reads at first.
         mode: Operating mode; ``baud``: bits/s.
         firmware: Another than the model's usual one.
-        load: What it carries; ``None``: a light load.
         reverse: Bit 0 of its Drive Mode, set when it was built in: it counts against its encoder.
         shadow_of: Its Secondary ID; ``None``: none.
 
@@ -77,7 +76,6 @@ class VirtualServo:
         mode: OperatingMode = OperatingMode.POSITION,
         baud: int = 1_000_000,
         firmware: int | None = None,
-        load: Load | None = None,
         reverse: bool = False,
         shadow_of: int | None = None,
     ) -> None:
@@ -91,7 +89,7 @@ class VirtualServo:
         if shadow_of is not None:
             self.memory.set("secondary_id", shadow_of)
         encoder = -float(position_ticks) if reverse else float(position_ticks)
-        self.shaft = Shaft(self.memory, clock, encoder, load or Load.light(self.table.motor))
+        self.shaft = Shaft(self.memory, clock, encoder)
         self.electrics = Electrics(self.table.motor, clock.now())
         self._clock = clock
         self._values = self.memory.values
@@ -140,12 +138,6 @@ class VirtualServo:
     def status_byte(self, error: int) -> int:
         """The error byte of a reply: number, and the alert bit while Hardware Error Status is not 0."""
         return error | (ALERT if self.memory.values["hardware_error_status"] else 0)
-
-    @property
-    def reading(self) -> float:
-        """Present Position before rounding, ticks."""
-        self.update()
-        return self.shaft.reading
 
     @property
     def true_ticks(self) -> float:
@@ -404,7 +396,6 @@ class VirtualServo:
     # ------------------------------------------------------------------- by its registers
 
     def _written(self, name: str, had_torque: bool) -> None:
-        """What a write sets off."""
         mode = self._values["operating_mode"]
         match name:
             case "torque_enable":

@@ -42,9 +42,9 @@ class Shaft:
         memory: Registers that say how to move and how to count.
         clock: The only source of time.
         position: Encoder ticks at first.
-        load: What it carries, where no ``body`` says better.
 
     Attributes:
+        load: What it carries, where no ``body`` says better; at first a light one.
         motion: What the profile wants, in encoder ticks.
         stuck_at: Encoder ticks where a broken gear lets it rest without load, or ``None``.
         stops: Encoder ticks between which it can turn; it presses against them.
@@ -52,12 +52,12 @@ class Shaft:
         powered: Torque is on.
     """
 
-    def __init__(self, memory: Memory, clock: Clock, position: float, load: Load) -> None:
+    def __init__(self, memory: Memory, clock: Clock, position: float) -> None:
         self.motion: MotorMotion = rest(clock.now(), position)
         self.stuck_at: float | None = None
         self.stops = (-math.inf, math.inf)
         self.body: JointMotor | None = None
-        self.load = load
+        self.load = Load.light(memory.table.motor)
         self.powered = False
         self._memory = memory
         self._values = memory.values

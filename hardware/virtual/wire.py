@@ -135,7 +135,6 @@ class VirtualWire:
         return [*arriving, last]
 
     def _spoil(self, packet: bytes) -> bytes:
-        """One packet, as it arrives."""
         for name, probability in self.chances.items():
             if packet and probability > 0.0 and self.rng.random() < probability:
                 packet = SPOILS[name].apply(self, packet)

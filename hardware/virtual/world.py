@@ -38,11 +38,7 @@ DAMPING = 1.0
 class JointMotor:
     """One servo on a joint of the world; the ``body`` of its shaft.
 
-    Args:
-        joint: The joint.
-        row: The joint by this servo.
-        servo: The servo.
-        start: rad (m) of the joint at first: there this shaft stands where it stands.
+    ``row`` is the joint by this servo; ``start``, rad (m), is the joint's value where this shaft stands.
 
     Attributes:
         position, velocity, torque: Encoder ticks, ticks/s and N m at the servo's shaft, as last seen.
@@ -81,7 +77,6 @@ class JointMotor:
         self._servo.shaft.body = self
 
     def read_encoder(self) -> None:
-        """What the encoder says now."""
         angle = self._joint.angle
         self._ticks_per = self._sign * self._row.ticks_per(angle)  # of a swing arm it depends on the position
         self.gear = self._ticks_per * RADIANS_PER_TICK
@@ -182,7 +177,8 @@ class World:
             self.data.qpos[to] = self.model.qpos0[to] + share * (self.data.qpos[at] - self.model.qpos0[at])
         mujoco.mj_forward(self.model, self.data)
         for joint in self._joints:
-            joint.attach()
+            for motor in joint.motors:
+                motor.attach()
         bus.world = self
 
     def advance(self, now: float) -> None:
@@ -208,7 +204,7 @@ class World:
         for leader, follower, share in self._followers:
             self._force[leader] += share * self._force[follower]
         for joint in self._joints:
-            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof]) + joint.outside()
+            data.qfrc_applied[joint.dof] = joint.push(self._force[joint.dof])
         mujoco.mj_step2(model, data)
         for joint in self._joints:
             joint.hold()
@@ -275,10 +271,6 @@ class _Joint:
         mujoco.mj_forward(model, data)
         self.read_encoders()
 
-    def attach(self) -> None:
-        for motor in self.motors:
-            motor.attach()
-
     def read_encoders(self) -> None:
         for motor in self.motors:
             motor.read_encoder()
@@ -292,7 +284,8 @@ class _Joint:
     def push(self, force: float) -> float:
         """N m (N) at the joint of all motors together: ``force`` within what each can do and is allowed to.
 
-        Two that want different things pull against each other, as hard as they differ.
+        Two that want different things pull against each other, as hard as they differ.  What the fault
+        ``push`` puts there is in it: the motors have to hold against that.
         """
         if not any(motor.stuck for motor in self.motors):
             self._held = None
@@ -300,16 +293,18 @@ class _Joint:
             self._held = self.angle
         demands = [demand for demand in self._demands if demand is not None]
         mean = sum(demands) / len(demands) if demands else 0.0
-        inertia = self._inertia() if len(demands) > 1 else 0.0
+        inertia = 0.0
+        if len(demands) > 1:
+            model = self._world.model
+            unit, column = np.zeros(model.nv), np.zeros(model.nv)
+            unit[self.dof] = 1.0
+            mujoco.mj_mulM(model, self._world.data, column, unit)
+            inertia = float(column[self.dof])
         total = 0.0
         for motor, demand in zip(self.motors, self._demands, strict=True):
             share = 0.0 if demand is None else (force + inertia * (demand - mean)) / len(demands)
             total += motor.push(share)
-        return total
-
-    def outside(self) -> float:
-        """N m (N) at the joint that the fault ``push`` puts there: the motors have to hold against it."""
-        return sum(motor.outside() for motor in self.motors)
+        return total + sum(motor.outside() for motor in self.motors)
 
     def hold(self) -> None:
         """A joint that something holds stays where it is; one that meets a stop goes no further."""
@@ -323,13 +318,6 @@ class _Joint:
         if q != data.qpos[self._at]:
             data.qpos[self._at] = q
             data.qvel[self.dof] = 0.0
-
-    def _inertia(self) -> float:
-        model, data = self._world.model, self._world.data
-        unit, column = np.zeros(model.nv), np.zeros(model.nv)
-        unit[self.dof] = 1.0
-        mujoco.mj_mulM(model, data, column, unit)
-        return float(column[self.dof])
 
 
 # ------------------------------------------------------------------------------------------

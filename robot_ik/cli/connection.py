@@ -132,11 +132,7 @@ def attempt() -> Iterator[None]:
 
 
 def opened(options: BusOptions, config: ArmConfig) -> closing[ServoBus]:
-    """The bus of these options, open; nothing is asked of any servo yet.
-
-    Raises:
-        BusNotOpenError.
-    """
+    """The bus of these options, open; nothing is asked of any servo yet.  Raises ``BusNotOpenError``."""
     from robot_ik.hardware import open_bus
 
     return closing(open_bus(port_name(options.bus), config))
@@ -224,16 +220,10 @@ def driving(arm: Arm, *, space: bool = True) -> Iterator[None]:
 
 
 def require_model(config: ArmConfig) -> None:
-    """Compares the model with the calibration beside the arm file, where there is one.
+    """``check_model``, which asks for the model only where there is a calibration beside the arm file."""
+    from robot_ik.hardware.calibration import check_model, own_calibration
 
-    Raises:
-        CalibrationMismatchError: With a table of what differs.
-        ConfigError: The calibration cannot be read.
-    """
-    from robot_ik.hardware.calibration import check_model
-    from robot_ik.hardware.calibration_file import calibration_beside
-
-    if config.file is not None and calibration_beside(config.file).exists():
+    if own_calibration(config) is not None:
         check_model(config, model_limits(config))
 
 

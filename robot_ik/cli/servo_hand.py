@@ -82,7 +82,6 @@ class Prompts:
         sample()
 
     def note(self, text: str) -> None:
-        """Shows what a step has given."""
         console.say(text)
 
     def again(self, error: OperatorError) -> bool:

@@ -107,7 +107,6 @@ def require_inside(angles: dict[str, float], config: ArmConfig) -> None:
 
 
 def _show(arm: Arm, start: dict[str, float], goal: dict[str, float]) -> None:
-    """Where the joints were, were sent, and are."""
     arm.read()
     rows = []
     for name, q in arm.positions().items():

@@ -91,8 +91,7 @@ def run(options: SimBusOptions) -> int:
 
         World(load_robot(robot_named_in(config)).model, config, bus)
     bus.inject(*(file.faults if file else ()))
-    match, baud, late = options.match_baud, options.wire_baud, options.latency_ms
-    served = make_port(bus, options.link, match_baud=match, wire_baud=baud, latency_ms=late)
+    served = make_port(bus, options.link, match_baud=options.match_baud, wire_baud=options.wire_baud)
     ended = threading.Event()
     with console.on_signals(lambda number, frame: ended.set(), *SIGNALS), served as port:
         _announce(options.arm, config, port)
@@ -102,7 +101,6 @@ def run(options: SimBusOptions) -> int:
 
 
 def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
-    """Those of the flags."""
     from robot_ik.hardware.virtual.faults import Fault, joint_offset
 
     offsets = joint_degrees("--zero-offset", options.zero_offset, 360.0)
@@ -112,6 +110,7 @@ def _faults(options: SimBusOptions, config: ArmConfig) -> list[Fault]:
         *(Fault("silent", config.joint(name).id) for name in options.silent),
         Fault("corrupt", value=options.corrupt),
         Fault("drop", value=options.drop),
+        Fault("latency", value=options.latency_ms),
     ]
 
 

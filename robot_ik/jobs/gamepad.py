@@ -45,13 +45,10 @@ class PadState:
         """(6,) x, y, z, and about x, y, z: or the first six joints."""
         shoulders = ("right_shoulder" in self.pressed) - ("left_shoulder" in self.pressed)
         pushed = (self.left[1], -self.left[0], self.triggers[1] - self.triggers[0])
-        return _live(np.array((*pushed, float(shoulders), self.right[1], -self.right[0])))
-
-
-def _live(pushed: Array) -> Array:
-    """Without the dead zone; fine near its edge, for the square of what is left."""
-    share = np.clip((np.abs(pushed) - DEAD_ZONE) / (1.0 - DEAD_ZONE), 0.0, 1.0)
-    return np.asarray(np.sign(pushed) * share**2)
+        axes = np.array((*pushed, float(shoulders), self.right[1], -self.right[0]))
+        # Without the dead zone; fine near its edge, for the square of what is left.
+        share = np.clip((np.abs(axes) - DEAD_ZONE) / (1.0 - DEAD_ZONE), 0.0, 1.0)
+        return np.asarray(np.sign(axes) * share**2)
 
 
 class Gamepad(Jog):
@@ -70,8 +67,8 @@ class Gamepad(Jog):
         stop: Callable[[], object] = lambda: None,
         hand: bool = True,
     ) -> None:
-        super().__init__(config, hand, stop)
-        self._read, self._wait = read, recover
+        super().__init__(config, read, stop=stop, hand=hand)
+        self._wait = recover
         self._grippers = [k for k, joint in enumerate(self.joints) if joint.name not in config.names]
         self._down: frozenset[str] = frozenset()
         self._last: float | None = None
@@ -90,11 +87,6 @@ class Gamepad(Jog):
         self.over |= "start" in fresh
         passed = 0.0 if self._last is None else min(now - self._last, _LONGEST)
         self._last = now
-        self._go(state, passed)
-        return dict(self.angles)
-
-    def _go(self, state: PadState, passed: float) -> None:
-        """As far as the sticks lead in ``passed`` seconds."""
         axes = passed * state.axes()
         if not self.hand:
             for number, share in enumerate(axes.tolist()):
@@ -105,6 +97,7 @@ class Gamepad(Jog):
         grip = passed * (("up" in state.pressed) - ("down" in state.pressed))
         for number in self._grippers[:1]:
             self.move_joint(number, grip * _ANGULAR_SPEED, grip * _SPEED)
+        return dict(self.angles)
 
     def recover(self, timeout: float) -> None:
         self._wait(timeout)

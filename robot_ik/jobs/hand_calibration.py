@@ -56,11 +56,8 @@ def require_limp(arm: Arm) -> None:
 def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limits: Limits) -> Calibration:
     """Ranges, zeros and directions of an arm without torque, as a person shows them.
 
-    Args:
-        arm: Connected, torque off.
-        person: Moves it.
-        pose: Joint -> rad (m of a slide) at which the zeros are taken.
-        limits: Joint -> limits of the model, rad (m).
+    The arm is connected, torque off.  ``pose``: joint -> rad (m of a slide) at which the zeros are taken;
+    ``limits``: joint -> limits of the model, rad (m).
 
     Raises:
         OperatorError: A step was not done as asked, and is not to be repeated.

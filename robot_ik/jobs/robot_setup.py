@@ -259,7 +259,6 @@ def prepare_robot(request: ArmRequest) -> RobotSetup:
 
 
 def _joint_limits(robot: Robot, limited: Robot, config: ArmConfig | None) -> list[JointLimits]:
-    """Of the model, of the servos, and of both together."""
     joints = () if config is None else config.joints
     servos = {joint.name: joint.limits for joint in joints}
     file = {j.name: (j.lower, j.upper) for j in joints if config is not None and config.file is not None}
@@ -312,11 +311,7 @@ def require_joints(robot: Robot, config: ArmConfig) -> None:
 
 
 def robot_named_in(config: ArmConfig) -> str:
-    """The robot that an arm file names: name or path.
-
-    Raises:
-        ConfigError: There is no such robot.
-    """
+    """The robot that an arm file names: name or path; raises ``ConfigError`` where there is none."""
     try:
         find_robot(config.robot)
     except ModelError as error:

@@ -31,8 +31,7 @@ ARRIVED = math.radians(2.0)
 class TaughtMotion:
     """Positions of an arm that a hand guides, sample by sample; what was read stays after Ctrl-C.
 
-    Raises:
-        ArmStateError: Torque is on.
+    As ``require_limp`` where torque is on.
     """
 
     def __init__(self, arm: Arm) -> None:

@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -87,7 +87,6 @@ class JointCoupling:
         return {n: float(np.interp(leader[n], *self._ranges[n])) for n in self.names}
 
     def leader(self, follower: Angles) -> dict[str, float]:
-        """Of the leader, likewise."""
         return {n: float(np.interp(follower[n], *self._ranges[n][::-1])) for n in self.names}
 
 
@@ -231,11 +230,19 @@ class Jog(Operator):
     """Moves joints, or the ``hand`` in the axes of the world; never beyond the limits.
 
     ``angles`` are commanded, joint -> rad (m of a slide); ``joints`` are the follower's, grippers last;
-    ``stop`` makes the follower hold, and ``over`` says whether the person wants to end.
+    ``read`` gives what was pressed since it was last asked, or is pressed now; ``stop`` makes the follower
+    hold, and ``over`` says whether the person wants to end.
     """
 
-    def __init__(self, config: ArmConfig, hand: bool, stop: Callable[[], object] = lambda: None) -> None:
-        self._hand = Hand(config)
+    def __init__(
+        self,
+        config: ArmConfig,
+        read: Callable[[], Any],
+        *,
+        stop: Callable[[], object] = lambda: None,
+        hand: bool = False,
+    ) -> None:
+        self._hand, self._read = Hand(config), read
         self.joints = config.whole.joints
         self.angles: dict[str, float] = {}
         self.hand, self.stop, self.over = hand, stop, False
@@ -269,23 +276,14 @@ class Jog(Operator):
 class KeyboardJog(Jog):
     """The keys of a terminal jog joints, or the hand in the axes of the world.
 
-    A terminal says when a key goes down and not how long it stays: each press is one step.  ``pressed`` gives
-    the keys since it was last asked; ``stop`` is called at the space bar.
+    A terminal says when a key goes down and not how long it stays: each press is one step.  ``stop`` is
+    called at the space bar.
     """
 
-    def __init__(
-        self,
-        config: ArmConfig,
-        pressed: Callable[[], str],
-        *,
-        stop: Callable[[], object] = lambda: None,
-        hand: bool = False,
-    ) -> None:
-        super().__init__(config, hand, stop)
-        self._pressed, self._size = pressed, 1.0
+    _size = 1.0
 
     def command(self, now: float) -> Angles:
-        for key in self._pressed():
+        for key in self._read():
             self._press(key.lower())
         return dict(self.angles)
 
@@ -355,12 +353,8 @@ def teleoperate(
 ) -> TeleopReport:
     """Leads the connected follower, which is enabled here, until it is over; the caller leaves the arms.
 
-    Args:
-        operator: Who leads.
-        follower: Who follows.
-        seconds: How long; None: until ``over``, which is asked once a tick.
-        patience: s to wait for a leader that was lost.
-        over: See ``seconds``.
+    ``seconds``: how long; None: until ``over``, which is asked once a tick.  ``patience``: s to wait for a
+    leader that was lost.
 
     Raises:
         HardwareError: The follower failed, or the leader did not come back.

@@ -138,7 +138,7 @@ def test_ctrl_c_leaves_the_arm_as_asked(desk: Any) -> None:
     command = [sys.executable, "-m", "robot_ik", "servo", "move", "joint1=90", *desk.at, "--speed", "0.02"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        wait_for(lambda: desk.servo(1).reading > 2050)  # it is on its way
+        wait_for(lambda: desk.servo(1).shaft.reading > 2050)  # it is on its way
         child.send_signal(signal.SIGINT)
         _, err = child.communicate()
     finally:

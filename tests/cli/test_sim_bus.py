@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -85,6 +86,16 @@ def test_faults_reach_the_wire(serve: Serve, tmp_path: Path) -> None:
     with serve("--silent", "joint1"):
         assert ping(tmp_path / "arm", 1)[1] == sdk.COMM_RX_TIMEOUT
         assert ping(tmp_path / "arm", 2)[1] == sdk.COMM_SUCCESS
+
+
+def test_replies_come_as_late_as_asked(serve: Serve, tmp_path: Path) -> None:
+    with serve("--latency-ms", "20"):
+        port = sdk.PortHandler(str(tmp_path / "arm"))
+        assert port.openPort()
+        begin = time.monotonic()
+        assert sdk.PacketHandler(2.0).ping(port, 1)[1] == sdk.COMM_SUCCESS
+        assert time.monotonic() - begin >= 0.020
+        port.closePort()
 
 
 def test_a_file_of_faults_happens_in_its_time(serve: Serve, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.simulated import SimBus
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.faults import Fault
+from robot_ik.hardware.virtual.motor import Load
 from robot_ik.hardware.virtual.protocol import ErrorCode, Packet, Parser
 from robot_ik.hardware.virtual.pty import PtyPort
 from robot_ik.hardware.virtual.servo import VirtualServo
@@ -163,9 +164,11 @@ class Bench:
 
     V_UNIT = 0.229 * 4096 / 60  # ticks/s
 
-    def __init__(self, model: str = "XM430-W350", **options: object) -> None:
+    def __init__(self, model: str = "XM430-W350", load: Load | None = None, **options: object) -> None:
         self.clock = VirtualClock(start=12.0)
         self.servo = VirtualServo(model, 1, self.clock, **options)  # type: ignore[arg-type]
+        if load is not None:
+            self.servo.shaft.load = load
 
     def wait(self, seconds: float) -> None:
         self.clock.sleep_until(self.clock.now() + seconds)

@@ -249,6 +249,6 @@ def test_a_virtual_servo_in_position_mode_ignores_such_an_offset(arm_config) -> 
     servos = servos_of(changed(arm_config, 0, mode=POSITION))
     servo = servos.servo(1)
     servo.memory.set("homing_offset", 1500)
-    assert servo.reading == 2048
+    assert servo.shaft.reading == 2048
     servo.memory.set("operating_mode", OperatingMode.EXTENDED_POSITION)
-    assert servo.reading == 3548
+    assert servo.shaft.reading == 3548

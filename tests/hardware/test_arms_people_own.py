@@ -175,11 +175,11 @@ def leave(servos: VirtualBus, left: Left) -> None:
 
 def _wind(servo: VirtualServo, offset: int) -> None:
     """Another Homing Offset, and a horn screwed on otherwise by as much: the servo reads what it read."""
-    before = servo.reading
+    before = servo.shaft.reading
     servo.memory.set("homing_offset", offset)
     back = -1.0 if servo.memory.values["drive_mode"] & 1 else 1.0
-    servo.rotate_by_hand(back * (before - servo.reading))
-    assert servo.reading == pytest.approx(before, abs=1.0)
+    servo.rotate_by_hand(back * (before - servo.shaft.reading))
+    assert servo.shaft.reading == pytest.approx(before, abs=1.0)
 
 
 def servos_of(name: str) -> VirtualBus:
@@ -211,7 +211,7 @@ def run_once(name: str, servos: VirtualBus) -> None:
             assert not grip.held and abs(grip.q - to) < 5 * finger.resolution
     assert arm.exit_report is not None and arm.exit_report.ok and arm.exit_report.parked
     assert arm.exit_report.done == "torque_off" and not any(servo.torque for servo in servos.servos)
-    there = [joint.to_radians(servos.servo(joint.id).reading) for joint in config.joints]
+    there = [joint.to_radians(servos.servo(joint.id).shaft.reading) for joint in config.joints]
     assert np.abs(np.array(there) - begin).max() < 0.01
 
 
@@ -312,7 +312,7 @@ class Hand:
 
     def __init__(self, true: ArmConfig, servos: VirtualBus) -> None:
         self.true, self.servos = true, servos
-        self.q = {joint.name: joint.to_radians(servos.servo(joint.id).reading) for joint in true.joints}
+        self.q = {joint.name: joint.to_radians(servos.servo(joint.id).shaft.reading) for joint in true.joints}
 
     def put(self, name: str, q: float, sample: Callable[[], object]) -> None:
         for part in np.linspace(self.q[name], q, 24):

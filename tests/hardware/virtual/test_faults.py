@@ -55,7 +55,7 @@ def test_from_config_stands_at_the_start(arm_config: ArmConfig, clock: VirtualCl
         assert servo.memory.values["operating_mode"] == joint.mode
         assert servo.baud == arm_config.baud
         assert not servo.torque
-        assert servo.reading == joint.to_ticks(q)
+        assert servo.shaft.reading == joint.to_ticks(q)
     assert np.abs(bus.true_angles(arm_config) - start).max() <= arm_config.resolution.max() / 2
     with pytest.raises(ConfigError):
         VirtualBus.from_config(arm_config, clock, [0.0])

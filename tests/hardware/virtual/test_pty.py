@@ -166,9 +166,9 @@ def test_bus_watchdog_freezes_the_shaft_when_the_client_is_gone(arm_config: ArmC
             assert SDK.write1ByteTxRx(port, 1, WATCHDOG, 25) == (COMM_SUCCESS, 0)
             assert SDK.write4ByteTxRx(port, 1, GOAL, 20_000) == (COMM_SUCCESS, 0)
         time.sleep(0.8)
-        frozen = bus.servo(1).reading
+        frozen = bus.servo(1).true_ticks
         time.sleep(0.2)
-        assert bus.servo(1).reading == frozen > 2048.0
+        assert bus.servo(1).true_ticks == frozen > 2048.0
         for port in _open(pty):
             assert SDK.read1ByteTxRx(port, 1, WATCHDOG)[0] == 255
             assert SDK.write4ByteTxRx(port, 1, GOAL, 3000) == (COMM_SUCCESS, 4)  # data range

@@ -25,7 +25,7 @@ def test_trapezoid_of_the_manual(make_bench: Callable[..., Any]) -> None:
     assert bench.read("moving_status") == 0b110010  # trapezoidal, going on
     bench.wait(ramp / 2)
     assert bench.read("present_velocity") == pytest.approx(100, abs=1)
-    assert bench.servo.reading - 2048 == pytest.approx(0.5 * 100 * bench.V_UNIT * ramp, rel=2e-3)
+    assert bench.servo.shaft.reading - 2048 == pytest.approx(0.5 * 100 * bench.V_UNIT * ramp, rel=2e-3)
     end = start + 4096 / (100 * bench.V_UNIT) + ramp
     bench.clock.sleep_until(end - 0.01)
     assert bench.read("moving_status") & 0b11 == 0b10
@@ -46,7 +46,7 @@ def test_a_short_way_is_a_triangle_and_no_profile_a_step(make_bench: Callable[..
     assert bench.read("moving_status") >> 4 == ProfileKind.STEP
     # Even a step is no faster than the motor: half a revolution at 200 * 0.229 rev/min.
     bench.wait(2000 / (200 * bench.V_UNIT))
-    assert 1000 < bench.servo.reading < 1150
+    assert 1000 < bench.servo.shaft.reading < 1150
     bench.wait(0.1)
     assert bench.read("present_position") == 1000
 
@@ -77,7 +77,7 @@ def test_time_based_profile_takes_its_time(make_bench: Callable[..., Any]) -> No
     bench.set(drive_mode=4)
     bench.set(profile_velocity=2000, profile_acceleration=500, torque_enable=1, goal_position=4000)
     bench.wait(1.0)
-    assert bench.servo.reading == pytest.approx((2048 + 4000) / 2)
+    assert bench.servo.shaft.reading == pytest.approx((2048 + 4000) / 2)
     bench.wait(0.99)
     assert bench.read("moving_status") & 2
     bench.wait(0.011)
@@ -89,7 +89,7 @@ def test_a_ramp_is_at_most_half_the_time(make_bench: Callable[..., Any]) -> None
     bench.set(drive_mode=4)
     bench.set(profile_velocity=2000, profile_acceleration=1900, torque_enable=1, goal_position=4000)
     bench.wait(1.0)
-    assert bench.servo.reading == pytest.approx((2048 + 4000) / 2)
+    assert bench.servo.shaft.reading == pytest.approx((2048 + 4000) / 2)
     assert bench.read("present_velocity") == pytest.approx(2 * 1952 / 2.0 / bench.V_UNIT, abs=1)
     bench.wait(1.001)
     assert bench.read("moving_status") & 3 == 1
@@ -103,18 +103,18 @@ def test_how_often_it_is_asked_changes_nothing(make_bench: Callable[..., Any]) -
         often.wait(0.001)
         often.read("present_position")
     rarely.clock.sleep_until(often.clock.now())
-    assert often.servo.reading == rarely.servo.reading
+    assert often.servo.shaft.reading == rarely.servo.shaft.reading
 
 
 def test_a_new_goal_on_the_way_keeps_the_speed(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(mode=EXTENDED)
     bench.set(profile_velocity=100, profile_acceleration=20, torque_enable=1, goal_position=20_000)
     bench.wait(1.0)
-    before = bench.servo.reading
+    before = bench.servo.shaft.reading
     bench.set(goal_position=0)
-    assert (bench.servo.reading, bench.read("present_velocity")) == (before, 100)
+    assert (bench.servo.shaft.reading, bench.read("present_velocity")) == (before, 100)
     bench.wait(0.1)
-    assert bench.servo.reading > before  # it cannot turn back at once
+    assert bench.servo.shaft.reading > before  # it cannot turn back at once
     bench.wait(30.0)
     assert bench.read("present_position") == 0
 
@@ -124,7 +124,7 @@ def test_velocity_mode_turns_until_told_otherwise(make_bench: Callable[..., Any]
     bench.set(operating_mode=OperatingMode.VELOCITY, torque_enable=1, goal_velocity=-100)
     bench.wait(10.0)
     assert bench.read("present_velocity") == -100
-    assert bench.servo.reading == pytest.approx(2048 - 1000 * bench.V_UNIT, rel=1e-2)
+    assert bench.servo.shaft.reading == pytest.approx(2048 - 1000 * bench.V_UNIT, rel=1e-2)
     bench.set(goal_velocity=0)
     bench.wait(1.0)
     assert bench.read("present_velocity") == 0

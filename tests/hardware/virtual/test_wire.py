@@ -93,7 +93,7 @@ def test_noise_moves_no_servo_and_a_spoiled_wire_brings_nothing_down(noise: list
         bus.handle(build(254, I.PING))
         bus.handle(build(254, I.SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
         bus.handle(build(254, I.FAST_SYNC_READ, struct.pack("<HH", 132, 4) + b"\x03\x01\x02"))
-    assert [(s.torque, s.reading) for s in servos] == [(False, 100.0), (False, 200.0), (False, 300.0)]
+    assert [(s.torque, s.shaft.reading) for s in servos] == [(False, 100.0), (False, 200.0), (False, 300.0)]
 
 
 @given(

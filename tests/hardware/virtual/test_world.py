@@ -255,5 +255,5 @@ def test_two_servos_move_their_joint_as_one(rig: Callable[..., Rig]) -> None:
             arm.send(begin + min(1.0, k / 80) * (np.array([0.2, 0.0]) - begin), arm.clock.now())
         assert arm.read().q[0] == pytest.approx(0.2, abs=0.03)
         first, second = it.config.servos[0], it.config.servos[2]
-        shown = [s.to_radians(it.bus.servo(s.id).reading) for s in (first, second)]
+        shown = [s.to_radians(it.bus.servo(s.id).shaft.reading) for s in (first, second)]
         assert shown[0] == pytest.approx(shown[1], abs=1e-6) == pytest.approx(it.q()[0], abs=1e-6)
