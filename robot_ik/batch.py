@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import LARGEST, Pose, numbers, rotation_entries
+from robot_ik.geometry import LARGEST, ROUNDING, Pose, numbers, rotation_entries
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
@@ -26,8 +26,6 @@ from robot_ik.solvers.base import BatchResult, Solver
 
 Array = NDArray[np.float64]
 
-# How far a matrix may be from a rotation: what six written digits leave.
-_ROUNDING = 1e-5
 # So many matrices are checked one by one.
 _FEW = 8
 # Below this many poses for each thread, starting threads costs more than it gains.
@@ -158,7 +156,7 @@ def _require_rotations(rows: Array) -> None:
         off: Any = [_from_rotation(*row) for row in rotations.tolist()]
     else:  # row by row; one copy, then quick sums
         off = _from_rotation(*np.ascontiguousarray(rotations.T))
-    if len(off) and np.max(off) > _ROUNDING:
+    if len(off) and np.max(off) > ROUNDING:
         raise InvalidGoalError(
             f"the matrix of pose {int(np.argmax(off))} is not a rotation: it scales or mirrors"
         )
