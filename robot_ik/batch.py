@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ from robot_ik.geometry import LARGEST, ROUNDING, Pose, numbers, rotation_entries
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
-from robot_ik.problem import Budget, Problem, require_options
+from robot_ik.problem import Budget, require_options
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
 from robot_ik.solvers.base import BatchResult, Solver
@@ -71,41 +70,6 @@ class BatchSolution(BatchResult):
         numbers, counts = np.unique(self.status, return_counts=True)
         ends = ", ".join(f"{n} {Status(k).name}" for k, n in zip(numbers, counts, strict=True))
         return f"BatchSolution({len(self)} poses: {ends or 'none'}; {self.solver!r}, {self.seconds:.2g} s)"
-
-
-def run_batch(
-    parts: Callable[[], AbstractContextManager[tuple[Solver, Problem]]],
-    targets: Array,
-    starts: Array,
-    threads: int | None,
-) -> BatchSolution:
-    """Solves each row of ``targets`` (n, 12) from its row of ``starts`` (n, nq), on so many threads.
-
-    ``parts`` lends a method and a problem of one goal to each; None: one for each core this process may use.
-
-    Raises:
-        InvalidGoalError: No thread at all.
-    """
-    if threads is not None and threads < 1:
-        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
-    results = BatchResult.empty(len(targets), starts.shape[1])
-    most = len(targets) // _LEAST_PER_THREAD
-    count = min(threads or usable_cores(), most) if most > 1 else 1
-
-    def part(targets: Array, starts: Array, results: BatchResult) -> str:
-        with parts() as (method, problem), problem.in_use():
-            method.attempt_many(problem, targets, starts, results, problem.budget)
-        return method.name
-
-    began = time.perf_counter()
-    if count == 1:
-        name = part(targets, starts, results)
-    else:
-        edges = [len(targets) * k // count for k in range(count + 1)]
-        shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
-        with ThreadPoolExecutor(count) as pool:
-            name, *_ = pool.map(lambda s: part(targets[s], starts[s], results.part(s)), shares)
-    return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)
 
 
 def usable_cores() -> int:
@@ -213,9 +177,27 @@ def solve_batch(
         UnsupportedGoalError: As in ``solve``.
     """
     require_options(robot, tolerance, budget, seed)
+    if threads is not None and threads < 1:
+        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     targets, with_angle = target_rows(poses)
     begin = start_rows(robot, starts, len(targets))
     goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
-    return run_batch(
-        lambda: borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads
-    )
+    results = BatchResult.empty(len(targets), robot.nq)
+    most = len(targets) // _LEAST_PER_THREAD
+    count = min(threads or usable_cores(), most) if most > 1 else 1
+
+    def solve_rows(rows: slice) -> str:
+        borrowed = borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed)
+        with borrowed as (method, problem), problem.in_use():
+            method.attempt_many(problem, targets[rows], begin[rows], results.part(rows), problem.budget)
+        return method.name
+
+    began = time.perf_counter()
+    edges = [len(targets) * k // count for k in range(count + 1)]
+    shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
+    if count == 1:
+        name = solve_rows(shares[0])
+    else:
+        with ThreadPoolExecutor(count) as pool:
+            name, *_ = pool.map(solve_rows, shares)
+    return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)
