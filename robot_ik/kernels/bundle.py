@@ -104,7 +104,8 @@ def named_row(title: str, fields: tuple[tuple[str, str], ...]) -> Callable[[Any]
 
 def address_of(table: NDArray[Any]) -> Any:
     """The address of a packed table, which its user must hold too: quicker to pass; or another array."""
-    return table.ctypes.data if isinstance(table.base, _Owner) else table
+    base: Any = table.base
+    return table.ctypes.data if isinstance(base, _Owner) else table
 
 
 class Layout:

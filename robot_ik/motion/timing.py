@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,7 +122,7 @@ def fastest_timing(s: Array, q: Array, velocity: Array, acceleration: Array, spe
         acceleration: (nq,) bounds, positive, rad/s^2 or m/s^2.
         speed: Bound of ds/dt, 1/s.
     """
-    order = 2 if len(s) > 2 else 1  # of the differences at the ends
+    order: Literal[1, 2] = 2 if len(s) > 2 else 1  # of the differences at the ends
     first = np.gradient(q, s, axis=0, edge_order=order)
     second = np.gradient(first, s, axis=0, edge_order=order)
     ratio, reserve, ceiling = _bounds(first, second, velocity, acceleration, speed)
