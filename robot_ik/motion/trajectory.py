@@ -350,11 +350,7 @@ def joint_move(
 
 
 class RecorderSink:
-    """A `JointSink` that remembers every joint vector and its time.
-
-    Args:
-        joints: Names of the nq columns.
-    """
+    """A `JointSink` that remembers every vector (nq,) of the named joints, and its time."""
 
     def __init__(self, joints: Iterable[str]) -> None:
         self.joints = tuple(joints)
