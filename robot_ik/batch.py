@@ -132,19 +132,6 @@ def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: An
     return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
 
 
-def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
-    """Starts (n, nq); one start (nq,), or home, counts for all; raises as ``solve_batch``."""
-    array = robot.home if starts is None else numbers(starts, "starts")
-    if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
-        raise InvalidGoalError(
-            f"starts have shape {array.shape}",
-            hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
-        )
-    rows = np.empty((count, robot.nq))
-    rows[...] = array
-    return rows
-
-
 def solve_batch(
     robot: Robot,
     poses: ArrayLike | Pose | Sequence[Pose],
@@ -180,7 +167,12 @@ def solve_batch(
     if threads is not None and threads < 1:
         raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     targets, with_angle = target_rows(poses)
-    begin = start_rows(robot, starts, len(targets))
+    begin = np.empty((len(targets), robot.nq))
+    given = robot.home if starts is None else numbers(starts, "starts")
+    if given.shape not in ((robot.nq,), begin.shape) or not np.isfinite(given).all():
+        hint = f"give finite ({robot.nq},) for all or {begin.shape}"
+        raise InvalidGoalError(f"starts have shape {given.shape}", hint=hint)
+    begin[...] = given
     goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
     results = BatchResult.empty(len(targets), robot.nq)
     most = len(targets) // _LEAST_PER_THREAD
