@@ -178,18 +178,18 @@ def solve_batch(
     most = len(targets) // _LEAST_PER_THREAD
     count = min(threads or usable_cores(), most) if most > 1 else 1
 
-    def solve_rows(rows: slice) -> str:
+    def solve_part(targets: Array, starts: Array, results: BatchResult) -> str:
         borrowed = borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed)
         with borrowed as (method, problem), problem.in_use():
-            method.attempt_many(problem, targets[rows], begin[rows], results.part(rows), problem.budget)
+            method.attempt_many(problem, targets, starts, results, problem.budget)
         return method.name
 
     began = time.perf_counter()
-    edges = [len(targets) * k // count for k in range(count + 1)]
-    shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
     if count == 1:
-        name = solve_rows(shares[0])
+        name = solve_part(targets, begin, results)
     else:
+        edges = [len(targets) * k // count for k in range(count + 1)]
+        shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
         with ThreadPoolExecutor(count) as pool:
-            name, *_ = pool.map(solve_rows, shares)
+            name, *_ = pool.map(lambda s: solve_part(targets[s], begin[s], results.part(s)), shares)
     return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)
