@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,19 +14,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import LARGEST, Pose, numbers, rotation_entries
+from robot_ik.geometry import LARGEST, ROUNDING, Pose, numbers, rotation_entries
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.model import pose_row
-from robot_ik.problem import Budget, Problem, require_options
+from robot_ik.problem import Budget, require_options
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
 from robot_ik.solvers.base import BatchResult, Solver
 
 Array = NDArray[np.float64]
 
-# How far a matrix may be from a rotation: what six written digits leave.
-_ROUNDING = 1e-5
 # So many matrices are checked one by one.
 _FEW = 8
 # Below this many poses for each thread, starting threads costs more than it gains.
@@ -73,41 +70,6 @@ class BatchSolution(BatchResult):
         numbers, counts = np.unique(self.status, return_counts=True)
         ends = ", ".join(f"{n} {Status(k).name}" for k, n in zip(numbers, counts, strict=True))
         return f"BatchSolution({len(self)} poses: {ends or 'none'}; {self.solver!r}, {self.seconds:.2g} s)"
-
-
-def run_batch(
-    parts: Callable[[], AbstractContextManager[tuple[Solver, Problem]]],
-    targets: Array,
-    starts: Array,
-    threads: int | None,
-) -> BatchSolution:
-    """Solves each row of ``targets`` (n, 12) from its row of ``starts`` (n, nq), on so many threads.
-
-    ``parts`` lends a method and a problem of one goal to each; None: one for each core this process may use.
-
-    Raises:
-        InvalidGoalError: No thread at all.
-    """
-    if threads is not None and threads < 1:
-        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
-    results = BatchResult.empty(len(targets), starts.shape[1])
-    most = len(targets) // _LEAST_PER_THREAD
-    count = min(threads or usable_cores(), most) if most > 1 else 1
-
-    def part(targets: Array, starts: Array, results: BatchResult) -> str:
-        with parts() as (method, problem), problem.in_use():
-            method.attempt_many(problem, targets, starts, results, problem.budget)
-        return method.name
-
-    began = time.perf_counter()
-    if count == 1:
-        name = part(targets, starts, results)
-    else:
-        edges = [len(targets) * k // count for k in range(count + 1)]
-        shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
-        with ThreadPoolExecutor(count) as pool:
-            name, *_ = pool.map(lambda s: part(targets[s], starts[s], results.part(s)), shares)
-    return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)
 
 
 def usable_cores() -> int:
@@ -158,7 +120,7 @@ def _require_rotations(rows: Array) -> None:
         off: Any = [_from_rotation(*row) for row in rotations.tolist()]
     else:  # row by row; one copy, then quick sums
         off = _from_rotation(*np.ascontiguousarray(rotations.T))
-    if len(off) and np.max(off) > _ROUNDING:
+    if len(off) and np.max(off) > ROUNDING:
         raise InvalidGoalError(
             f"the matrix of pose {int(np.argmax(off))} is not a rotation: it scales or mirrors"
         )
@@ -168,19 +130,6 @@ def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: An
     """How far a matrix, row by row, is from unit columns of which the third is the others' cross product."""
     off = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
     return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
-
-
-def start_rows(robot: Robot, starts: ArrayLike | None, count: int) -> Array:
-    """Starts (n, nq); one start (nq,), or home, counts for all; raises as ``solve_batch``."""
-    array = robot.home if starts is None else numbers(starts, "starts")
-    if array.shape not in ((robot.nq,), (count, robot.nq)) or not np.isfinite(array).all():
-        raise InvalidGoalError(
-            f"starts have shape {array.shape}",
-            hint=f"give finite ({robot.nq},) for all or ({count}, {robot.nq})",
-        )
-    rows = np.empty((count, robot.nq))
-    rows[...] = array
-    return rows
 
 
 def solve_batch(
@@ -215,9 +164,32 @@ def solve_batch(
         UnsupportedGoalError: As in ``solve``.
     """
     require_options(robot, tolerance, budget, seed)
+    if threads is not None and threads < 1:
+        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
     targets, with_angle = target_rows(poses)
-    begin = start_rows(robot, starts, len(targets))
+    begin = np.empty((len(targets), robot.nq))
+    given = robot.home if starts is None else numbers(starts, "starts")
+    if given.shape not in ((robot.nq,), begin.shape) or not np.isfinite(given).all():
+        hint = f"give finite ({robot.nq},) for all or {begin.shape}"
+        raise InvalidGoalError(f"starts have shape {given.shape}", hint=hint)
+    begin[...] = given
     goal = PoseGoal(frame, ORIGIN) if with_angle else PositionGoal(frame, ORIGIN)
-    return run_batch(
-        lambda: borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed), targets, begin, threads
-    )
+    results = BatchResult.empty(len(targets), robot.nq)
+    most = len(targets) // _LEAST_PER_THREAD
+    count = min(threads or usable_cores(), most) if most > 1 else 1
+
+    def solve_part(targets: Array, starts: Array, results: BatchResult) -> str:
+        borrowed = borrowed_problem(robot, goal, solver, {}, tolerance, budget, seed)
+        with borrowed as (method, problem), problem.in_use():
+            method.attempt_many(problem, targets, starts, results, problem.budget)
+        return method.name
+
+    began = time.perf_counter()
+    if count == 1:
+        name = solve_part(targets, begin, results)
+    else:
+        edges = [len(targets) * k // count for k in range(count + 1)]
+        shares = list(itertools.starmap(slice, itertools.pairwise(edges)))
+        with ThreadPoolExecutor(count) as pool:
+            name, *_ = pool.map(lambda s: solve_part(targets[s], begin[s], results.part(s)), shares)
+    return BatchSolution(**vars(results), seconds=time.perf_counter() - began, solver=name)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -119,10 +119,6 @@ class PostureGoal(Goal):
     @property
     def signature(self) -> tuple[object, ...]:
         return *super().signature, tuple(self.joints.items()), self.only
-
-    def moved_to_q(self, q: ArrayLike) -> PostureGoal:
-        """The same goal with other joint angles (nq,)."""
-        return replace(self, q=q)
 
     def joint_weights(self, robot: Robot) -> Array:
         """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""

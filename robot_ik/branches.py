@@ -80,19 +80,12 @@ def solve_all(
     same = np.abs(qs[:, None] - qs).max(axis=2) < _SAME
     far = ((qs - origin) ** 2).sum(axis=1).tolist()
     first = [k for k, row in enumerate(same.tolist()) if row.index(True) == k]
-    inside = _inside(robot, qs)
-    if not all(inside):
-        ends = np.array([robot.clip(q) for q in qs])
-        qs = np.where(np.abs(ends - qs) <= _ROUNDING, ends, qs)
-        inside = _inside(robot, qs)
+    hinges = robot.nq == robot.nv  # balls and floating bases have limits of their own
+    ends = np.clip(qs, robot.lower, robot.upper) if hinges else np.array([robot.clip(q) for q in qs])
+    off = np.abs(ends - qs)
+    if off.max() > _SLACK:
+        qs = np.where(off <= _ROUNDING, ends, qs)
+    inside = (np.abs(ends - qs) <= _SLACK).all(axis=1).tolist()
     found = [(far[k], Branch(branches[k][0], qs[k], inside=inside[k])) for k in first]
     ordered = sorted(found, key=lambda one: (not one[1].inside, one[0]))
     return tuple(branch for _, branch in ordered if branch.inside or not limits)
-
-
-def _inside(robot: Robot, qs: NDArray[np.float64]) -> list[bool]:
-    """Which rows of ``qs`` (n, nq) are inside the limits, as ``Robot.outside`` has it."""
-    if robot.nq > robot.nv:  # balls and floating bases have limits of their own
-        return [not robot.outside(q) for q in qs]
-    near = (qs >= robot.lower - _SLACK) & (qs <= robot.upper + _SLACK)
-    return cast(list[bool], near.all(axis=1).tolist())

@@ -107,15 +107,11 @@ def claimed_folder(path: Path, own: str, *, overwrite: bool = False) -> Iterator
     Raises:
         OutputError: It holds results, another run is writing to it, or it cannot be written to.
     """
-    with folder_for_results(path), _locked(_opened(path), path):
+    with folder_for_results(path), _locked(None if os.name == "nt" else os.open(path, os.O_RDONLY), path):
         held = sorted(path.glob(own))
         if held and not overwrite:
             raise _held(path, f"it holds {held[0].name}" + (", …" if len(held) > 1 else ""))
         yield held
-
-
-def _opened(folder: Path) -> int | None:
-    return None if os.name == "nt" else os.open(folder, os.O_RDONLY)
 
 
 @contextlib.contextmanager

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 # Below this angle the series of sin(x)/x is exact to double precision.
 _SMALL_ANGLE = 1e-8
 # How far a matrix may be from a rotation: what six written digits leave.
-_ROUNDING = 1e-5
+ROUNDING = 1e-5
 # Squares of larger numbers, or of longer vectors, leave the range of floats.
 LARGEST = 1e100
 
@@ -188,7 +188,7 @@ class Pose:
         if m.shape != (4, 4):
             raise InvalidPoseError(f"a homogeneous matrix is (4, 4), not {m.shape}")
         off = np.abs(m[:3, :3] @ m[:3, :3].T - np.eye(3)).max()
-        if off > _ROUNDING or np.linalg.det(m[:3, :3]) < 0.0:  # of NaN, the pose complains
+        if off > ROUNDING or np.linalg.det(m[:3, :3]) < 0.0:  # of NaN, the pose complains
             raise InvalidPoseError(f"the matrix {m.tolist()} is no rotation and shift: it scales or mirrors")
         if not np.allclose(m[3], (0.0, 0.0, 0.0, 1.0)):
             raise InvalidPoseError(f"the last row of a homogeneous matrix is 0 0 0 1, not {m[3].tolist()}")

@@ -210,10 +210,6 @@ class Goal:
         """The same goal with another target."""
         raise InvalidGoalError(f"a {self.name} has no pose to move")
 
-    def moved_to_q(self, q: ArrayLike) -> Goal:
-        """The same goal with other joint angles (nq,)."""
-        raise InvalidGoalError(f"a {self.name} has no joint angles to move")
-
     def moved_nodes(self, robot: Robot) -> set[int]:
         """Joints (nodes of the tree) whose motion it feels."""
         return set(robot.tree.ancestors(robot.attachment(self.frame)[0]))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -28,23 +28,12 @@ ORIGIN = (0.0, 0.0, 0.0)
 _Pool = list[tuple[Solver, Problem]]
 
 
-class _ProblemPools:
-    """The idle problems that were compiled for one robot, each with its method, by their kind.
+def _problem_pools() -> Callable[..., _Pool]:
+    """For a kind of problems of one robot, those that are idle, each with its method.
 
     A problem is idle in its pool or in use by one call: calls of several threads never share one.
     """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._pools: dict[Hashable, _Pool] = {}
-
-    def __getitem__(self, kind: Hashable) -> _Pool:
-        with self._lock:
-            pool = self._pools.pop(kind, None)
-            self._pools[kind] = pool = [] if pool is None else pool  # the last used is the last
-            if len(self._pools) > _KINDS_KEPT:
-                del self._pools[next(iter(self._pools))]
-        return pool
+    return functools.lru_cache(_KINDS_KEPT)(lambda *kind: [])
 
 
 @contextmanager
@@ -64,11 +53,11 @@ def borrowed_problem(
     require_options(robot, tolerance, budget, seed)
     goals = checked_goals(goal)
     method = make_solver(solver, **options) if options else solver
-    pools: _ProblemPools | None = robot.memory.get("problems")
+    pools: Callable[..., _Pool] | None = robot.memory.get("problems")
     if pools is None:
-        pools = robot.memory.setdefault("problems", _ProblemPools())
+        pools = robot.memory.setdefault("problems", _problem_pools())
     try:
-        pool = pools[method, tolerance, tuple(map(goal_kind, goals))]
+        pool = pools(method, tolerance, *map(goal_kind, goals))
     except TypeError:  # a method or goal of somebody's own that cannot be a key
         pool = []
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -159,9 +160,9 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
 
 def _move_partial(problem: Problem, target: Any, index: int) -> None:
     """Moves a goal that is no whole position, orientation or pose: it is replaced."""
-    mine = problem.given[index]
+    mine: Any = problem.given[index]
     if mine.rows.of == OF_JOINTS:
-        moved = mine.moved_to_q(target)
+        moved = replace(mine, q=target)
     elif isinstance(target, Pose):
         moved = mine.moved_to(target)
     else:

@@ -13,7 +13,6 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.errors import ProblemInUseError, RobotIkError
-from robot_ik.kernels.bundle import owned
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import BatchResult
@@ -33,6 +32,11 @@ def problem_for(name, robot, seed=0):
     rows = np.array([np.concatenate([pose.position, pose.rotation.ravel()]) for pose in poses])
     budget = rik.Budget(iterations=60, restarts=2)
     return Problem(robot, goal, budget=budget), poses, rows
+
+
+def owned(table):
+    """The arrays that a packed table points to and keeps alive, row by row; of another array: none."""
+    return getattr(table.base, "arrays", ())
 
 
 def tables_of(table, seen):

@@ -46,12 +46,6 @@ class _Owner:
         self.__array_interface__ = memory.__array_interface__
 
 
-def owned(table: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
-    """The arrays that a table of ``Layout.pack`` points to, row by row: it keeps them alive."""
-    owner: Any = table.base
-    return owner.arrays if isinstance(owner, _Owner) else ()
-
-
 class BundleType(types.Type):
     """numba's type of an open bundle, or of an open row of numbers; equal fields in equal order are equal."""
 
@@ -110,7 +104,8 @@ def named_row(title: str, fields: tuple[tuple[str, str], ...]) -> Callable[[Any]
 
 def address_of(table: NDArray[Any]) -> Any:
     """The address of a packed table, which its user must hold too: quicker to pass; or another array."""
-    return table.ctypes.data if owned(table) else table
+    base: Any = table.base
+    return table.ctypes.data if isinstance(base, _Owner) else table
 
 
 class Layout:

@@ -48,17 +48,6 @@ def prepare(tree, goal, work, clamp, alternative):
     step_bounds(tree, goal, work)
 
 
-@outlined
-def slope(work):
-    """work.gradient = Jᵀ wanted: where each joint would go on its own."""
-    jacobian, wanted, gradient = work.jacobian, work.wanted, work.gradient
-    for u in range(gradient.shape[0]):
-        s = 0.0
-        for r in range(wanted.shape[0]):
-            s += jacobian[r, u] * wanted[r]
-        gradient[u] = s
-
-
 @pure
 def fix_joint(work, u):
     """Takes joint ``u`` out of this step."""
@@ -69,11 +58,14 @@ def fix_joint(work, u):
 
 @outlined
 def fix_pushed_by_gradient(work):
-    """Fixes the joints at a bound that the slope alone pushes out: they cannot help (Kuhn-Tucker)."""
-    slope(work)
+    """Fixes the joints at a bound that the slope, Jᵀ wanted, pushes out: they cannot help (Kuhn-Tucker)."""
     pressed = 0
     for u in range(work.step.shape[0]):
         work.side[u] = 0
+        along = 0.0
+        for r in range(work.wanted.shape[0]):
+            along += work.jacobian[r, u] * work.wanted[r]
+        work.gradient[u] = along
         if pushed_out(work.low[u], work.high[u], work.gradient[u]) != 0:
             fix_joint(work, u)
             work.gradient[u] = 0.0

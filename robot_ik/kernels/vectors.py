@@ -74,11 +74,7 @@ def put(table, r, a):
 @pure
 def apply(table, r, c, a):
     """The matrix (3, 3), row by row from column ``c`` of row ``r``, times ``a``."""
-    return (
-        table[r, c] * a[0] + table[r, c + 1] * a[1] + table[r, c + 2] * a[2],
-        table[r, c + 3] * a[0] + table[r, c + 4] * a[1] + table[r, c + 5] * a[2],
-        table[r, c + 6] * a[0] + table[r, c + 7] * a[1] + table[r, c + 8] * a[2],
-    )
+    return dot(three(table, r, c), a), dot(three(table, r, c + 3), a), dot(three(table, r, c + 6), a)
 
 
 @pure
@@ -104,8 +100,4 @@ def from_frame(axes, r, a):
 @pure
 def into_frame(axes, r, a):
     """The inverse of ``from_frame``."""
-    return (
-        axes[r, 0] * a[0] + axes[r, 1] * a[1] + axes[r, 2] * a[2],
-        axes[r + 1, 0] * a[0] + axes[r + 1, 1] * a[1] + axes[r + 1, 2] * a[2],
-        axes[r + 2, 0] * a[0] + axes[r + 2, 1] * a[1] + axes[r + 2, 2] * a[2],
-    )
+    return dot(three(axes, r, 0), a), dot(three(axes, r + 1, 0), a), dot(three(axes, r + 2, 0), a)

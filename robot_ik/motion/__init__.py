@@ -3,14 +3,13 @@
 from robot_ik.motion.key_poses import KeyPoses
 from robot_ik.motion.keyframes import Keyframes
 from robot_ik.motion.line import line_move
-from robot_ik.motion.sources import CurveSource, FixedGoal, ManualSource, RandomSource, ScriptSource
+from robot_ik.motion.sources import CurveSource, ManualSource, RandomSource, ScriptSource
 from robot_ik.motion.timing import PROFILES
 from robot_ik.motion.trajectory import RecorderSink, Trajectory, joint_move
 
 __all__ = [
     "PROFILES",
     "CurveSource",
-    "FixedGoal",
     "KeyPoses",
     "Keyframes",
     "ManualSource",

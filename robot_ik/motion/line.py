@@ -114,7 +114,10 @@ def line_move(
         UnsupportedJointError: The robot has ball or free joints.
         InvalidGoalError: ``goal_pose`` is no ``Pose``.
     """
-    _require_pose(goal_pose)
+    given: object = goal_pose
+    if not isinstance(given, Pose):
+        hint = "Pose(position, wxyz), or Pose(position, robot.forward(start).wxyz) to keep the orientation"
+        raise InvalidGoalError(f"goal_pose is to be a Pose, not {given!r}", hint=hint)
     first = joint_vector(robot, start, "start")
     top, push = motion_limits(robot, speed, velocity, acceleration)
     for what, value, unit in (
@@ -135,12 +138,6 @@ def line_move(
         fastest = float(min(np.divide(linear_speed, line.length), np.divide(angular_speed, line.angle)))
     timing = fastest_timing(knots, path, top, push, fastest)
     return _sampled(tracer, timing, path, top, push, rate, deviation)
-
-
-def _require_pose(goal: object) -> None:
-    if not isinstance(goal, Pose):
-        hint = "Pose(position, wxyz), or Pose(position, robot.forward(start).wxyz) to keep the orientation"
-        raise InvalidGoalError(f"goal_pose is to be a Pose, not {goal!r}", hint=hint)
 
 
 @dataclass(frozen=True)
@@ -213,10 +210,13 @@ def _sampled(
         s = timing.progress(np.linspace(0.0, timing.duration, count + 1, dtype=np.float64))
         q = _solved(tracer, timing.s, path, s)
         trajectory = Trajectory(np.arange(count + 1) / rate, q, tracer.robot.joints)
+        # Joints run straight from sample to sample: half-way the tool is farthest from the line.
+        tool = [tracer.robot.forward(middle, tracer.frame) for middle in 0.5 * (q[1:] + q[:-1])]
+        off = [tracer.line.off(pose.position) for pose in tool]
         excess = max(
             float(np.max(trajectory.peak_velocity / top)),
             float(np.sqrt(np.max(trajectory.peak_acceleration / push))),
-            float(np.sqrt(_deviation(tracer, q) / deviation)),
+            float(np.sqrt(max(off) / deviation)),
         )
         if excess <= 1.0:
             return trajectory
@@ -240,9 +240,3 @@ def _solved(tracer: _Tracer, knots: Array, path: Array, s: Array) -> Array:
         q[k] = found
     q[0], q[-1] = path[0], path[-1]
     return q
-
-
-def _deviation(tracer: _Tracer, q: Array) -> float:
-    """Largest distance of the tool from the line half-way between samples, m; joints run straight there."""
-    middles = 0.5 * (q[1:] + q[:-1])
-    return max(tracer.line.off(tracer.robot.forward(m, tracer.frame).position) for m in middles)

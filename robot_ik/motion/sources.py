@@ -14,28 +14,12 @@ from numpy.typing import ArrayLike
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose, rotation_z_to
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
-from robot_ik.ports import Array
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
 Goals = Goal | Sequence[Goal]
 """One goal or several at once, as ``solve`` takes them; a source does not inspect them."""
-
-
-class FixedGoal:
-    """Always the same goal.
-
-    Args:
-        goal: What `poll` gives.
-    """
-
-    def __init__(self, goal: Goals) -> None:
-        self.goal = goal
-
-    def poll(self, now: float) -> Goals:
-        """The goal, whatever ``now`` is."""
-        return self.goal
 
 
 class ManualSource:
@@ -113,8 +97,8 @@ class CurveSource:
 
         It runs counter-clockwise about ``normal``; ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
-        point = _in_plane(center, radius, period, normal, lambda angle: (np.cos(angle), np.sin(angle)))
-        return cls(frame, _oriented(point, wxyz))
+        shape = lambda angle: (np.cos(angle), np.sin(angle))  # noqa: E731
+        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
 
     @classmethod
     def lemniscate(
@@ -127,7 +111,7 @@ class CurveSource:
         ``wxyz`` (4,) fixes the orientation, None leaves it free.
         """
         shape = lambda angle: (np.sin(angle), np.sin(angle) * np.cos(angle))  # noqa: E731
-        return cls(frame, _oriented(_in_plane(center, radius, period, normal, shape), wxyz))
+        return cls(frame, _in_plane(center, radius, period, normal, wxyz, shape))
 
     def poll(self, now: float) -> PoseGoal | PositionGoal:
         """Where the curve is at ``now``."""
@@ -183,20 +167,11 @@ def _goal(frame: str, where: Pose | ArrayLike) -> PoseGoal | PositionGoal:
     return PositionGoal(frame, position=np.asarray(where, dtype=float))
 
 
-def _oriented(
-    position: Callable[[float], Array], wxyz: ArrayLike | None
-) -> Callable[[float], Pose | ArrayLike]:
-    if wxyz is None:
-        return position
-    rotation = Pose((0.0, 0.0, 0.0), wxyz)
-    return lambda t: Pose(position(t), rotation.wxyz)
-
-
 def _in_plane(
-    center: ArrayLike, radius: float, period: float, normal: ArrayLike,
+    center: ArrayLike, radius: float, period: float, normal: ArrayLike, wxyz: ArrayLike | None,
     shape: Callable[[float], tuple[float, float]],
-) -> Callable[[float], Array]:  # fmt: skip
-    """A curve (3,) of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
+) -> Callable[[float], Pose | ArrayLike]:  # fmt: skip
+    """A curve of seconds in a plane; ``shape``: both coordinates over ``radius`` of an angle."""
     middle, axis = np.asarray(center, dtype=float), np.asarray(normal, dtype=float)
     numbers = np.concatenate([middle.ravel(), axis.ravel(), [radius, period]])
     length = float(np.linalg.norm(axis))
@@ -210,4 +185,6 @@ def _in_plane(
             f"a curve of radius {radius} m and period {period} s", hint="both must be above zero"
         )
     plane = radius * rotation_z_to(axis / length)[:, :2].T  # right-handed with the normal
-    return lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane
+    position = lambda t: middle + np.array(shape(2.0 * np.pi * t / period)) @ plane  # noqa: E731
+    rotation = None if wxyz is None else Pose(wxyz=wxyz)
+    return position if rotation is None else lambda t: Pose(position(t), rotation.wxyz)

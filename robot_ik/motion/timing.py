@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -121,17 +122,14 @@ def fastest_timing(s: Array, q: Array, velocity: Array, acceleration: Array, spe
         acceleration: (nq,) bounds, positive, rad/s^2 or m/s^2.
         speed: Bound of ds/dt, 1/s.
     """
-    first, second = _derivative(q, s), _derivative(_derivative(q, s), s)
+    order: Literal[1, 2] = 2 if len(s) > 2 else 1  # of the differences at the ends
+    first = np.gradient(q, s, axis=0, edge_order=order)
+    second = np.gradient(first, s, axis=0, edge_order=order)
     ratio, reserve, ceiling = _bounds(first, second, velocity, acceleration, speed)
     x = _forward(_backward(ceiling, ratio, reserve, np.diff(s)), ratio, reserve, np.diff(s))
     rate = np.sqrt(x)
     times = np.concatenate([[0.0], np.cumsum(2.0 * np.diff(s) / (rate[:-1] + rate[1:]))])
     return Timing(s, times, rate)
-
-
-def _derivative(q: Array, s: Array) -> Array:
-    """dq/ds (n, nq) at the knots: second order inside and, where there are three knots, at the ends."""
-    return np.asarray(np.gradient(q, s, axis=0, edge_order=2 if len(s) > 2 else 1))
 
 
 def _bounds(
@@ -158,12 +156,11 @@ def _backward(ceiling: Array, ratio: Array, reserve: Array, gaps: Array) -> Arra
     best = ceiling.copy()
     best[-1] = 0.0
     for i in range(len(gaps) - 1, -1, -1):
-        slope = 1.0 - 2.0 * gaps[i] * ratio[i]
-        limit = best[i + 1] + 2.0 * gaps[i] * reserve[i]
-        best[i] = min(best[i], float(np.min(np.where(slope > 0.0, limit / np.abs(slope), np.inf))))
+        slope, push = 1.0 - 2.0 * gaps[i] * ratio[i], 2.0 * gaps[i] * reserve[i]
         # A slope below zero: even the hardest push leaves x negative at the next knot.
-        push = 2.0 * gaps[i] * reserve[i]
-        best[i] = min(best[i], float(np.min(np.where(slope < 0.0, push / np.abs(slope), np.inf))))
+        limit = np.where(slope > 0.0, best[i + 1] + push, push)
+        most = np.min(np.where(slope != 0.0, limit / np.abs(slope), np.inf))
+        best[i] = min(best[i], float(most))
     return best
 
 

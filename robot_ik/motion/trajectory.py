@@ -64,19 +64,6 @@ def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
     return vector
 
 
-def require_inside(robot: Robot, q: Array) -> None:
-    """Raises `TrajectoryError` naming joint, asked and allowed when ``q`` (nq,) is outside the limits."""
-    outside = np.maximum(robot.lower - q, q - robot.upper)
-    k = int(np.argmax(outside))
-    if outside[k] > _LIMIT_ROUNDING:
-        asked, low, high = apart(q[k], robot.lower[k], robot.upper[k], digits=6, form="g")
-        raise TrajectoryError(
-            f"the goal asks {asked} of joint {robot.joints[k]!r}; "
-            f"allowed: {low} to {high} (rad, m for slides)",
-            hint="solve within the limits, or widen them with robot.with_limits",
-        )
-
-
 def motion_limits(
     robot: Robot, speed: float, velocity: ArrayLike | None = None, acceleration: ArrayLike | None = None
 ) -> tuple[Array, Array]:
@@ -327,7 +314,15 @@ def joint_move(
         UnsupportedJointError: The robot has ball or free joints.
     """
     first, last = joint_vector(robot, start, "start"), joint_vector(robot, goal_q, "goal")
-    require_inside(robot, last)
+    outside = np.maximum(robot.lower - last, last - robot.upper)
+    k = int(np.argmax(outside))
+    if outside[k] > _LIMIT_ROUNDING:
+        asked, low, high = apart(last[k], robot.lower[k], robot.upper[k], digits=6, form="g")
+        raise TrajectoryError(
+            f"the goal asks {asked} of joint {robot.joints[k]!r}; "
+            f"allowed: {low} to {high} (rad, m for slides)",
+            hint="solve within the limits, or widen them with robot.with_limits",
+        )
     top, push = motion_limits(robot, speed, velocity, acceleration)
     require_positive("rate", rate, "Hz")
     if profile not in PROFILES:
@@ -355,11 +350,7 @@ def joint_move(
 
 
 class RecorderSink:
-    """A `JointSink` that remembers every joint vector and its time.
-
-    Args:
-        joints: Names of the nq columns.
-    """
+    """A `JointSink` that remembers every vector (nq,) of the named joints, and its time."""
 
     def __init__(self, joints: Iterable[str]) -> None:
         self.joints = tuple(joints)

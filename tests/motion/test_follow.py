@@ -9,7 +9,7 @@ import pytest
 from robot_ik.errors import TrajectoryError
 from robot_ik.execution import follow
 from robot_ik.goals import PoseGoal, PositionGoal
-from robot_ik.motion import CurveSource, FixedGoal, ManualSource, RecorderSink, ScriptSource
+from robot_ik.motion import CurveSource, ManualSource, RecorderSink, ScriptSource
 from robot_ik.ports import JointReading, VirtualClock
 from robot_ik.robot import load_robot
 
@@ -42,7 +42,7 @@ def test_no_goal_means_hold_and_the_command_is_repeated(puma):
 
 def test_a_goal_is_reached_within_the_velocity_limits_and_held(puma):
     goal = beside(puma, (0.05, -0.2, 0.1))
-    report, path = run(puma, FixedGoal(goal), duration=3.0)
+    report, path = run(puma, ManualSource(goal), duration=3.0)
     assert (report.largest_step <= puma.velocity / 100.0 * (1 + 1e-9)).all()
     assert (path.peak_velocity <= puma.velocity * (1 + 1e-6)).all()
     assert 0 < report.capped < 300 and report.solved == 300
@@ -51,7 +51,7 @@ def test_a_goal_is_reached_within_the_velocity_limits_and_held(puma):
 
 
 def test_a_slower_follower_takes_smaller_steps(puma):
-    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     report, _ = run(puma, goal, speed=0.5, rate=50.0)
     assert (report.largest_step <= 0.5 * puma.velocity / 50.0 * (1 + 1e-9)).all()
     assert report.ticks == 50 and report.rate == pytest.approx(50.0)
@@ -60,7 +60,7 @@ def test_a_slower_follower_takes_smaller_steps(puma):
 def test_a_capped_step_slows_all_joints_alike(puma):
     """The first command lies on the straight way to the first solution."""
     seen = []
-    run(puma, FixedGoal(beside(puma, (0.0, -0.3, 0.1))), on_tick=seen.append)
+    run(puma, ManualSource(beside(puma, (0.0, -0.3, 0.1))), on_tick=seen.append)
     assert seen[0].capped
     way, done = seen[0].solution.q - puma.home, seen[0].q - puma.home
     share = done @ way / (way @ way)
@@ -102,13 +102,13 @@ def test_several_goals_at_once_are_one_goal(puma):
         PositionGoal("gripper", position=puma.forward(q).position),
         PositionGoal("flange", position=puma.forward(q, "flange").position),
     ]
-    report, _ = run(puma, FixedGoal(goals), duration=2.0)
+    report, _ = run(puma, ManualSource(goals), duration=2.0)
     for goal in goals:
         np.testing.assert_allclose(site_position(puma, report.q, goal.frame), goal.position, atol=2e-3)
 
 
 def test_an_unreachable_goal_is_approached_and_does_not_shake_the_arm(puma):
-    report, path = run(puma, FixedGoal(beside(puma, (3.0, 0.0, 0.0))), duration=6.0)
+    report, path = run(puma, ManualSource(beside(puma, (3.0, 0.0, 0.0))), duration=6.0)
     assert report.solved == 0 and not report.last.converged
     assert np.abs(np.diff(path.q[-200:], axis=0)).max() <= 1e-3
     far = np.linalg.norm(site_position(puma, puma.home) - (beside(puma, (3.0, 0, 0)).position))
@@ -121,14 +121,14 @@ def test_a_goal_behind_a_joint_limit_does_not_shake_the_arm(puma):
     lower, upper = puma.lower.copy(), puma.upper.copy()
     lower[:3], upper[:3] = puma.home[:3] - 0.2, puma.home[:3] + 0.2
     narrow = puma.with_limits(lower, upper)
-    report, path = run(narrow, FixedGoal(beside(puma, (0.3, 0.6, 0.0))), duration=6.0)
+    report, path = run(narrow, ManualSource(beside(puma, (0.3, 0.6, 0.0))), duration=6.0)
     assert report.solved == 0
     assert np.abs(np.diff(path.q[-400:], axis=0)).max() <= 1e-3
     assert (path.q >= lower - 1e-9).all() and (path.q <= upper + 1e-9).all()
 
 
 def test_until_ends_the_loop(puma):
-    goal = FixedGoal(beside(puma, (0.02, 0.0, 0.0)))
+    goal = ManualSource(beside(puma, (0.02, 0.0, 0.0)))
     report, _ = run(puma, goal, duration=60.0, until=lambda tick: tick.solution.converged and not tick.capped)
     assert report.ticks < 200 and report.last.converged
 
@@ -151,7 +151,7 @@ def test_it_starts_where_the_arm_is_unclipped(puma):
     outside = puma.home.copy()
     outside[0] = puma.upper[0] + 0.05
     arm, seen = Mirror(clock, outside), []
-    goal = FixedGoal(beside(puma, (0.0, 0.0, 0.05)))
+    goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
     follow(goal, puma, "lm", [arm], clock=clock, source=arm, duration=0.1, on_tick=seen.append)
     first = seen[0].q - outside
     assert (np.abs(first) <= puma.velocity / 100.0 * (1 + 1e-9)).all() and first[0] < 0.0
@@ -160,7 +160,7 @@ def test_it_starts_where_the_arm_is_unclipped(puma):
 def test_tracking_error_is_that_of_the_source(puma):
     clock = VirtualClock()
     arm = Mirror(clock, puma.home, away=0.003)
-    goal = FixedGoal(beside(puma, (0.0, 0.0, 0.05)))
+    goal = ManualSource(beside(puma, (0.0, 0.0, 0.05)))
     report = follow(goal, puma, "lm", [arm], clock=clock, source=arm, start=puma.home, duration=0.2)
     np.testing.assert_allclose(report.tracking_error, 0.003, atol=1e-12)
 
@@ -172,7 +172,7 @@ def test_a_stall_is_counted_and_not_caught_up(puma):
         if tick.index in (20, 40):
             clock.sleep_until(clock.now() + 0.1)
 
-    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     report = follow(goal, puma, "lm", [recorder], clock=clock, start=puma.home, duration=1.0, on_tick=stall)
     assert report.overruns == 2
     assert (
@@ -206,7 +206,7 @@ def test_no_sink_can_bend_the_command(puma):
             if now > 0.5:
                 super().send(q, now)
 
-    goal = FixedGoal(beside(puma, (0.05, -0.2, 0.1)))
+    goal = ManualSource(beside(puma, (0.05, -0.2, 0.1)))
     for source, sink in ((ManualSource(), Bender()), (goal, LateBender())):
         with pytest.raises(ValueError, match="read-only"):
             follow(source, puma, "lm", [sink], clock=VirtualClock(), start=puma.home, duration=1.0)
@@ -217,7 +217,7 @@ def test_it_stays_on_the_branch_where_the_arm_is(puma):
     start = puma.home + np.array([0.0, 0.0, 0.0, 0.2, 0.0, 0.2])
     start[3:] = start[3] - np.pi, -start[4], start[5] - np.pi
     goal = PoseGoal.at("gripper", puma.forward(puma.home + np.array([0.1, -0.1, 0.1, 0.2, 0.0, 0.2])))
-    report, path = run(puma, FixedGoal(goal), start=start, duration=2.0)
+    report, path = run(puma, ManualSource(goal), start=start, duration=2.0)
     assert report.last.converged and (path.q[:, 4] < 0.0).all() and (path.q[:, 3] < -1.5).all()
 
 

@@ -9,12 +9,12 @@ import pytest
 
 from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import Pose
-from robot_ik.motion import CurveSource, FixedGoal, ManualSource, RandomSource, ScriptSource
+from robot_ik.motion import CurveSource, ManualSource, RandomSource, ScriptSource
 
 
-def test_fixed_goal_is_always_itself():
+def test_a_goal_that_nobody_sets_stays():
     goal = object()
-    source = FixedGoal(goal)
+    source = ManualSource(goal)
     assert source.poll(0.0) is goal and source.poll(1e6) is goal
 
 
