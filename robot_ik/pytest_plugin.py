@@ -78,12 +78,7 @@ def virtual_port(virtual_bus: VirtualBus) -> Iterator[str]:
 
 
 class FaultPlayer:
-    """Lets faults happen on the servos of a test; times count from the call.
-
-    Args:
-        config: Of the arm.
-        bus: Its servos.
-    """
+    """Lets faults happen on the servos of a test; times count from the call."""
 
     def __init__(self, config: ArmConfig, bus: VirtualBus) -> None:
         self._config, self._bus = config, bus

@@ -208,10 +208,6 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-# ------------------------------------------------------------------------------------------
-# What is measured beside what is wanted of it.
-
-
 def _cells(name: str, one: Quantity) -> tuple[object, ...]:
     """A line of a table: name, quantity, value, wanted, verdict."""
     return name, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed)
