@@ -171,6 +171,24 @@ def plain(value: Any) -> Any:
     return str(value)
 
 
+def json_text(value: Any, indent: str = "", *, ascii: bool = False) -> str:
+    """JSON for people and machines: objects over several lines, lists of plain values on one.
+
+    ``value`` as ``plain`` makes it; ``ascii``: other signs are escaped.
+    """
+
+    def text(item: Any) -> str:
+        return json_text(item, indent + "  ", ascii=ascii)
+
+    inner = f"\n{indent}  "
+    if isinstance(value, dict) and value:
+        rows = ",".join(f"{inner}{text(key)}: {text(item)}" for key, item in value.items())
+        return f"{{{rows}\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
+        return f"[{','.join(inner + text(item) for item in value)}\n{indent}]"
+    return json.dumps(value, allow_nan=False, ensure_ascii=ascii)
+
+
 def toml_string(text: str) -> str:
     """A TOML string, also good as a key: JSON's, which leaves one control character as it is."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

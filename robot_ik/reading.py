@@ -75,6 +75,15 @@ def read_csv(path: Path, what: str) -> list[list[str]]:
         raise ConfigError(f"not valid CSV: {error}", file=path, key=f"line {rows.line_num}") from None
 
 
+def is_number(text: str) -> bool:
+    """Whether ``float`` reads it."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def parse_toml(text: str, file: Path | str) -> dict[str, Any]:
     """The tables of a TOML text; errors as of ``parse``."""
     content: dict[str, Any] = parse(text, file, "TOML", tomllib.loads)

@@ -33,6 +33,7 @@ from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.drawing.renderers import load_occluders
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import ConfigError, ModelError, RobotIkError
+from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.backup import SavedServo, load_backup, save_backup
 from robot_ik.hardware.calibration_file import Calibration, JointCalibration, load_lerobot, save_lerobot
@@ -40,7 +41,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import CONTROL_TABLES
 from robot_ik.hardware.virtual.faults import load_faults
 from robot_ik.jobs.ar.motion import is_script, make_motion, robot_of
-from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.figure import read_balls
 from robot_ik.jobs.script import load_script, shipped
 from robot_ik.jobs.teach import load_motion
@@ -109,7 +110,7 @@ def _samples() -> SampleSet:
 
 def _verify() -> VerifySamples:
     known = KnownPose.within(Pose(), 1e-3, 1e-3)
-    rows = tuple(servo_values(joint) for joint in ARM.joints)
+    rows = tuple(plain(joint) for joint in ARM.joints)
     made = VerifySamples(
         "puma560", ROBOT.joints, "gripper", "eye_in_hand", LENS,
         camera=known, board=known, by_arm=False, true_offsets=np.zeros(ROBOT.nv), servos=rows,

@@ -94,10 +94,11 @@ class _Soles:
     point: list[Array]  # (n, g, 3)
     body: list[NDArray[np.int64]]  # (g,)
     ends: list[Array]  # (n, k, 3)
+    position: Array  # (n, nbody, 3) of all bodies
+    matrix: Array  # (n, nbody, 3, 3) of all bodies
 
 
-def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
-    """Lowest points, and (n, nbody, 3) positions and (n, nbody, 3, 3) rotations of all bodies."""
+def _soles(figure: Figure, q: Array) -> _Soles:
     model = figure.model
     position, matrix = np.empty((len(q), model.nbody, 3)), np.empty((len(q), model.nbody, 3, 3))
     for i, row in enumerate(q):
@@ -117,14 +118,14 @@ def _soles(figure: Figure, q: Array) -> tuple[_Soles, Array, Array]:
         heights.append(np.concatenate(h, axis=1))
         points.append(np.concatenate(p, axis=1))
         bodies.append(np.array(b))
-    return _Soles(heights, points, bodies, ends), position, matrix
+    return _Soles(heights, points, bodies, ends, position, matrix)
 
 
 def measure_motion(
     figure: Figure, q: Array, contact: NDArray[np.int64], speeds: str = "daily"
 ) -> MotionMeasure:
     """Judges frames (n, nq) and the contacts (n, 2) that they claim."""
-    soles, position, matrix = _soles(figure, q)
+    soles = _soles(figure, q)
     zmp, force = zero_moment_points(figure, q)
     weight = force / (figure.mass * GRAVITY)
     _, _, forward = derivatives(figure, q)
@@ -138,7 +139,7 @@ def measure_motion(
         under = np.concatenate(near) if near else np.zeros((0, 2))
         if len(under) and weight[i] > _LEAST_FORCE:
             margins.append(hull_margin(under, zmp[i]))
-    slip, drift = _slip_and_drift(soles, position, matrix, contact)
+    slip, drift = _slip_and_drift(soles, contact)
     low = min(float(h.min()) for h in soles.height)
     hinges = q[:, 7:]
     lower, upper = figure.robot.lower[6:], figure.robot.upper[6:]
@@ -157,11 +158,9 @@ def measure_motion(
     )  # fmt: skip
 
 
-def _slip_and_drift(
-    soles: _Soles, position: Array, matrix: Array, contact: NDArray[np.int64]
-) -> tuple[float, float]:
+def _slip_and_drift(soles: _Soles, contact: NDArray[np.int64]) -> tuple[float, float]:
     """Largest displacement of a material point that touches from frame to frame, and of a flat foot."""
-    slip = drift = 0.0
+    slip, drift, position, matrix = 0.0, 0.0, soles.position, soles.matrix
     for side in (0, 1):
         since = None
         for i in range(len(position) - 1):
@@ -256,8 +255,7 @@ def _clearance(figure: Figure, walk: Walk, times: Array) -> float:
                 continue
             share = (times - off) / (strike - off)
             swing = np.flatnonzero((share > 0.3) & (share < 0.8))
-            soles, _, _ = _soles(figure, walk.frames.q[swing])
-            low = min(low, float(soles.height[side].min()))
+            low = min(low, float(_soles(figure, walk.frames.q[swing]).height[side].min()))
     return low
 
 
@@ -437,14 +435,8 @@ PEER_MISS = 1e-4
 PEER_SOLVER, PEER_STEPS = "daqp", 20
 """mink's QP solver, and most of its steps a frame."""
 COSTS = {
-    "feet": 100.0,
-    "center": 100.0,
-    "pelvis": 3.0,
-    "height": 20.0,
-    "chest": 3.0,
-    "gaze": 1.0,
-    "posture": 0.1,
-}
+    "feet": 100.0, "center": 100.0, "pelvis": 3.0, "height": 20.0, "chest": 3.0, "gaze": 1.0, "posture": 0.1,
+}  # fmt: skip
 """mink's: square roots of weights that count as much as the figure's own."""
 _AHEAD = 3.0  # m: the point that the eyes follow
 

@@ -20,7 +20,7 @@ from tyro.conf import arg
 
 from robot_ik.cli.console import HELP_FLAGS, NARROWEST
 from robot_ik.errors import ConfigError, InvalidGoalError, close_matches
-from robot_ik.reading import FORMER
+from robot_ik.reading import FORMER, is_number
 
 if TYPE_CHECKING:
     from robot_ik.geometry import Pose
@@ -177,7 +177,7 @@ def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
             into = values.setdefault(flag, [])
             into += [value] if given else []
             continue
-        if token.startswith("-") and not _is_number(token):
+        if token.startswith("-") and not is_number(token):
             into = kept
         into.append(token)
     return kept + [token for flag, row in values.items() for token in (flag, *row)]
@@ -192,14 +192,6 @@ def _endless_options(kind: Any, prefix: str = "--") -> Iterator[str]:
             (getattr(note, "metavar", "") or "").endswith("…") for note in getattr(hint, "__metadata__", ())
         ):
             yield flag
-
-
-def _is_number(token: str) -> bool:
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
 
 
 class _Stream(io.StringIO):
@@ -315,7 +307,7 @@ def _mistake(kind: Any, prog: str, tokens: Sequence[str], said: str) -> ConfigEr
         behind = list(itertools.dropwhile(lambda token: token != flag, tokens))[1:]
         given = list(itertools.takewhile(lambda token: not token.startswith("--"), behind))
         bad = re.findall(r"(?:to float|base 10): '([^']*)'", text)[-1:]
-        bad = bad or [token for token in given if not _is_number(token)]
+        bad = bad or [token for token in given if not is_number(token)]
         whole = " whole" if "base 10" in text else ""
         problem = f"{bad[0]!r} is no{whole} number" if bad else f"{' '.join(given)!r} cannot be read"
         return wrong(flag, problem, "" if bad and allowed in _KINDS.values() else allowed, hint)

@@ -92,10 +92,7 @@ def arm_camera_values(options: ArmCameraOptions, why_servos: str) -> dict[str, A
 def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
     """Runs a job with its progress shown; where that is interrupted, it says how to go on.
 
-    Args:
-        job: Takes ``progress``, and ``keep``, to which it hands all its samples after each station.
-        file: Where they are kept.
-        command: That goes on with them: ``camera verify``.
+    The job hands all its samples to ``keep`` after each station, for ``file``; ``command`` goes on with them.
     """
     from robot_ik.camera.calibration.handeye import LEAST_VIEWS
 

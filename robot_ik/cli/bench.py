@@ -127,12 +127,12 @@ def _measure(campaign: Campaign, results: Results) -> None:
 
 
 def _finish(results: Results, folder: Path, *, plots: bool) -> None:
-    from robot_ik.bench.methods.results import draw, results_text
+    from robot_ik.bench.methods.results import draw
 
     results.cells = [cell for cell in results.cells if cell.count or cell.skipped]
     if not (results.cells or results.lower_bounds or results.batches):
         return  # it had not begun
-    write_atomically(folder / "bench.json", results_text(results))
+    save_json(folder / "bench.json", results.model_dump(mode="json"))
     print_results(results)
     for name, picture in (draw(results) if plots else {}).items():
         write_atomically(folder / name, picture)
@@ -206,10 +206,6 @@ def _note(cell: Cell) -> str:
     if cell.set == "unreachable":
         notes.append(f"proven: {cell.status.count('UNREACHABLE')}")
     return "; ".join(notes)
-
-
-# ------------------------------------------------------------------------------------------
-# What is measured beside what is wanted of it.
 
 
 def _cells(name: str, one: Quantity) -> tuple[object, ...]:

@@ -27,7 +27,7 @@ from rich.table import Table
 from rich.text import Text
 
 from robot_ik.errors import NOT_ACHIEVED_ERRORS, RobotIkError
-from robot_ik.files import plain
+from robot_ik.files import json_text, plain
 
 # ------------------------------------------------------------------------------------------
 # Standard streams as they may be: closed, or of an encoding without the signs that tables use.
@@ -304,25 +304,9 @@ def busy(what: str, seconds: float | None = None) -> Iterator[None]:
         timer.cancel()
 
 
-def json_text(value: Any, indent: str = "") -> str:
-    """JSON for people and machines: objects over several lines, lists of plain values on one."""
-    inner = indent + "  "
-    if isinstance(value, dict) and value:
-        rows = [f"{inner}{_dumps(key)}: {json_text(item, inner)}" for key, item in value.items()]
-        return "{\n" + ",\n".join(rows) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, (dict, list)) for item in value):
-        rows = [inner + json_text(item, inner) for item in value]
-        return "[\n" + ",\n".join(rows) + f"\n{indent}]"
-    return _dumps(value)
-
-
-def _dumps(value: Any) -> str:
-    return json.dumps(value, allow_nan=False, ensure_ascii=not is_unicode(sys.stdout))
-
-
 def print_json(value: Mapping[str, Any]) -> None:
     """One JSON object on stdout."""
-    sys.stdout.write(json_text(plain(value)) + "\n")
+    sys.stdout.write(json_text(plain(value), ascii=not is_unicode(sys.stdout)) + "\n")
 
 
 def print_json_line(value: Mapping[str, Any]) -> None:

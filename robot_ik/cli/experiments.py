@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -16,7 +17,6 @@ from robot_ik.cli.arguments import require, several, single
 if TYPE_CHECKING:
     from robot_ik.bench.theses.a00 import A00Report
     from robot_ik.bench.theses.s12 import ArmCase, S12Report
-    from robot_ik.bench.theses.tracking import Track
 
 
 @dataclass(frozen=True)
@@ -164,11 +164,8 @@ def _share(report: A00Report, name: str, number: int) -> Text:
         return Text(NOTHING, style="dim")
     if track.passed:
         return Text("100", style="green")
-    lost = track.lost
-    course = report.courses[number]
-    at = "" if lost is None else f"\n{course.at[lost]:.0f}{course.unit}"
     # Rounded down: what is not whole must not look whole.
-    return Text(f"{math.floor(100.0 * track.share)}{at}", style="red")
+    return Text(f"{100 * track.solved // track.frames}\n{report.lost_at(name, number)}", style="red")
 
 
 # -------------------------------------------------------------------------------------- s12
@@ -193,29 +190,22 @@ def print_s12(report: S12Report) -> None:
 def _case_table(report: S12Report, case: ArmCase) -> Table:
     from robot_ik.bench.theses import s12
 
-    title = f"Case {case.number}: {case.title}, {report.frames} frames"
-    heads = ("S12, 2012", "his parameters", "α in degrees", "our parameters")
-    rows = []
-    for name in s12.BEST_METHODS:
-        his = _numbers(*s12.HIS[name][case.number - 1]) if name in s12.HIS else NOTHING
-        tracks = (report.tracks.get((variant.name, name, case.number)) for variant in s12.VARIANTS)
-        rows.append((name, his, *(_cell(name, track) for track in tracks)))
-    columns = ("", *(f"{head}\n{'t':>5} {'N':>3} {'η':>3}" for head in heads))
+    title, cells = f"Case {case.number}: {case.title}, {report.frames} frames", s12.s12_cells(report)
+    rows = [
+        (name, *(_cell(cells.get((column, name, case.number))) for column in s12.COLUMNS))
+        for name in s12.BEST_METHODS
+    ]
+    columns = ("", *(f"{head}\n{'t':>5} {'N':>3} {'η':>3}" for head in s12.COLUMNS.values()))
     shown = console.table(*columns, rows=rows, title=title)
     for column in shown.columns:
         column.no_wrap = True
     return shown
 
 
-def _cell(name: str, track: Track | None) -> str:
-    from robot_ik.bench.theses import s12
-
-    if track is None:
+def _cell(cell: Mapping[str, float] | None) -> str:
+    if cell is None:
         return NOTHING
-    return _numbers(track.milliseconds, s12.steps_of(name, track), 100.0 * track.share)
-
-
-def _numbers(milliseconds: float, steps: float, solved: float) -> str:
+    milliseconds, solved = cell["milliseconds"], math.floor(round(100.0 * cell["solved"], 6))
     time = f"{milliseconds:5.3f}" if milliseconds < 1.0 else f"{milliseconds:5.1f}"
     # Rounded down: what is not whole must not look whole.
-    return f"{time} {steps:3.0f} {math.floor(solved):3d}"
+    return f"{time} {cell['n']:3.0f} {solved:3d}"

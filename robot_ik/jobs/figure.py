@@ -32,7 +32,7 @@ from robot_ik.jobs.films import open_sink
 from robot_ik.model import compiled, read_spec
 from robot_ik.motion.trajectory import csv_table
 from robot_ik.ports import Array, Image
-from robot_ik.reading import read_csv, shown
+from robot_ik.reading import is_number, read_csv, shown
 from robot_ik.robot import Robot
 
 FRAMES_SCHEMA = 1
@@ -97,11 +97,11 @@ def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
         ConfigError: No row, or not three finite numbers in one.
     """
     rows = [row for row in read_csv(file, "table of balls") if row]
-    if rows and not _number(rows[0][0]):
+    if rows and not is_number(rows[0][0]):
         rows = rows[1:]
     found = []
     for number, row in enumerate(rows, start=1):
-        if len(row) != 3 or not all(_number(cell) and math.isfinite(float(cell)) for cell in row):
+        if len(row) != 3 or not all(is_number(cell) and math.isfinite(float(cell)) for cell in row):
             raise ConfigError(
                 f"row {number} is {shown(', '.join(row))}",
                 file=file, key="x, y, z", allowed="three finite numbers, metres",
@@ -110,14 +110,6 @@ def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:
     if not found:
         raise ConfigError("has no balls", file=file, allowed="x, y, z in each row, metres")
     return tuple(found)
-
-
-def _number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def moving_ball(

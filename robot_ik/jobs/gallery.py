@@ -131,7 +131,7 @@ _AIR, _SLIMMEST = 0.10, 0.42
 _TRIES = 100
 # The sheet: its width, the gap between cards, and how much wider than high a full row of pictures is.
 _SHEET_WIDTH, _GAP, _ROW = 1280, 8, 6.6
-_GREY = (120, 114, 110)
+_GREY, _PAPER = (120, 114, 110), [round(255 * tone) for tone in TONE]
 
 
 @dataclass(frozen=True)
@@ -174,13 +174,13 @@ def _random_goal(robot: Robot, floor: float, rng: np.random.Generator) -> Goal:
     return PositionGoal(None, robot.forward(q).position)
 
 
-def draw_robot(robot: Robot, seed: int = 0, height: int | None = None) -> Portrait:
+def draw_robot(robot: Robot, seed: int = 0, height: int = HEIGHT) -> Portrait:
     """Draws one robot at home and at work, seen from the same viewpoint; ``height`` of a picture in pixels.
 
     Raises:
         ModelError: The model has nothing that can be seen.
     """
-    scene, height = robot.file.gallery or GalleryScene(), height or HEIGHT
+    scene = robot.file.gallery or GalleryScene()
     at_home = surface_points(robot.model, robot.qpos(robot.home))
     if not len(at_home):
         raise ModelError(f"{robot.path} has no visible geom to draw", path=robot.path)
@@ -231,7 +231,7 @@ def _card(robot: Robot, captions: tuple[str, str], pair: tuple[Image, Image]) ->
     letter = max(9, height // 28)
     top, below = round(2.4 * letter), round(2.0 * letter)
     width = sum(image.shape[1] for image in pair) + 2
-    card = np.full((top + height + below, width, 3), _paper(), dtype=np.uint8)
+    card = np.full((top + height + below, width, 3), _PAPER, dtype=np.uint8)
     write(card, robot.name, (letter, round(1.5 * letter)), round(1.2 * letter), DARK, bold=True)
     x = 0
     for image, caption in zip(pair, captions, strict=True):
@@ -241,11 +241,6 @@ def _card(robot: Robot, captions: tuple[str, str], pair: tuple[Image, Image]) ->
         write(card, caption, (x + letter, top + height + round(1.1 * letter)), size, _GREY)
         x += image.shape[1] + 2
     return card
-
-
-def _paper() -> tuple[int, int, int]:
-    b, g, r = (round(255 * tone) for tone in TONE)
-    return b, g, r
 
 
 def contact_sheet(portraits: Sequence[Portrait]) -> Image:
@@ -287,7 +282,7 @@ def _strip(row: Sequence[Portrait], height: int) -> Image:
             for image in portrait.pair
         ]
         card = np.concatenate(small, axis=1)
-        head = np.full((30, card.shape[1], 3), _paper(), dtype=np.uint8)
+        head = np.full((30, card.shape[1], 3), _PAPER, dtype=np.uint8)
         write(head, portrait.robot.name, (12, 22), 17, DARK, bold=True)
         cards += [np.concatenate([head, card]), np.full((height + 30, _GAP, 3), 255, dtype=np.uint8)]
     return np.concatenate(cards[:-1], axis=1)

@@ -8,13 +8,12 @@ import fnmatch
 import importlib.util
 import io
 import itertools
-import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from robot_ik.errors import MissingExtraError
-from robot_ik.files import claimed_folder, folder_for_results, plain, write_atomically
+from robot_ik.files import claimed_folder, folder_for_results, json_text, plain, write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,8 +67,7 @@ def _stamp(path: Path) -> tuple[int, int]:
 
 def save_json(path: Path, values: Any) -> Path:
     """Writes what a job has found, whole or not at all; OutputError: it cannot be written."""
-    text = json.dumps(plain(values), indent=2, allow_nan=False, ensure_ascii=False)
-    write_atomically(path, text + "\n")
+    write_atomically(path, json_text(plain(values)) + "\n")
     return path
 
 

@@ -133,19 +133,11 @@ def film(
     overwrite: bool = False,
     progress: Progress = lambda phase, share: None,
 ) -> View:
-    """Runs a command log without a screen, and films it; gives the last view.
+    """Runs a command log without a screen, and films it for so many ``seconds``; gives the last view.
 
-    Args:
-        log: What happens.
-        out: A film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg) or a folder; None: no pictures.
-        numbers: CSV file with a row for each instance of each picture.
-        record: Angles and ball at each picture, .csv or .mcap: what other tools read.
-        seconds: How long; None: as long as the log.
-        rate_hz: Pictures a second.
-        size: Of the pictures, pixels.
-        backend: Who draws: ``gl``, where it works, or ``painter``.
-        overwrite: Whether files may be replaced.
-        progress: Called after each tick.
+    ``out`` is a film (.mp4, .mkv, .mov, .gif), the last picture (.png, .jpg), a folder, or nothing;
+    ``numbers`` is a CSV file, a row for each instance of each picture; ``record`` (.csv, .mcap) has angles
+    and ball for other tools.  ``backend`` is ``gl``, which draws where it works, or ``painter``.
 
     Raises:
         ConfigError: Nothing happens in the log and no length is given.

@@ -17,10 +17,11 @@ from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.kinematic import KnownPose
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA
+from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.arm_camera import verify
-from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.samples import SampleSet, VerifySamples
 from robot_ik.jobs.arm_camera.verify import VerifyReport, VerifyRequest
 from robot_ik.robot import load_robot
 
@@ -54,7 +55,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def run(request: VerifyRequest, *, keep: Any, progress: Any) -> VerifyReport:
         all_views = replace(samples, board=KnownPose.within(Pose(), *request.board_sigma))
         if request.seed == INTERRUPTED:
-            servos = tuple(servo_values(joint) for joint in config.joints)
+            servos = tuple(plain(joint) for joint in config.joints)
             some = replace(all_views, q=[], views=[], servos=servos)
             for q, view in zip(samples.q, samples.views, strict=True):
                 if len(some) == request.views:

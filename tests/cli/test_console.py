@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_ik.cli import console
+from robot_ik.files import json_text
 
 LONG = "a_name_without_any_place_to_break_it_" * 3
 
@@ -25,7 +26,7 @@ json_values = st.recursive(
 def test_plain_gives_json_that_every_reader_accepts(value: object) -> None:
     simple = console.plain(value)
     assert json.loads(json.dumps(simple, allow_nan=False)) == simple
-    assert json.loads(console.json_text(simple)) == simple
+    assert json.loads(json_text(simple)) == simple
 
 
 def test_plain_takes_arrays_and_keeps_every_digit() -> None:

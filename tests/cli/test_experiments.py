@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from robot_ik.bench.theses import a00
+from robot_ik.cli import experiments
 
 
 def test_a00_passes_and_says_what_was_asked(
@@ -113,3 +114,8 @@ def test_a_picture_without_matplotlib_is_refused_before_the_work(
     run = robot_ik("experiments", "s12", "--plot")
     run.assert_one_screen_error()
     assert 'pip install "robot_ik[plots]"' in run.err
+
+
+def test_a_whole_percentage_is_not_rounded_down() -> None:
+    assert experiments._cell({"milliseconds": 5.0, "n": 40, "solved": 290 / 1000}).endswith(" 29")
+    assert experiments._cell({"milliseconds": 5.0, "n": 40, "solved": 999 / 1000}).endswith(" 99")

@@ -34,6 +34,7 @@ FIGURE_FRAMES = (
 _LOOP, _ROUNDS = 2000, 15  # calls in a compiled loop, and loops of which the best counts
 _PROBLEMS, _STEPS = 20, 40  # of a measurement of growth
 _CHAIN_LENGTH, _CHAIN_LIMIT = 2.0, 2.6  # metres in all; rad either way
+_ORIGIN = (0.0, 0.0, 0.0)
 
 
 @kernel
@@ -106,20 +107,16 @@ def hinge_chain(n: int) -> Robot:
     return load_robot(spec.compile(), tool="tip")
 
 
-def growth_with_joints(solver: Solver, seed: int = 0) -> Iterator[Growth]:
-    """A step towards a pose at the end of chains of more and more hinges."""
+def growth(solver: Solver, figure: Robot, seed: int = 0) -> Iterator[Growth]:
+    """A step towards a pose at the end of longer and longer chains; towards more and more frames at once."""
     for n in JOINTS:
         robot = hinge_chain(n)
-        goal: Goal = PoseGoal("tip", (0.0, 0.0, 0.0))
-        goal = goal if solver.supports(goal) else PositionGoal("tip", (0.0, 0.0, 0.0))
+        goal: Goal = PoseGoal("tip", _ORIGIN)
+        goal = goal if solver.supports(goal) else PositionGoal("tip", _ORIGIN)
         yield from _growth(solver, robot, [goal], "joints", n, seed)
-
-
-def growth_with_goals(solver: Solver, robot: Robot, seed: int = 0) -> Iterator[Growth]:
-    """A step towards one to eight positions of the figure's hands, feet, head, … at once."""
     for n in range(1, len(FIGURE_FRAMES) + 1):
-        goals: list[Goal] = [PositionGoal(frame, (0.0, 0.0, 0.0)) for frame in FIGURE_FRAMES[:n]]
-        yield from _growth(solver, robot, goals, "goals", n, seed)
+        goals: list[Goal] = [PositionGoal(frame, _ORIGIN) for frame in FIGURE_FRAMES[:n]]
+        yield from _growth(solver, figure, goals, "goals", n, seed)
 
 
 def _growth(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import platform
 import time
@@ -165,19 +164,6 @@ class Results(_Data):
     lower_bounds: list[LowerBound] = []
     growth: list[Growth] = []
     batches: list[Batch] = []
-
-
-def results_text(results: Results) -> str:
-    """The file: one line for each cell, so that people can read it and tools can compare it."""
-    data = results.model_dump(mode="json")
-    lines = []
-    for key, value in data.items():
-        if isinstance(value, list) and value:
-            rows = ",\n    ".join(json.dumps(item, allow_nan=False) for item in value)
-            lines.append(f"  {json.dumps(key)}: [\n    {rows}\n  ]")
-        else:
-            lines.append(f"  {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
-    return "{\n" + ",\n".join(lines) + "\n}\n"
 
 
 def this_machine() -> Machine:

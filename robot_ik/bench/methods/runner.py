@@ -206,8 +206,7 @@ class Campaign:
         results.lower_bounds += [growth.lower_bound(robot, seed) for robot in self.robots]
         for k, solver in enumerate(self.solvers):
             progress(f"growth, {solver.name}", k / len(self.solvers))
-            results.growth.extend(growth.growth_with_joints(solver, seed))
-            results.growth.extend(growth.growth_with_goals(solver, figure, seed))
+            results.growth.extend(growth.growth(solver, figure, seed))
 
     def _batches(self, results: Results, progress: Progress) -> Iterator[str]:
         pairs = [(robot, solver) for robot in self.robots for solver in self.solvers]

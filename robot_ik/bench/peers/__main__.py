@@ -55,7 +55,6 @@ def judged(folder: Path) -> dict[str, Any]:
     if "probes" in solutions:
         own = [robot.measure(q, site_names(robot)[0]).matrix for q in problems["probes"]]
         off = float(np.abs(np.array(own) - solutions["probes"]).max()) if len(own) else 0.0
-        report["forward_off"] = off
         if not off <= SAME_ROBOT:
             return report | {"failed": f"its own forward pass is off by {off:.1e}: it reads another robot"}
     report["sets"] = {}
@@ -173,39 +172,30 @@ def compare(
 ) -> dict[str, Any]:
     """Every library on every robot, one after the other, several rounds: what ``peers.json`` holds.
 
-    Args:
-        names: Rows of ``worker.LIBRARIES``, or FILE.py:CLASS.
-        robots: Of ``ARMS``, or ``FIGURE``.
-        out: Folder for the problems.
-        environments: What ``install`` made.
-        count: Problems of a kind.
-        rounds: How often each is run.
-        seconds: For a set; it is cut short after them.
-        seed: Of the problems.
+    ``count`` problems of a kind go into ``out``; a set is cut short after ``seconds``.
     """
     tasks = {robot: write_task(robot, out / "tasks" / robot, count, seed) for robot in robots}
     runs: dict[str, dict[str, list[Any]]] = {name: {robot: [] for robot in robots} for name in names}
-    about: dict[str, Any] = {name: {"versions": {}, "settings": "", "calibration_us": []} for name in names}
-    missing: dict[str, str] = {}
-    failed: dict[str, str] = {}
+    blank = {"versions": {}, "settings": ""}
+    libraries: dict[str, Any] = {name: blank | {"calibration_us": []} for name in names}
+    left_out: dict[str, dict[str, str]] = {"missing": {}, "failed": {}}
     for _ in range(rounds):
         for name in names:
             for robot, task in tasks.items():
-                if name in missing or name in failed:
+                if name not in libraries:
                     continue
                 report = run_library(name, task, environments, seconds)
-                if "missing" in report:
-                    missing[name] = f"{report['missing']}; pip install {' '.join(map(repr, report['needs']))}"
-                elif "failed" in report:
-                    failed[name] = f"{robot}: {report['failed']}"
+                if kind := next((kind for kind in left_out if kind in report), ""):
+                    left_out[kind][name] = f"{robot}: {report[kind]}" if kind == "failed" else report[kind]
+                    del libraries[name]
                 elif report["supported"]:
+                    about = libraries[name]
                     runs[name][robot].append(report)
-                    about[name] |= {"versions": report["versions"], "settings": report["settings"]}
-                    about[name]["calibration_us"].append(round(report["calibration_us"]))
+                    about |= {"versions": report["versions"], "settings": report["settings"]}
+                    about["calibration_us"].append(round(report["calibration_us"]))
                     sets = report["sets"].items()
                     cells = (f"{k} {100 * c['success']:.1f} % {c['median_us']:.1f} µs" for k, c in sets)
                     say(f"{name}, {robot}: {'; '.join(cells)}")
-    libraries = {name: about[name] for name in names if name not in missing and name not in failed}
     for name, library in libraries.items():
         library["robots"] = {
             robot: {key: merged([one["sets"][key] for one in reports]) for key in reports[0]["sets"]}
@@ -214,7 +204,7 @@ def compare(
         }
     asked = {"count": count, "rounds": rounds, "seconds": seconds, "seed": seed}
     machine = this_machine().model_dump(mode="json")
-    return asked | {"machine": machine, "libraries": libraries, "missing": missing, "failed": failed}
+    return asked | {"machine": machine, "libraries": libraries, **left_out}
 
 
 def say(text: str) -> None:

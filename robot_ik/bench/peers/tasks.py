@@ -149,9 +149,8 @@ def _four_goals(robot: Robot, count: int, seed: int) -> dict[str, Array]:
 def plain_mjcf(robot: Robot, sites: Mapping[str, str]) -> str:
     """MJCF text of a robot of hinges, on a free base or none, without geometry; its kinematics are the same.
 
-    Args:
-        robot: Whose model; all of its joints stay active, in their order, so ``qpos`` means the same.
-        sites: New name -> frame of the robot; only these are written.
+    All joints stay active, in their order, so ``qpos`` means the same.  ``sites``, new name -> frame of the
+    robot, are the only ones written.
 
     Raises:
         UnsupportedJointError: A joint that is neither a hinge nor the base's free joint.

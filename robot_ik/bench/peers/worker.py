@@ -318,10 +318,8 @@ def library_of(name: str) -> type[Library]:
     if not isinstance(row, str):
         return row
     where, _, kind = row.rpartition(":")
-    if not where.endswith(".py"):
-        found: type[Library] = getattr(importlib.import_module(where), kind)
-        return found
-    found = runpy.run_path(where)[kind]
+    inside = runpy.run_path(where) if where.endswith(".py") else vars(importlib.import_module(where))
+    found: type[Library] = inside[kind]
     return found
 
 
@@ -388,12 +386,12 @@ def versions_of(kind: type[Library]) -> dict[str, str]:
 def run_library(name: str, folder: Path, seconds: float) -> dict[str, Any]:
     """All sets of a task by one library; and a report on it."""
     kind, task = library_of(name), Task.load(folder)
-    library, report = kind(), {"library": name, "calibration_us": calibration(), "errors": {}}
+    library, report = kind(), {"calibration_us": calibration(), "errors": {}}
     try:
         report["supported"] = library.setup(task)
     except ImportError as error:
-        return report | {"missing": str(error), "needs": list(kind.needs)}
-    report |= {"versions": versions_of(kind), "settings": library.settings, "python": sys.version.split()[0]}
+        return report | {"missing": f"{error}; pip install {' '.join(map(repr, kind.needs))}"}
+    report |= {"versions": versions_of(kind), "settings": library.settings}
     if not report["supported"]:
         return report
     sets, saved = np.load(folder / "problems.npz"), {}

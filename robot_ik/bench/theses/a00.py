@@ -93,19 +93,18 @@ def _lines(number: int, joints: int, seed: int, frames: int | None) -> Course:
 
 def _square(frames: int | None) -> Course:
     """Two balls: six freedoms and six numbers wanted; goals can only be made from joint angles."""
+
+    def balls(at: float) -> Array:
+        elbow = math.radians(BEND * (1.0 - math.cos(math.radians(at))))
+        return np.concatenate([_about(DIAGONAL, at), rotation_exp(elbow * _rotated(Z, 2.0 * at, X))])
+
     robot, at = make_chain(2), _circle_angles(CIRCLE_STEP)[:frames]
     moves = (
         "not stated: the tip of joint angles that turn about (1,1,0) while the elbow bends from straight "
         f"to {2 * BEND:g}° and back, its axis turning twice as fast; the first and last goal can be met "
         "by the straight chain alone"
     )
-    return _course(2, True, moves, "°", at, [robot.measure(_two_balls(a)) for a in at])
-
-
-def _two_balls(at: float) -> Array:
-    elbow = math.radians(BEND * (1.0 - math.cos(math.radians(at))))
-    axis = _rotated(Z, 2.0 * at, X)
-    return np.concatenate([_about(DIAGONAL, at), rotation_exp(elbow * axis)])
+    return _course(2, True, moves, "°", at, [robot.measure(balls(a)) for a in at])
 
 
 def _circle_angles(step: float) -> Array:

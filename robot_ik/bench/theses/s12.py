@@ -6,7 +6,6 @@ K. Šimunić, *Interactive inverse kinematic model*, FER Zagreb 2012.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,20 +62,12 @@ class ArmCase:
 CASES = (ArmCase(1, True, False), ArmCase(2, False, False), ArmCase(3, True, True), ArmCase(4, False, True))
 
 
-@dataclass(frozen=True)
-class Variant:
-    """One way of choosing the parameters: a column of the table."""
-
-    name: str
-    title: str
-    methods: tuple[str, ...]
-
-
-VARIANTS = (
-    Variant("same", "his parameters", METHODS),
-    Variant("degrees", "the same, α in degrees", METHODS[1:]),
-    Variant("best", "our parameters", BEST_METHODS),
-)
+VARIANTS = {"same": METHODS, "degrees": METHODS[1:], "best": BEST_METHODS}
+"""Ways of choosing the parameters, and the methods that are run with them."""
+COLUMNS = {
+    "S12": "S12, 2012", "same": "his parameters", "degrees": "α in degrees", "best": "our parameters",
+}  # fmt: skip
+"""Whose numbers stand in a column of the table, and its title."""
 
 
 @dataclass(eq=False)
@@ -160,20 +151,20 @@ def steps_of(name: str, track: Track) -> float:
 
 def run_s12(report: S12Report, progress: Progress = lambda phase, share: None) -> S12Report:
     """Runs all cases and fills the report in."""
-    jobs, done = len(CASES) * sum(len(v.methods) for v in VARIANTS), 0
+    jobs, done = len(CASES) * sum(map(len, VARIANTS.values())), 0
     for case in CASES:
         arm = make_arm(case.limited)
         witnesses = make_witnesses(arm, case, report.frames, report.seed)
         targets = [arm.forward(q) for q in witnesses]
-        for variant in VARIANTS:
-            budget = None if variant.name == "best" else Budget(iterations=ITERATIONS, restarts=0)
-            for name in variant.methods:
-                show = share_of(progress, f"case {case.number}: {name}, {variant.title}", done, jobs)
+        for variant, methods in VARIANTS.items():
+            budget = None if variant == "best" else Budget(iterations=ITERATIONS, restarts=0)
+            for name in methods:
+                show = share_of(progress, f"case {case.number}: {name}, {COLUMNS[variant]}", done, jobs)
                 goal = PositionGoal("tip", targets[0].position)
                 problem = Problem(arm, goal, tolerance=TOLERANCE, budget=budget, seed=report.seed)
-                solver = make_method(variant.name, name, problem)
+                solver = make_method(variant, name, problem)
                 found = track(problem, solver, targets, witnesses[0], show)
-                report.tracks[variant.name, name, case.number] = found
+                report.tracks[variant, name, case.number] = found
                 done += 1
     report.complete = True
     return report
@@ -191,19 +182,24 @@ def s12_summary(report: S12Report) -> dict[str, Any]:
         "tolerance_position_m": TOLERANCE.position,
         "must_pass": MUST_PASS,
         "cases": [{"case": case.number, "title": case.title} for case in CASES],
-        "tracks": list(s12_rows(report)),
+        "tracks": [
+            {"parameters": column, "method": name, "case": number} | cell
+            for (column, name, number), cell in s12_cells(report).items()
+        ],
     }
 
 
-def s12_rows(report: S12Report) -> Iterator[dict[str, Any]]:
-    """His cells, then ours: parameters, method, case, t (ms), N, η (share)."""
-    for name, cells in HIS.items():
-        for number, (t, n, eta) in enumerate(cells, 1):
-            row = {"parameters": "S12", "method": name, "case": number}
-            yield row | {"milliseconds": t, "n": n, "solved": eta / 100.0}
-    for (variant, name, number), found in report.tracks.items():
-        row = {"parameters": variant, "method": name, "case": number}
-        yield row | {"milliseconds": found.milliseconds, "n": steps_of(name, found), "solved": found.share}
+def s12_cells(report: S12Report) -> dict[tuple[str, str, int], dict[str, float]]:
+    """His numbers, then ours, by (column, method, case): t (ms), N, η (share)."""
+    his = {
+        ("S12", name, number): {"milliseconds": t, "n": n, "solved": eta / 100.0}
+        for name, cells in HIS.items()
+        for number, (t, n, eta) in enumerate(cells, 1)
+    }
+    return his | {
+        key: {"milliseconds": found.milliseconds, "n": steps_of(key[1], found), "solved": found.share}
+        for key, found in report.tracks.items()
+    }
 
 
 # ------------------------------------------------------------------------------------------
@@ -212,7 +208,6 @@ def s12_rows(report: S12Report) -> Iterator[dict[str, Any]]:
 
 # Grey for what is quoted, two blues for what is measured.
 _COLOURS = {"S12": "#9a9a9a", "same": "#9ecae1", "best": "#08519c"}
-_TITLES = {"S12": "S12, 2012", "same": "his parameters, here", "best": "our parameters"}
 _DPI = 110
 
 
@@ -239,16 +234,16 @@ def s12_picture(report: S12Report) -> bytes:
 
 def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
     """One case: the upper axes get η, the lower t."""
-    methods = BEST_METHODS
-    for index, kind in enumerate(("S12", "same", "best")):
+    methods, cells = BEST_METHODS, s12_cells(report)
+    for index, kind in enumerate(_COLOURS):
         at, solved, times = [], [], []
         for k, name in enumerate(methods):
-            cell = _cell(report, kind, name, case)
+            cell = cells.get((kind, name, case.number))
             if cell is not None:
                 at.append(k + 0.27 * (index - 1) if name in HIS else k)  # one bar alone: in the middle
-                solved.append(cell[1])
-                times.append(cell[0])
-        style = {"width": 0.25, "color": _COLOURS[kind], "label": _TITLES[kind]}
+                solved.append(100.0 * cell["solved"])
+                times.append(cell["milliseconds"])
+        style = {"width": 0.25, "color": _COLOURS[kind], "label": COLUMNS[kind]}
         # A bar of zero height cannot be told from a missing one: 0 % gets a sliver.
         axes[0].bar(at, np.maximum(solved, 0.7), **style)
         axes[1].bar(at, times, **style)
@@ -260,11 +255,3 @@ def _draw(axes: Any, report: S12Report, case: ArmCase) -> None:
         axis.grid(axis="y", alpha=0.3)
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
-
-
-def _cell(report: S12Report, kind: str, name: str, case: ArmCase) -> tuple[float, float] | None:
-    """(ms, %) of a method, or None where there is no such number."""
-    if kind == "S12":
-        return (HIS[name][case.number - 1][0], HIS[name][case.number - 1][2]) if name in HIS else None
-    track = report.tracks.get((kind, name, case.number))
-    return None if track is None else (track.milliseconds, 100.0 * track.share)

@@ -178,7 +178,7 @@ class VerifySamples(SampleSet):
         by_name = {joint.name: joint for joint in config.joints}
         for row in self.servos:
             joint = by_name.get(row["name"])
-            if joint is None or servo_values(joint) != row:
+            if joint is None or plain(joint) != row:
                 what = "is not there" if joint is None else "has been changed since the arm was measured"
                 raise ConfigError(
                     f"joint {row['name']!r} {what}, so these samples say nothing of this arm",
@@ -190,12 +190,6 @@ class VerifySamples(SampleSet):
                 file=file, key="joints", allowed=", ".join(by_name),
             )  # fmt: skip
         return replace(config, joints=tuple(by_name[name] for name in self.joints))
-
-
-def servo_values(joint: Any) -> dict[str, Any]:
-    """One joint's row as JSON gives it back."""
-    values: dict[str, Any] = json.loads(json.dumps(plain(joint)))
-    return values
 
 
 # ------------------------------------------------------------------------------------------

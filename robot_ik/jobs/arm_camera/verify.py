@@ -27,6 +27,7 @@ from robot_ik.camera.calibration.kinematic import (
 )
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
+from robot_ik.files import plain
 from robot_ik.geometry import Pose
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
@@ -37,7 +38,7 @@ from robot_ik.jobs.arm_camera.handeye import (
     open_scene,
     visit_stations,
 )
-from robot_ik.jobs.arm_camera.samples import VerifySamples, servo_values
+from robot_ik.jobs.arm_camera.samples import VerifySamples
 from robot_ik.jobs.results import png_of, require_plots
 from robot_ik.jobs.robot_setup import RobotSetup, prepare_robot
 from robot_ik.jobs.scene import scene_for
@@ -290,7 +291,7 @@ def _locate(
         board=KnownPose.within(pose, *request.board_sigma),
         by_arm=_by_arm(extrinsics),
         true_offsets=None if truth is None else np.deg2rad(offsets_deg),
-        servos=() if config is None else tuple(servo_values(joint) for joint in config.joints),
+        servos=() if config is None else tuple(map(plain, config.joints)),
     )  # fmt: skip
 
 

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from robot_ik.bench.methods.results import Cell, Results, draw, results_text
+from robot_ik.bench.methods.results import Cell, Results, draw
 from robot_ik.errors import MissingExtraError
+from robot_ik.files import json_text
 
 
 def cell(results: Results, solver: str, robot: str, name: str) -> Cell:
@@ -20,7 +21,7 @@ def cell(results: Results, solver: str, robot: str, name: str) -> Cell:
 
 def test_the_file_reads_back_as_it_was(results: Results) -> None:
     assert results.complete and len(results.cells) == 3 * 2 * 3
-    assert Results.model_validate_json(results_text(results)) == results
+    assert Results.model_validate_json(json_text(results.model_dump(mode="json"))) == results
 
 
 def test_figures_belong_together(results: Results) -> None:
