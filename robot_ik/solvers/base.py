@@ -6,7 +6,6 @@ The options (``option``) become the CLI's flags, the rows of the docs' table and
 from __future__ import annotations
 
 import math
-import sys
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -197,10 +196,9 @@ class IterativeSolver(Solver):
 
     draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
+    @abstractmethod
     def kernel(self) -> Callable[..., None]:
-        """The compiled loop, which takes what ``tables`` gives: of the method's name, in its own module."""
-        found: Callable[..., None] = getattr(sys.modules[type(self).__module__], self.name)
-        return found
+        """The compiled loop: takes what ``tables`` gives."""
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
         """The compiled loop that this problem needs, where there are several."""

@@ -12,6 +12,7 @@ section 3.5); a hinge takes the part of that rotation about its own axis.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -52,6 +53,9 @@ class CyclicCoordinateDescent(IterativeSolver):
     source: ClassVar[str] = "Wang & Chen, IEEE T-RA 1991"
 
     goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal, OrientationGoal, PoseGoal)
+
+    def kernel(self) -> Callable[..., None]:
+        return ccd
 
 
 open_options = options_of(CyclicCoordinateDescent)

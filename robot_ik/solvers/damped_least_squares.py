@@ -11,6 +11,7 @@ clamping is Buss & Kim's (Selectively damped least squares for inverse kinematic
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -43,6 +44,9 @@ class DampedLeastSquares(JacobianSolver):
     name: ClassVar[str] = "dls"
     title: ClassVar[str] = "damped least squares, clamped steps"
     source: ClassVar[str] = "Wampler 1986; Nakamura & Hanafusa 1986; Buss & Kim 2005"
+
+    def kernel(self) -> Callable[..., None]:
+        return dls
 
 
 open_options = options_of(DampedLeastSquares)

@@ -9,6 +9,7 @@ ours): a target contains no error across a hinge's bone.  See ``docs/reference/s
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -78,6 +79,9 @@ class Fabrik(BoneSolver):
     goals: ClassVar[tuple[type[Goal], ...]] = (PositionGoal, PoseGoal)
     kinds: ClassVar[tuple[int, ...]] = (HINGE, SLIDE, BALL, FREE)
     several: ClassVar[bool] = True
+
+    def kernel(self) -> Callable[..., None]:
+        return fabrik
 
 
 open_options = options_of(Fabrik)

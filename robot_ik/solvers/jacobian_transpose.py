@@ -8,6 +8,7 @@ inverse kinematics …, 2004, section 3; Šimunić 2012, section 3.1).
 # mypy: disallow-untyped-defs = false, check-untyped-defs = false
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -38,6 +39,9 @@ class JacobianTranspose(JacobianSolver):
     name: ClassVar[str] = "transpose"
     title: ClassVar[str] = "Jacobian transpose, best step length on the linear model"
     source: ClassVar[str] = "Balestrino et al. 1984; Wolovich & Elliott 1984; Buss 2004"
+
+    def kernel(self) -> Callable[..., None]:
+        return transpose
 
 
 open_options = options_of(JacobianTranspose)

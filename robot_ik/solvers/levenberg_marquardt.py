@@ -153,9 +153,12 @@ class LevenbergMarquardt(IterativeSolver):
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness", "priorities", "soft"})
     source: ClassVar[str] = "Marquardt 1963; Chan & Lawrence, ICRA 1988"
 
+    def kernel(self) -> Callable[..., None]:
+        return lm
+
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
         if not has_levels(problem.compiled):
-            return super().kernel_for(problem)
+            return lm
         from robot_ik.kernels.priorities import lm_levels  # which few problems need
 
         return lm_levels

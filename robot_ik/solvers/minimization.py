@@ -9,6 +9,7 @@ active linear constraints are projected (Rosen 1960; Goldfarb 1969), with a line
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -333,6 +334,9 @@ class Minimization(IterativeSolver):
     source: ClassVar[str] = "Zhao & Badler, ACM Transactions on Graphics 13(4), 1994"
     partial_goals: ClassVar[bool] = True
     capabilities: ClassVar[frozenset[str]] = frozenset({"couplings", "stiffness"})
+
+    def kernel(self) -> Callable[..., None]:
+        return bfgs
 
 
 open_options = options_of(Minimization)

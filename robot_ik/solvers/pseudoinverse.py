@@ -10,6 +10,7 @@ the way tried.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -173,6 +174,9 @@ class Pseudoinverse(JacobianSolver):
     name: ClassVar[str] = "pseudoinverse"
     title: ClassVar[str] = "pseudoinverse by singular values, with null-space motion"
     source: ClassVar[str] = "Whitney 1969; Liégeois 1977; goal halving: Aho 2000"
+
+    def kernel(self) -> Callable[..., None]:
+        return pseudoinverse
 
 
 open_options = options_of(Pseudoinverse)

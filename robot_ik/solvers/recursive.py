@@ -10,6 +10,7 @@ University of Helsinki 2000, section 4.3).  ``guard`` is ours; see ``docs/refere
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -54,6 +55,9 @@ class Recursive(BoneSolver):
     name: ClassVar[str] = "recursive"
     title: ClassVar[str] = "a chain of rings pulled by its end; undone whole where it fails"
     source: ClassVar[str] = "Aho, University of Helsinki 2000, section 4.3"
+
+    def kernel(self) -> Callable[..., None]:
+        return recursive
 
 
 open_options = options_of(Recursive)

@@ -14,6 +14,7 @@ Buss & Kim (Selectively damped least squares for inverse kinematics, Journal of 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -39,6 +40,9 @@ class SelectivelyDamped(JacobianSolver):
     name: ClassVar[str] = "sdls"
     title: ClassVar[str] = "selectively damped least squares"
     source: ClassVar[str] = "Buss & Kim, Journal of Graphics Tools 10(3), 2005"
+
+    def kernel(self) -> Callable[..., None]:
+        return sdls
 
 
 open_options = options_of(SelectivelyDamped)

@@ -11,6 +11,7 @@ as the rest of the chain needs.  See ``docs/reference/solvers/triangulation.md``
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -57,6 +58,9 @@ class Triangulation(BoneSolver):
     name: ClassVar[str] = "triangulation"
     title: ClassVar[str] = "triangles by the law of cosines, root to tip; balls without limits in one pass"
     source: ClassVar[str] = "Müller-Cajar & Mukundan, IVCNZ 2007; improved: Mukundan, IJCAT 2009"
+
+    def kernel(self) -> Callable[..., None]:
+        return triangulation
 
 
 open_options = options_of(Triangulation)
