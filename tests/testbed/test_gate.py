@@ -23,6 +23,7 @@ from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
 from robot_ik.testbed.commands import Start
 from robot_ik.testbed.session import Session, View, run
+from tests.memory import resident_memory
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG, wait_for
 
@@ -404,20 +405,12 @@ def test_fuzzed_messages_make_no_command_and_no_traceback(
 def test_memory_is_flat_under_ten_thousand_fuzzed_messages(
     bed: Bed, caplog: pytest.LogCaptureFixture
 ) -> None:
-    import gc
-
     caplog.set_level("ERROR", "robot_ik")  # pytest keeps every record: 1 kB a message
-
-    def resident() -> float:
-        gc.collect()
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
     fuzz(bed, 10_000, seed=2)
-    first = resident()
+    first = resident_memory()
     before = len(bed.sent)
     fuzz(bed, 10_000, seed=3)
-    grown = resident() - first
+    grown = resident_memory() - first
     assert bed.sent[before:] == []
     assert grown < 10.0, f"{grown:.1f} MB"
 

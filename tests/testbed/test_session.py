@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import ctypes
 import dataclasses
-import gc
 import os
 import threading
 import time
@@ -47,6 +44,7 @@ from robot_ik.testbed.commands import (
     command_from,
 )
 from robot_ik.testbed.session import Session, View, replayed, run
+from tests.memory import resident_memory
 
 
 def view_after(session: Session, *commands: Command, ticks: int = 30) -> View:
@@ -550,14 +548,10 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
             if rng.random() < 0.01:
                 session.send(kinds[rng.integers(len(kinds))]())
             session.tick()
-        # the same scene whenever memory is read: four robots with a figure hold some 50 MB more than one alone
+        # one scene whenever memory is read: four robots with a figure hold some 50 MB more
         view_after(session, SetRobot("puma560"), SetCount(1), SetFigure("off"), ticks=5)
         session._log.clear()  # it grows by design: a few bytes a command
-        gc.collect()
-        with contextlib.suppress(AttributeError):  # what glibc keeps though it is free
-            ctypes.CDLL(None).malloc_trim(0)
-        with open("/proc/self/statm") as file:
-            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+        return resident_memory()
 
     for name in robots:  # every kernel is loaded before memory is looked at: that is no leak
         view_after(session, SetRobot(name), ShowBranches(True), ticks=20)
