@@ -18,8 +18,7 @@ from dynamixel_sdk import PortHandler
 from serial.tools import list_ports
 
 from robot_ik.environment import users_of
-from robot_ik.errors import BusNotOpenError, did_you_mean
-from robot_ik.hardware import BUSES
+from robot_ik.errors import BusNotOpenError
 from robot_ik.hardware.bus import Counters
 from robot_ik.hardware.control_table import BAUD_RATES
 
@@ -214,8 +213,7 @@ def describe_failure(port: str, error: Exception) -> BusNotOpenError:
         reason = f"it is already open{' in ' + ', '.join(who) if who else ', here or in another program'}"
         hint = "close the other program first"
     elif number in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
-        simulated = [row.name for row in BUSES.values() if row.virtual]
-        reason, hint = "there is no such port", did_you_mean(port, simulated)
+        reason, hint = "there is no such port", ""
     elif number in (errno.EACCES, errno.EPERM):
         reason = "this user may not open it"
         hint = "join the group that owns it (often: sudo usermod -aG dialout $USER) and log in again"

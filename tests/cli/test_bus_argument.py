@@ -54,9 +54,3 @@ def test_a_bus_of_ones_own_is_taken_where_sim_is(robot_ik: Any) -> None:
         "logged",
     )
     assert robot_ik("teleop", *led, "--seconds", "0.1", "--on-exit", "torque_off").code == 0
-
-
-def test_a_misspelt_bus_is_a_port_with_a_close_name(robot_ik: Any) -> None:
-    run = robot_ik("servo", "scan", "--bus", "smi")
-    run.assert_one_screen_error()
-    assert "no such port" in run.err and "did you mean sim?" in run.err
