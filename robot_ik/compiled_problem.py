@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 from robot_ik.geometry import rotation_z_to
 from robot_ik.goals import Array, Goal, Tolerance
 from robot_ik.kernels import residuals, workspace
-from robot_ik.kernels.residuals import NO_ORIENTATION, NO_POSITION, OF_FRAME, OF_PRIOR, WHOLE
+from robot_ik.kernels.residuals import (
+    NO_ORIENTATION,
+    NO_POSITION,
+    OF_FRAME,
+    OF_PRIOR,
+    ONE_SIDE,
+    SOME_AXES,
+    WHOLE,
+)
 from robot_ik.model import pose_row, row_pose
 from robot_ik.robot import Robot
 
@@ -147,7 +155,9 @@ def _tolerance_row(goal: Goal, tolerance: Tolerance) -> tuple[float, float]:
 
 def _reach_row(robot: Robot, goal: Goal, tolerance: Tolerance) -> tuple[float, ...]:
     """Centre and radius of a ball that the goal's frame cannot leave, where a position is needed."""
-    asks = goal.rows.position != NO_POSITION and goal.rows.of == OF_FRAME and goal.weights[0] > 0.0
+    # Of other rows ``loop.squared_distance`` does not know how far off the frame is.
+    proven = goal.rows.position in (WHOLE, SOME_AXES, ONE_SIDE) and goal.rows.of == OF_FRAME
+    asks = proven and goal.weights[0] > 0.0
     ball = robot.reach(goal.frame) if asks and not goal.soft else None
     if ball is None:
         return 0.0, 0.0, 0.0, np.inf

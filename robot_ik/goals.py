@@ -185,10 +185,15 @@ class Goal:
         """Puts checked values into the frozen fields."""
         self.__dict__.update(values)
 
+    @property
+    def with_article(self) -> str:
+        """Its kind, for messages: "a pose goal", "an aim goal"."""
+        return f"{'an' if self.name[0] in 'aeiou' else 'a'} {self.name}"
+
     @cached_property
     def rows(self) -> Rows:
         """Which rows it makes; each kind sets it when it is made."""
-        nothing = f"a {self.name} says nothing of what is wanted"
+        nothing = f"{self.with_article} says nothing of what is wanted"
         raise InvalidGoalError(nothing, hint="take one of robot_ik.body_goals.GOALS")
 
     @cached_property
@@ -208,7 +213,7 @@ class Goal:
 
     def moved_to(self, target: Pose) -> Goal:
         """The same goal with another target."""
-        raise InvalidGoalError(f"a {self.name} has no pose to move")
+        raise InvalidGoalError(f"{self.with_article} has no pose to move")
 
     def moved_nodes(self, robot: Robot) -> set[int]:
         """Joints (nodes of the tree) whose motion it feels."""

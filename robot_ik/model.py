@@ -287,10 +287,31 @@ def active_joints(names: list[str], joints: Sequence[str] | str | None, file: Ro
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 
-def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[Array, Array]:
-    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind."""
-    kinds = zip(joints, tree.kind.tolist(), strict=True)
-    speed = [file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in kinds]
+def motion_limits(
+    tree: Tree, joints: Sequence[str], names: Sequence[str], file: RobotFile
+) -> tuple[Array, Array]:
+    """Velocity and acceleration (nv,): from robot.toml where it names the joint, else by joint kind.
+
+    ``joints`` are the active ones, ``names`` those of the model.
+
+    Raises:
+        UnknownJointError, ConfigError: robot.toml names another joint; a slide in degrees, a hinge in mm.
+    """
+    for name in file.slides:
+        if name not in names:
+            raise UnknownJointError(name, names, hint=f"named by motion of {file.path}")
+    kinds = tree.kind.tolist()
+    for joint, kind in zip(joints, kinds, strict=True):
+        if joint in (file.hinges if kind == SLIDE else file.slides):
+            moves, unit, other = ("slides", "mm", "deg") if kind == SLIDE else ("does not slide", "deg", "mm")
+            raise ConfigError(
+                f"joint {joint!r} {moves}", file=file.path or file.name, key=f"motion.velocity_{other}",
+                allowed=f"its limits in velocity_{unit} and acceleration_{unit}",
+                hint=f"such as velocity_mm = {{ {joint} = 100.0 }}" if unit == "mm" else "",
+            )  # fmt: skip
+    speed = [
+        file.velocity.get(joint, _DEFAULT_SPEED[kind]) for joint, kind in zip(joints, kinds, strict=True)
+    ]
     acceleration = [
         file.acceleration.get(joint, fastest * _SPEED_TO_ACCELERATION)
         for joint, fastest in zip(joints, speed, strict=True)

@@ -340,7 +340,7 @@ def load_robot(
     if default_tool not in frames:
         raise UnknownFrameError(default_tool, frames, hint="" if tool else f"named by tool of {file.path}")
     active = tuple(names[j] for j in tree.joint_ids)
-    speed, acceleration = mjcf.motion_limits(tree, active, file)
+    speed, acceleration = mjcf.motion_limits(tree, active, names, file)
     robot = Robot(
         name=file.name,
         path=path,

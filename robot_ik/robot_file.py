@@ -120,6 +120,8 @@ class Coupled(Table):
 class _MotionTable(Table):
     velocity_deg: Several[float] | None = None
     acceleration_deg: Several[float] | None = None
+    velocity_mm: dict[str, Positive] = Field(default={})  # of slides, by name
+    acceleration_mm: dict[str, Positive] = Field(default={})
 
 
 class _Provenance(Table):
@@ -161,6 +163,8 @@ class RobotFile(_Keys):
     path: Path | None = None
     velocity: dict[str, float] = Field(default={})  # per joint, rad/s (m/s for slides)
     acceleration: dict[str, float] = Field(default={})  # … and rad/s²
+    slides: tuple[str, ...] = ()  # joints with limits of motion in mm
+    hinges: tuple[str, ...] = ()  # … and in degrees
     # Sets of joint speed limits, rad/s, by patterns of joint names; a later pattern wins.
     speeds: dict[str, dict[str, float]] = Field(default={})
     sources: tuple[str, ...] = ()
@@ -182,7 +186,9 @@ def catalogue() -> dict[str, Path]:
 def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
     """Model file and contents of a ``robot.toml``; raises ``ConfigError`` as ``read_table``."""
     parsed = read_table(_RobotTable, path, "robot.toml")
-    order, model = parsed.groups.get("arm", ()), path.parent / parsed.model
+    motion, model = parsed.motion, path.parent / parsed.model
+    slides = tuple(motion.velocity_mm | motion.acceleration_mm)
+    order = tuple(joint for joint in parsed.groups.get("arm", ()) if joint not in slides)
     if not model.is_file():
         beside = sorted(p.name for p in path.parent.glob("*") if p.suffix.lower() in _MODELS)
         raise ConfigError(
@@ -193,8 +199,12 @@ def read_robot_file(path: Path) -> tuple[Path, RobotFile]:
         **{key: getattr(parsed, key) for key in _Keys.model_fields},
         name=path.resolve().parent.name,
         path=path,
-        velocity=_per_joint(path, "motion.velocity_deg", parsed.motion.velocity_deg, order),
-        acceleration=_per_joint(path, "motion.acceleration_deg", parsed.motion.acceleration_deg, order),
+        velocity=_per_joint(path, "motion.velocity_deg", motion.velocity_deg, order)
+        | {joint: 1e-3 * value for joint, value in motion.velocity_mm.items()},
+        acceleration=_per_joint(path, "motion.acceleration_deg", motion.acceleration_deg, order)
+        | {joint: 1e-3 * value for joint, value in motion.acceleration_mm.items()},
+        slides=slides,
+        hinges=order if motion.velocity_deg or motion.acceleration_deg else (),
         speeds={
             name: {joint: math.radians(speed) for joint, speed in speeds.items()}
             for name, speeds in parsed.speed_deg.items()
@@ -210,7 +220,7 @@ def _per_joint(
         return {}
     wrong = [f"{v:g} of joint {j!r}" for j, v in zip(joints, values, strict=False) if not v > 0]
     if len(values) != len(joints) or wrong:
-        allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm"
+        allowed = "one positive number, deg/s or deg/s², for each joint of groups.arm that turns"
         problem = wrong[0] if wrong else f"{len(values)} numbers for {len(joints)} joints"
         raise ConfigError(problem, file=path, key=key, allowed=allowed)
     return {joint: math.radians(value) for joint, value in zip(joints, values, strict=True)}

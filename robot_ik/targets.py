@@ -155,7 +155,7 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
     elif goal.has_position:
         row[:3] = given
     else:
-        raise InvalidGoalError(f"a {goal.name} has no position to move")
+        raise InvalidGoalError(f"{goal.with_article} has no position to move")
 
 
 def _move_partial(problem: Problem, target: Any, index: int) -> None:

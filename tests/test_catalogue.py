@@ -113,6 +113,34 @@ def test_a_wrong_key_or_value_is_reported_with_file_key_and_what_is_allowed(fold
     assert says in str(caught.value)
 
 
+def test_slides_have_limits_of_motion_in_millimetres(folder):
+    asked = FILE.replace('arm = ["one", "two"]', 'arm = ["one", "finger", "two"]')
+    asked = asked.replace(
+        "[motion]", "[motion]\nvelocity_mm = { finger = 20 }\nacceleration_mm = { finger = 80 }"
+    )
+    (folder / "robot.toml").write_text(asked)
+    robot = load_robot(folder)
+    np.testing.assert_allclose(robot.velocity, [np.radians(90), np.radians(180), 0.02])
+    np.testing.assert_allclose(robot.acceleration, [np.radians(360), np.radians(720), 0.08])
+    (folder / "robot.toml").write_text(asked.replace("finger = 20", "fingr = 20"))
+    with pytest.raises(UnknownJointError, match="did you mean 'finger'"):
+        load_robot(folder)
+
+
+def test_a_slide_in_degrees_and_a_hinge_in_millimetres_are_refused(folder):
+    asked = FILE.replace('arm = ["one", "two"]', 'arm = ["one", "two", "finger"]')
+    asked = asked.replace("[90, 180]", "[90, 180, 10]").replace("[360, 720]", "[360, 720, 40]")
+    (folder / "robot.toml").write_text(asked)
+    with pytest.raises(ConfigError, match="'finger' slides; allowed: its limits in velocity_mm") as caught:
+        load_robot(folder)
+    assert caught.value.key == "motion.velocity_deg"
+    asked = FILE.replace("velocity_deg = [90, 180]", "velocity_mm = { two = 180 }")
+    (folder / "robot.toml").write_text(asked.replace("[360, 720]", "[360]"))
+    with pytest.raises(ConfigError, match="'two' does not slide") as caught:
+        load_robot(folder)
+    assert caught.value.key == "motion.velocity_mm"
+
+
 def test_what_is_no_toml_or_no_file_is_reported(folder):
     (folder / "robot.toml").write_text("schema = = 1")
     with pytest.raises(ConfigError, match=r"robot\.toml: not valid TOML"):

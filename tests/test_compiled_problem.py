@@ -13,6 +13,8 @@ import pytest
 
 import robot_ik as rik
 from robot_ik.errors import ProblemInUseError, RobotIkError
+from robot_ik.goals import Rows
+from robot_ik.kernels.residuals import ONE_SIDE
 from robot_ik.problem import Problem
 from robot_ik.solvers import SOLVERS, make_solver
 from robot_ik.solvers.base import BatchResult
@@ -32,6 +34,19 @@ def problem_for(name, robot, seed=0):
     rows = np.array([np.concatenate([pose.position, pose.rotation.ravel()]) for pose in poses])
     budget = rik.Budget(iterations=60, restarts=2)
     return Problem(robot, goal, budget=budget), poses, rows
+
+
+def test_rows_of_a_new_sort_are_never_proven_out_of_reach(puma):
+    class OnSphere(
+        rik.PositionGoal
+    ):  # 2.5 m from the point, say: what the kernels must know is not asked here
+        @property
+        def rows(self):
+            return Rows(position=ONE_SIDE + 1)
+
+    far = (3.0, 0.0, 0.6)
+    assert np.isfinite(Problem(puma, rik.PositionGoal(None, far)).arrays["reach"][0, 3])
+    assert Problem(puma, OnSphere(None, far)).arrays["reach"][0, 3] == np.inf
 
 
 def owned(table):

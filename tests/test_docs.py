@@ -55,6 +55,15 @@ FIRST_PHOTO = ROOT / "docs" / "start" / "camera.md"
 # ------------------------------------------------------------------------------- blocks are run
 
 
+@pytest.mark.parametrize("title", ["class GradientDescent", "class LoggedBus", "class ReachableOptions"])
+def test_the_modules_of_the_recipes_pass_the_linter(title: str) -> None:
+    page = ROOT / "docs" / "how-to" / "extend.md"
+    (code,) = [block.text for block in blocks(page) if block.language == "python" and title in block.text]
+    ruff = [sys.executable, "-m", "ruff", "check", "--quiet", "--stdin-filename", "robot_ik/recipe.py", "-"]
+    run = subprocess.run(ruff, input=code, capture_output=True, text=True, cwd=ROOT)
+    assert run.returncode == 0, run.stdout
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_what_a_page_shows_runs(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, real_time: None

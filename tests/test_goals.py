@@ -57,6 +57,14 @@ def test_a_goal_moves_and_keeps_all_but_its_target(goal):
     assert goal.target.distance(before) == (0.0, 0.0)
 
 
+def test_messages_name_a_goal_with_its_article():
+    assert [goal.with_article for goal in MADE[2:7:2]] == [
+        "an orientation goal",
+        "a pose goal",
+        "an aim goal",
+    ]
+
+
 def test_every_kind_is_tried_above_and_below():
     assert {type(goal) for goal in MADE} | {PostureGoal, PosePriorGoal} == set(GOALS)
     rest = PostureGoal(q=(0.1, 0.2), joints={"elbow": 2.0}, priority=3)

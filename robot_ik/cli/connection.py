@@ -99,9 +99,9 @@ def port_name(bus: str, option: str = "--bus") -> str:
 
 @contextmanager
 def served_or_serial_port(bus: str, arm: str) -> Iterator[str]:
-    """A port by name; for ``pty`` and ``sim`` one that serves the arm's virtual servos at their rate."""
+    """A port by name; for simulated servos one that serves the arm's virtual servos at their rate."""
     name = port_name(bus)
-    if name not in ("pty", "sim"):
+    if not bus_row(name).virtual:
         yield name
         return
     from robot_ik.hardware import pty_port

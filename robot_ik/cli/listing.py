@@ -210,8 +210,11 @@ def run_solvers(options: SolversOptions) -> int:
 def solver_facts(name: str, kind: type[Solver]) -> dict[str, Any]:
     """Name, title, source, kinds of goals and options (default, range, unit, help) of a method."""
     from robot_ik.body_goals import GOALS
+    from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 
-    served = [goal for goal in GOALS if issubclass(goal, kind.goals)]
+    whole = (PositionGoal, OrientationGoal, PoseGoal)  # the others ask for parts only
+    goals = GOALS if kind.partial_goals else whole
+    served = [goal for goal in goals if issubclass(goal, kind.goals)]
     blank = {"low": None, "high": None, "choices": (), "unit": "", "help": ""}
     options = [
         {"name": field.name, "default": None if field.default is MISSING else field.default}

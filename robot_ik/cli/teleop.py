@@ -23,6 +23,7 @@ from robot_ik.cli.connection import (
     require_model,
     single_keys,
 )
+from robot_ik.hardware import bus_row
 from robot_ik.robot_file import SERVO_ROBOT
 
 if TYPE_CHECKING:
@@ -96,7 +97,8 @@ def _check(options: TeleopOptions) -> None:
     if (seconds := options.seconds) is not None:
         require(0.0 < seconds <= 86400.0, "--seconds", f"{seconds:g} s", "above 0, at most 86400")
     port = options.leader_bus
-    shared = port == options.follower_bus not in ("", "sim", "pty") and options.leader not in (KEYS, GAMEPAD)
+    real = port != "" and not bus_row(port).virtual
+    shared = real and port == options.follower_bus and options.leader not in (KEYS, GAMEPAD)
     require(not shared, "--leader-bus", f"{port} is the follower's, too", "two ports")
 
 

@@ -419,13 +419,13 @@ def open_pair(
     follower_bus: str,
     on_exit: str = "",
 ) -> tuple[Arm | None, Arm]:
-    """Both arms, disconnected; simulated ones in one process share a clock, and it is virtual.
+    """Both arms, disconnected; simulated ones share a clock, which is virtual where both buses' time is.
 
     ``leader`` None: a person leads, by keys or a gamepad, and time is real: nobody leads in virtual time.
     ``on_exit`` is how the follower is left, empty: as its file says.
     """
-    in_process = leader is not None and leader_bus == follower_bus == "sim"
-    clock: Clock = VirtualClock() if in_process else RealClock()
+    virtual_time = leader is not None and all(bus_row(b).virtual_time for b in (leader_bus, follower_bus))
+    clock: Clock = VirtualClock() if virtual_time else RealClock()
 
     def made(config: ArmConfig, bus: str, way_out: str | None) -> Arm:
         servos = VirtualBus.from_config(config, clock) if bus_row(bus).virtual else None

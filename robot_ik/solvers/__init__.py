@@ -68,6 +68,11 @@ def make_solver(solver: str | Solver, **options: Any) -> Solver:
         UnknownSolverError: With the close names.
         ConfigError: An option that the method does not have, or out of range.
     """
+    if isinstance(solver, type):
+        hint = f"make one of it: {solver.__name__}()"
+        raise ConfigError(
+            f"{solver.__name__} is a class", file="solver", allowed="a name, or an instance", hint=hint
+        )
     if not isinstance(solver, str):
         if not hasattr(solver, "attempt"):
             raise UnknownSolverError(solver, _ROWS)  # type: ignore[arg-type]  # whatever it is

@@ -78,7 +78,7 @@ class BoneSolver(IterativeSolver):
             return "several goals at once"
         for goal in problem.goals:
             if goal.weights[0] <= 0.0 < goal.weights[1]:
-                return f"a {goal.name} whose position weighs nothing"
+                return f"{goal.with_article} whose position weighs nothing"
         return self._stiff(problem)
 
     def _stiff(self, problem: Problem) -> str:

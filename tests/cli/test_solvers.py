@@ -9,7 +9,10 @@ from typing import Any
 import pytest
 
 from robot_ik.body_goals import GOALS
+from robot_ik.cli.listing import goals_text, solver_facts
+from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal
 from robot_ik.solvers import SOLVERS
+from robot_ik.solvers.damped_least_squares import DampedLeastSquares
 
 
 def test_every_method_is_listed(robot_ik: Any) -> None:
@@ -18,13 +21,22 @@ def test_every_method_is_listed(robot_ik: Any) -> None:
     for name, kind in SOLVERS.items():
         line = next(line for line in run.out.splitlines() if line.startswith(name + " "))
         assert kind.title in line
-        served = [goal for goal in GOALS if issubclass(goal, kind.goals)]
+        goals = GOALS if kind.partial_goals else (PositionGoal, OrientationGoal, PoseGoal)
+        served = [goal for goal in goals if issubclass(goal, kind.goals)]
         every = kind.partial_goals and served == list(GOALS)
         for word in ["every kind"] if every else [goal.name.removesuffix(" goal") for goal in served]:
             assert word in line
     rows = json.loads(robot_ik("solvers", "--json").out)
     assert [row["name"] for row in rows["solvers"]] == list(SOLVERS)
     assert rows["auto"] in SOLVERS
+
+
+def test_a_method_without_parts_of_poses_lists_no_goal_that_is_one() -> None:
+    class Whole(DampedLeastSquares):
+        partial_goals = False
+
+    assert goals_text(solver_facts("whole", Whole)) == "position, orientation, pose"
+    assert goals_text(solver_facts("dls", DampedLeastSquares)) == "every kind"
 
 
 @pytest.mark.parametrize("name", SOLVERS)

@@ -10,6 +10,7 @@ from robot_ik.batch import solve_batch
 from robot_ik.body_goals import CenterOfMassGoal, PostureGoal
 from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
 from robot_ik.errors import (
+    ConfigError,
     GoalError,
     InvalidGoalError,
     ModelError,
@@ -167,6 +168,11 @@ def test_likely_mistakes_are_answered_in_a_sentence(puma, ask, says):
 def test_no_solver_is_an_unknown_solver(puma):
     with pytest.raises(UnknownSolverError, match="unknown solver None"):
         solve(puma, KINDS[0], solver=None)
+
+
+def test_a_class_in_place_of_a_solver_is_named(puma):
+    with pytest.raises(ConfigError, match=r"LevenbergMarquardt is a class.*\n.*LevenbergMarquardt\(\)"):
+        solve(puma, KINDS[0], solver=SOLVERS["lm"])
 
 
 # ------------------------------------------------------------------------------ weights, duplicates

@@ -14,6 +14,7 @@ import numpy as np
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.errors import RobotIkError, apart
 from robot_ik.goals import PoseGoal
+from robot_ik.hardware import bus_row
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import Progress
 from robot_ik.jobs.recording import open_recording
@@ -130,7 +131,7 @@ class ScriptRun:
             except WrongKey as wrong:
                 raise wrong.within(("steps", k)).in_file(script.file) from None
         rows = [StepResult(step.title, step.do) for step in script.steps]
-        virtual = request.bus == "sim"
+        virtual = bus_row(request.bus).virtual_time
         self.report = ScriptReport(
             script.name, script.file, self.setup.robot.name, request.bus, seed, virtual,
             [*rows, StepResult("leave the arm", "leave")],

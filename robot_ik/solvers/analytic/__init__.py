@@ -154,7 +154,7 @@ class Analytic(Solver):
     def unsupported(self, problem: Problem) -> str:
         if problem.compiled.made_for(self, lambda: self.make(problem)) is not None:
             return ""
-        goals = " and ".join(f"a {goal.name}" for goal in problem.goals)
+        goals = " and ".join(goal.with_article for goal in problem.goals)
         lacking = f"{goals} on {problem.robot.name}: {_what_has_a_form(problem)}"
         return super().unsupported(problem) or lacking
 

@@ -181,6 +181,7 @@ def test_the_page_tells_every_step_and_every_key() -> None:
     rows = dict(re.findall(r"^\| `(\w+)` \| (.*)$", page[page.index("| `do` |") :], re.MULTILINE))
     everywhere = {"do", "name", "time_limit_s", "raises", "speed", "tolerance_mm", "tolerance_deg"}
     for name, kind in STEPS.items():
+        assert name in rows, f"docs/how-to/testing.md has no row of the step {name}"
         keys = set(kind.model_fields) - everywhere
         assert set(re.findall(r"`(\w+)`", rows[name])) >= keys, name
     for key in everywhere | set(ScriptFile.model_fields) - {"version", "about", "arm"}:
