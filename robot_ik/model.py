@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
-from robot_ik.geometry import Pose, rotation_entries, rotation_exp, rotation_z_to
+from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text
 from robot_ik.robot_file import RobotFile
@@ -325,16 +325,6 @@ class Attachment:
     local: Pose
 
 
-def pose_row(pose: Pose) -> Array:
-    """(12,): position, then the rotation matrix row by row."""
-    return np.array((*pose.position.tolist(), *rotation_entries(*pose.wxyz.tolist())))
-
-
-def row_pose(row: Array) -> Pose:
-    """Inverse of ``pose_row``."""
-    return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
-
-
 def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:
     """Motion that a joint at ``q`` gives its body, in the body's frame before the joint."""
     if kind == FREE:
@@ -388,7 +378,7 @@ class _Builder:
         node = len(self.nodes)
         self.joint_ids.append(joint)
         self.nodes.append((kind, -1 if kind == FREE else at.node, self.nq, self.nv))
-        self.constant.append(pose_row(Pose() if kind == FREE else constant))
+        self.constant.append((Pose() if kind == FREE else constant).row)
         self.nq += Q_WIDTH[kind]
         self.nv += V_WIDTH[kind]
         return Attachment(node, after)

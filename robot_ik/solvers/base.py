@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit, workspace
@@ -29,6 +28,8 @@ Array = NDArray[np.float64]
 # With a time budget the kernel runs in slices of about this long between readings of the clock.
 _SLICE_SECONDS = 1e-3
 _FIRST_SLICE = 16
+# Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
+_SOLVERS_KEPT = 16
 
 
 def option(
@@ -165,7 +166,17 @@ class Solver(ABC):
         kept = problem.made.get(id(self))
         if kept is None or kept[1] is None:
             self.require_support(problem)
-            return problem.compiled.made_for(self, lambda: self.make(problem))
+            return self.made_for(problem)
+        return kept[1]
+
+    def made_for(self, problem: Problem) -> Any:
+        """What ``make`` makes: once for a problem, which keeps it with this solver, by its ``id``."""
+        kept = problem.made.get(id(self))
+        if kept is None:
+            made = self.make(problem)
+            if len(problem.made) >= _SOLVERS_KEPT:
+                problem.made.clear()
+            kept = problem.made[id(self)] = self, made
         return kept[1]
 
     @abstractmethod
@@ -211,9 +222,9 @@ class IterativeSolver(Solver):
         choices = [item.metadata["choices"].index(v) if isinstance(v, str) else v for item, v in values]
         return np.array(choices, dtype=float)
 
-    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+    def tables(self, problem: Problem) -> tuple[Any, ...]:
         """What the kernel takes for a problem, in its order."""
-        return compiled.tree, compiled.goals, compiled.work, self.option_values
+        return *problem.tables, self.option_values
 
     def make(self, problem: Problem) -> Run:
         return Run(self, problem)
@@ -287,7 +298,7 @@ class Run:
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
         kernel, arrays = solver.kernel_for(problem), problem.arrays
         jit.announce(kernel, f"solver {solver.name!r}")
-        self.solver, self.tables = solver, solver.tables(problem.compiled)
+        self.solver, self.tables = solver, solver.tables(problem)
         self.arguments = tuple(address_of(table) for table in self.tables)
         self.entry = jit.entry(kernel, *self.arguments)
         self.state, self.value, self.start = arrays["state"], arrays["value"], arrays["start"]
