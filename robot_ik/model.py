@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, require_joints
 from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text
@@ -274,16 +274,12 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
     """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
     for name, members in file.groups.items():
-        for joint in members:
-            if joint not in names:
-                raise UnknownJointError(joint, names, hint=f"named by groups.{name} of {file.path}")
+        require_joints(members, names, f"groups.{name} of {file.path}")
     group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
     if group is not None and group not in file.groups:
         raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
     wanted = file.groups[group] if group is not None else names if joints is None else joints
-    for joint in wanted:
-        if joint not in names:
-            raise UnknownJointError(joint, names)
+    require_joints(wanted, names)
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 
@@ -300,9 +296,7 @@ def motion_limits(tree: Tree, joints: Sequence[str], file: RobotFile) -> tuple[A
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
     """Stiffness (nv,): from robot.toml where it names the joint, else 1; ``names`` of all joints."""
-    for name in file.stiffness:
-        if name not in names:
-            raise UnknownJointError(name, names, hint=f"named by stiffness of {file.path}")
+    require_joints(file.stiffness, names, f"stiffness of {file.path}")
     each = [file.stiffness.get(names[joint], 1.0) for joint in tree.joint_ids]
     return np.array(each)[tree.dof_node]
 
