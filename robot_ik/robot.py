@@ -205,9 +205,13 @@ class Robot:
         return qpos
 
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``)."""
+        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``).
+
+        Raises:
+            ModelError: ``q`` is not nq finite numbers, or ``dq`` not nv.
+        """
         moved = self.check_q(q).copy()
-        step = np.asarray(dq, dtype=float).reshape(self.nv)
+        step = vector(dq, self.nv, "dq", ModelError).copy()  # of one type: a kernel is compiled for each
         kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
         return moved
 

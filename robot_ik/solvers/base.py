@@ -97,6 +97,9 @@ class Solver(ABC):
             if meta.get("choices") and value not in meta["choices"]:
                 allowed = ", ".join(meta["choices"])
                 raise ConfigError(f"{value!r} is no choice", file=file, key=item.name, allowed=allowed)
+            if type(value) is not type(item.default) and not _is_like(item.default, value):
+                allowed = _VALUES[type(item.default)]
+                raise ConfigError(f"{value!r} is not right", file=file, key=item.name, allowed=allowed)
             if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
                 allowed = f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip()
                 raise ConfigError(f"{value} is out of range", file=file, key=item.name, allowed=allowed)
@@ -184,6 +187,21 @@ class Solver(ABC):
         """Compiles, or loads, all that a solve of a problem that it supports may need."""
 
 
+# What an option with such a default takes, as text.
+_VALUES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+
+
+def _is_like(default: Any, value: Any) -> bool:
+    """Whether a value is of the kind of an option's default; defaults of other types say nothing."""
+    if type(default) not in _VALUES:
+        return True
+    if isinstance(default, str) or not isinstance(value, int | float | np.number | np.bool_):
+        return False
+    if isinstance(default, bool):
+        return value in (0, 1)
+    return isinstance(default, float) or float(value).is_integer()
+
+
 # What a problem may ask for beside its goals, as text.
 _FEATURES = {
     "couplings": "joints that follow others",
@@ -202,10 +220,9 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
     # Whether its steps are taken without evaluating the cost; the last descent then evaluates it.
     unseen: ClassVar[bool] = False
-
-    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
