@@ -138,8 +138,8 @@ class Problem:
             "free": min(rows, nu) if self.has_levels else 0,
         }  # fmt: skip
         reach = np.array([_reach_row(robot, goal, self.tolerance) for goal in self.given])
-        given = {"nodes": self.nodes, "rest": robot.home.copy(), "reach": reach}
-        self.arrays: dict[str, Any] = workspace.WORK.zeros(sizes) | given
+        known = {"nodes": self.nodes, "rest": robot.home.copy(), "reach": reach}
+        self.arrays: dict[str, Any] = workspace.WORK.zeros(sizes) | known
         goal_table, work_table = residuals.GOALS.pack(self.goal_arrays), workspace.WORK.pack(self.arrays)
         self.tables = robot.tree.handle, goal_table, work_table
 
@@ -238,10 +238,13 @@ class Problem:
 
     def replace_goal(self, index: int, goal: Goal) -> None:
         """Takes a goal of the same kind in place of one."""
+        self._put(index, goal)
+        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
+
+    def _put(self, index: int, goal: Goal) -> None:
         if goal.rows.of == OF_JOINTS:
             goal.fill(self.goal_arrays, index, self.robot)
         self.target[index] = goal.target_row
-        self.given = (*self.given[:index], goal, *self.given[index + 1 :])
 
     def exchange(self, goals: Sequence[Goal]) -> None:
         """Takes goals with the same ``goal_kind`` in place of all: other targets, other sizes of weights."""
@@ -250,7 +253,8 @@ class Problem:
                 metres, radians = goal.weights
                 weight = metres / self.length(goal), radians
                 self.weights[index] = self.goal_arrays["weight"][index] = weight
-            self.replace_goal(index, goal)
+            self._put(index, goal)
+        self.given = tuple(goals)
 
 
 def goal_kind(goal: Goal) -> Hashable:
