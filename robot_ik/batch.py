@@ -17,7 +17,6 @@ from robot_ik.errors import InvalidGoalError
 from robot_ik.geometry import LARGEST, ROUNDING, Pose, numbers, rotation_entries
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
-from robot_ik.model import pose_row
 from robot_ik.problem import Budget, require_options
 from robot_ik.robot import Robot
 from robot_ik.solution import Status
@@ -82,7 +81,7 @@ def target_rows(poses: ArrayLike | Pose | Sequence[Pose]) -> tuple[Array, bool]:
     """Targets as pose rows (n, 12), and whether their orientation counts; raises as ``solve_batch``."""
     several: Any = [poses] if isinstance(poses, Pose) else poses
     if isinstance(several, Sequence) and several and all(isinstance(pose, Pose) for pose in several):
-        return np.array([pose_row(pose) for pose in several]), True
+        return np.array([pose.row for pose in several]), True
     array = numbers(several, "poses")
     if not (array.size == 0 or np.abs(array).max() <= LARGEST):  # NaN too
         bad = int((~(np.abs(array) <= LARGEST)).sum())

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.direction_goals import AimGoal, HalfSpaceGoal, LineGoal, PlaneGoal
-from robot_ik.errors import InvalidGoalError, ModelError, UnknownJointError
+from robot_ik.errors import InvalidGoalError, ModelError, require_joints
 from robot_ik.geometry import Pose, numbers, vector
 from robot_ik.goals import (
     Array,
@@ -122,9 +122,7 @@ class PostureGoal(Goal):
 
     def joint_weights(self, robot: Robot) -> Array:
         """(nv,) how much each degree of freedom counts; raises ``UnknownJointError`` for other joints."""
-        for joint in self.joints:
-            if joint not in robot.joints:
-                raise UnknownJointError(joint, robot.joints)
+        require_joints(self.joints, robot.joints)
         each = [self.joints.get(joint, 0.0 if self.only else 1.0) for joint in robot.joints]
         return np.array(each, dtype=float)[robot.tree.dof_node]
 

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.polynomial import Polynomial
 
-from robot_ik.errors import ModelError, UnknownJointError, UnsupportedJointError
+from robot_ik.errors import ModelError, UnsupportedJointError, require_joints
 from robot_ik.kernels.tree import Tree
 from robot_ik.ports import Array
 from robot_ik.robot_file import RobotFile
@@ -53,10 +53,7 @@ def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[s
             law = law(Polynomial([-_zero(model, leader), 1.0]))
         found.append(Coupling(joint, leader, Polynomial(law.coef[:1]) if leader < 0 else law))
     for name, coupling in file.couplings.items():
-        for joint_name in (name, coupling.follows):
-            if joint_name not in names:
-                hint = f"named by couplings.{name} of {file.path}"
-                raise UnknownJointError(joint_name, names, hint=hint)
+        require_joints((name, coupling.follows), names, f"couplings.{name} of {file.path}")
         law = Polynomial([coupling.offset, coupling.ratio])
         found.append(Coupling(names.index(name), names.index(coupling.follows), law))
     return _resolved(found, names)

@@ -257,6 +257,13 @@ class UnknownJointError(_UnknownName, ModelError):
     kind = "joint"
 
 
+def require_joints(joints: Iterable[str], names: Sequence[str], source: str = "") -> None:
+    """Raises ``UnknownJointError`` unless all are among ``names``; ``source`` is what names them."""
+    for joint in joints:
+        if joint not in names:
+            raise UnknownJointError(joint, names, hint=f"named by {source}" if source else "")
+
+
 class UnsupportedJointError(ModelError):
     """A joint exists but cannot be used in the way asked."""
 

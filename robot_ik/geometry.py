@@ -194,6 +194,16 @@ class Pose:
             raise InvalidPoseError(f"the last row of a homogeneous matrix is 0 0 0 1, not {m[3].tolist()}")
         return cls.from_rotation(m[:3, :3], m[:3, 3])
 
+    @classmethod
+    def from_row(cls, row: Array) -> Pose:
+        """From what ``row`` gives."""
+        return cls.from_rotation(row[3:].reshape(3, 3), row[:3])
+
+    @property
+    def row(self) -> Array:
+        """(12,): position, then the rotation matrix row by row, as the kernels have poses."""
+        return np.array((*self.position.tolist(), *rotation_entries(*self.wxyz.tolist())))
+
     @property
     def rotation(self) -> Array:
         """Rotation matrix (3, 3)."""

@@ -211,6 +211,20 @@ class Goal:
         """What a problem is compiled for; goals of one frame that agree in it differ only in their target."""
         return type(self), self.weights, self.priority, self.soft, self.tolerance, self.length, self.rows
 
+    @property
+    def target_row(self) -> Array:
+        """(12,) the wanted pose with the axis that counts along z, as the kernels have it."""
+        row = self.target.row
+        if not self.rows.whole:
+            row[3:] = (row[3:].reshape(3, 3) @ rotation_z_to(self.rows.axis)).ravel()
+        return row
+
+    def at_row(self, row: Array) -> Goal:
+        """The same goal with the target row (12,) that it has now; goals for parts are replaced to move."""
+        if not self.rows.whole or np.array_equal(self.target_row, row):
+            return self
+        return self.moved_to(Pose.from_row(row))
+
     def moved_to(self, target: Pose) -> Goal:
         """The same goal with another target."""
         raise InvalidGoalError(f"{self.with_article} has no pose to move")

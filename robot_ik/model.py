@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
-from robot_ik.geometry import Pose, rotation_entries, rotation_exp, rotation_z_to
+from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, require_joints
+from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
 from robot_ik.reading import LARGEST_NUMBER, read_text
 from robot_ik.robot_file import RobotFile
@@ -274,16 +274,12 @@ def guess_tool(model: mujoco.MjModel, frames: dict[str, ModelFrame]) -> str:
 def active_joints(names: list[str], joints: Sequence[str] | str | None, file: RobotFile) -> list[int]:
     """MuJoCo ids of the joints that may move: the asked ones, else the group ``arm``, else all."""
     for name, members in file.groups.items():
-        for joint in members:
-            if joint not in names:
-                raise UnknownJointError(joint, names, hint=f"named by groups.{name} of {file.path}")
+        require_joints(members, names, f"groups.{name} of {file.path}")
     group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
     if group is not None and group not in file.groups:
         raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
     wanted = file.groups[group] if group is not None else names if joints is None else joints
-    for joint in wanted:
-        if joint not in names:
-            raise UnknownJointError(joint, names)
+    require_joints(wanted, names)
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 
 
@@ -321,9 +317,7 @@ def motion_limits(
 
 def joint_stiffness(tree: Tree, names: Sequence[str], file: RobotFile) -> Array:
     """Stiffness (nv,): from robot.toml where it names the joint, else 1; ``names`` of all joints."""
-    for name in file.stiffness:
-        if name not in names:
-            raise UnknownJointError(name, names, hint=f"named by stiffness of {file.path}")
+    require_joints(file.stiffness, names, f"stiffness of {file.path}")
     each = [file.stiffness.get(names[joint], 1.0) for joint in tree.joint_ids]
     return np.array(each)[tree.dof_node]
 
@@ -344,16 +338,6 @@ class Attachment:
 
     node: int
     local: Pose
-
-
-def pose_row(pose: Pose) -> Array:
-    """(12,): position, then the rotation matrix row by row."""
-    return np.array((*pose.position.tolist(), *rotation_entries(*pose.wxyz.tolist())))
-
-
-def row_pose(row: Array) -> Pose:
-    """Inverse of ``pose_row``."""
-    return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
 
 
 def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:
@@ -409,7 +393,7 @@ class _Builder:
         node = len(self.nodes)
         self.joint_ids.append(joint)
         self.nodes.append((kind, -1 if kind == FREE else at.node, self.nq, self.nv))
-        self.constant.append(pose_row(Pose() if kind == FREE else constant))
+        self.constant.append((Pose() if kind == FREE else constant).row)
         self.nq += Q_WIDTH[kind]
         self.nv += V_WIDTH[kind]
         return Attachment(node, after)

@@ -146,16 +146,16 @@ class Robot:
     def attachment(self, frame: str | int | None = None) -> tuple[int, Array]:
         """Node (-1: world) that carries a frame, or a body by its id; the frame seen from it (12,)."""
         if isinstance(frame, int):
-            return self._bodies[frame].node, mjcf.pose_row(self._bodies[frame].local)
+            return self._bodies[frame].node, self._bodies[frame].local.row
         at = self.frame(frame)
         body = self._bodies[at.body]
-        return body.node, mjcf.pose_row(body.local.compose(at.local))
+        return body.node, body.local.compose(at.local).row
 
     def forward(self, q: ArrayLike, frame: str | None = None) -> Pose:
         """World pose of a frame (default: the tool) at ``q`` (nq,); raises as ``frame``, ``check_q``."""
         out = np.empty((1, 12))
         kinematics.tree_frame(*self._work(q, frame, out))
-        return mjcf.row_pose(out[0])
+        return Pose.from_row(out[0])
 
     def jacobian(self, q: ArrayLike, frame: str | None = None) -> Array:
         """(6, nv): linear over angular velocity of a frame's origin per unit of dq, world axes."""
@@ -205,9 +205,13 @@ class Robot:
         return qpos
 
     def integrate(self, q: ArrayLike, dq: ArrayLike) -> Array:
-        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``)."""
+        """q ⊕ dq (nq,): sums for hinges and slides, rotations for balls (``mj_integratePos``).
+
+        Raises:
+            ModelError: ``q`` is not nq finite numbers, or ``dq`` not nv.
+        """
         moved = self.check_q(q).copy()
-        step = np.asarray(dq, dtype=float).reshape(self.nv)
+        step = vector(dq, self.nv, "dq", ModelError).copy()  # of one type: a kernel is compiled for each
         kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
         return moved
 

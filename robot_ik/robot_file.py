@@ -6,7 +6,7 @@ import importlib.util
 import math
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import Field
 
@@ -34,54 +34,6 @@ class Tool(Table):
     site: str | None = None
     body: str | None = None
     about: str = ""
-
-
-class Marker(Table):
-    """A printed marker lying in the world, z up out of the paper."""
-
-    id: int
-    dictionary: str = "DICT_5X5_50"
-    size: float
-    position: Position
-    yaw_deg: float = 0.0
-
-
-class TableTop(Table):
-    """A table top: its height and extent in the world, metres."""
-
-    height: float
-    x: Pair
-    y: Pair
-
-
-class SceneCamera(Table):
-    """A camera: where it stands, the point that it is aimed at, and its optics (pixels)."""
-
-    position: Position
-    look_at: Position
-    width: int = 1280
-    height: int = 720
-    focal: float = 1100.0
-    distortion: Several[float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-
-class ToolMarker(Table):
-    """Four markers on the sides of a cube that the gripper carries."""
-
-    ids: Several[int]
-    size: float
-    cube: float
-    site: str
-
-
-class ReachScene(Table):
-    """The scene of ``robot-ik reach`` for this robot."""
-
-    marker: Marker
-    hover: float
-    table: TableTop | None = None
-    camera: SceneCamera
-    tool_marker: ToolMarker
 
 
 class GalleryScene(Table):
@@ -140,7 +92,7 @@ class _Keys(Table):
     stiffness: dict[str, Positive] = Field(default={})
     couplings: dict[str, Coupled] = Field(default={})
     figure: FigureParts | None = None
-    reach: ReachScene | None = None
+    reach: dict[str, Any] | None = None  # checked by whom it concerns: ``jobs/scene.py``
     gallery: GalleryScene | None = None
 
 

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_ik.compiled_problem import moved_goal
 from robot_ik.errors import NotConvergedError
+from robot_ik.geometry import Pose
 from robot_ik.goals import Goal
 from robot_ik.kernels import workspace
-from robot_ik.model import row_pose
 
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
@@ -113,14 +112,14 @@ class Solution:
     @cached_property
     def goals(self) -> tuple[Goal, ...]:
         """The goals that were solved for, with the targets they had then."""
-        return tuple(moved_goal(goal, row) for goal, row in zip(self.given, self.targets, strict=True))
+        return tuple(goal.at_row(row) for goal, row in zip(self.given, self.targets, strict=True))
 
     @cached_property
     def misses(self) -> tuple[Miss, ...]:
         """Miss of each goal, measured by MuJoCo's own forward pass on first access."""
         return tuple(
             # The targets of goals for parts of a pose are in the goals themselves.
-            Miss(*goal.miss(self.robot, self.q, row_pose(row) if goal.rows.whole else goal.target))
+            Miss(*goal.miss(self.robot, self.q, Pose.from_row(row) if goal.rows.whole else goal.target))
             for goal, row in zip(self.given, self.targets, strict=True)
         )
 

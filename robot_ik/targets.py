@@ -17,7 +17,6 @@ from robot_ik.goals import Goal
 from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import entry, kernel
 from robot_ik.kernels.residuals import OF_FRAME, OF_JOINTS, OF_MASS
-from robot_ik.model import pose_row
 
 if TYPE_CHECKING:
     from robot_ik.problem import Problem
@@ -109,7 +108,7 @@ def _move_several(problem: Problem, targets: Mapping[str | int, Any]) -> None:
     moves = [(_index_of(problem, key), target) for key, target in targets.items()]
     if len({index for index, _ in moves}) < len(moves):
         raise InvalidGoalError(f"two of the keys {list(targets)!r} mean the same goal")
-    given, arrays = problem.given, problem.compiled.goal_arrays
+    given, arrays = problem.given, problem.goal_arrays
     before = {name: arrays[name].copy() for name in ("target", "posture", "joint_weight")}
     try:
         for index, target in moves:
@@ -140,7 +139,7 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
     """Moves a whole position, orientation or pose."""
     row, goal = problem.target[index], problem.given[index]
     if isinstance(target, Pose):
-        row[:] = pose_row(target)
+        row[:] = target.row
         return
     try:
         given = np.asarray(target, dtype=float)

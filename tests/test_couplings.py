@@ -77,7 +77,7 @@ def test_the_jacobian_carries_the_followers(tmp_path, law):
 
     def at(q):
         problem.arrays["q"][:] = q
-        residual_and_jacobian(problem.compiled.tree, problem.compiled.goals, problem.compiled.work)
+        residual_and_jacobian(*problem.tables)
         return problem.arrays["residual"].copy(), problem.arrays["jacobian"].copy()
 
     for _ in range(5):
@@ -168,7 +168,7 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     stiff = described(tmp_path, "[stiffness]\nj1 = 25.0\nj3 = 4.0")
     assert stiff.stiffness.tolist() == [25.0, 1.0, 4.0, 1.0, 1.0]
     goal = PostureGoal(q=soft.home)  # all joints count, so all are columns
-    assert np.allclose(Problem(stiff, goal).compiled.goal_arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
+    assert np.allclose(Problem(stiff, goal).goal_arrays["joint_scale"], [0.2, 1.0, 0.5, 1.0, 1.0])
     start = np.array([0.4, 0.5, 0.3, 0.2, 0.0])
     position = soft.forward(start).position
     near = PositionGoal(None, position + np.array([0.0, 1e-4, 1e-4]))

@@ -77,6 +77,29 @@ def test_options_go_through_by_name(puma, goal):
         rik.solve(puma, goal, solver="dls", damping=-1.0)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "allowed"),
+    [
+        ("damping", "much", "a number"),
+        ("restarts", None, "a whole number"),
+        ("restarts", 2.5, "a whole number"),
+        ("alternative", "yes", "True or False"),
+        ("alternative", 2, "True or False"),
+    ],
+)
+def test_an_option_of_another_kind_is_refused_where_it_is_given(option, value, allowed):
+    with pytest.raises(ConfigError, match=f"solver lm: {option}: .* is not right; allowed: {allowed}"):
+        make_solver("lm", **{option: value})
+    with pytest.raises(ConfigError, match="solver combined: methods: 3 is not right; allowed: text"):
+        make_solver("combined", methods=3)
+
+
+def test_options_that_mean_the_same_number_are_taken(puma, goal):
+    plain = rik.solve(puma, goal, solver="lm", restarts=3, damping=1.0, alternative=True)
+    same = {"restarts": 3.0, "damping": np.float32(1.0), "alternative": np.int64(1)}
+    assert np.array_equal(rik.solve(puma, goal, solver="lm", **same).q, plain.q)
+
+
 def test_an_instance_takes_no_options(puma, goal):
     with pytest.raises(ConfigError, match="restarts"):
         rik.solve(puma, goal, solver=make_solver("dls"), restarts=3)

@@ -15,6 +15,7 @@ from robot_ik.errors import (
     UnknownRobotError,
     UnsupportedJointError,
 )
+from robot_ik.kernels import kinematics
 from robot_ik.robot import load_robot
 
 ARM = """<mujoco model="arm"><compiler angle="radian"/><worldbody>
@@ -209,3 +210,16 @@ def test_a_robot_says_in_a_line_what_it_is(arm_file):
     assert text == "Robot('arm', 3 joints: shoulder, rail, wrist; tool 'tcp', 4 frames; arm.xml)"
     figure = repr(load_robot("humanoid"))
     assert "37 joints" in figure and "29 more" in figure and len(figure) < 300 and "\n" not in figure
+
+
+def test_a_step_is_checked_and_compiled_for_once():
+    robot = load_robot("puma560")
+    step = np.linspace(0.1, 0.6, 6)
+    moved, compiled = robot.integrate(robot.home, step), len(kinematics.tree_integrate.signatures)
+    column = np.column_stack([step, step])[:, 0]  # not contiguous: another type for numba
+    assert np.array_equal(robot.integrate(robot.home, column), moved)
+    assert len(kinematics.tree_integrate.signatures) == compiled
+    with pytest.raises(ModelError, match="dq must be 6 numbers, not 3"):
+        robot.integrate(robot.home, [0.1, 0.2, 0.3])
+    with pytest.raises(ModelError, match="dq must be finite"):
+        robot.integrate(robot.home, step * np.nan)

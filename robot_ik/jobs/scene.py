@@ -22,6 +22,7 @@ from robot_ik.errors import CameraError
 from robot_ik.geometry import Pose, rotation_exp
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
+from robot_ik.tables import Pair, Position, Several, Table, check_table
 
 # The tool meets a marker head on: its z axis into the paper, its x axis along the marker's.
 FACING = Pose((0.0, 0.0, 0.0), rotation_exp([np.pi, 0.0, 0.0]))
@@ -36,6 +37,58 @@ _GOOD_VIEW, _WORST_VIEW = 0.45, 0.25
 # A view in which the tool's markers lie on the target's is worth so much of one that keeps them apart, and
 # ends the search after so many goals.
 _ONE_ON_THE_OTHER, _PATIENCE = 0.5, 4
+
+
+class Marker(Table):
+    """A printed marker lying in the world, z up out of the paper."""
+
+    id: int
+    dictionary: str = "DICT_5X5_50"
+    size: float
+    position: Position
+    yaw_deg: float = 0.0
+
+
+class TableTop(Table):
+    """A table top: its height and extent in the world, metres."""
+
+    height: float
+    x: Pair
+    y: Pair
+
+
+class SceneCamera(Table):
+    """A camera: where it stands, the point that it is aimed at, and its optics (pixels)."""
+
+    position: Position
+    look_at: Position
+    width: int = 1280
+    height: int = 720
+    focal: float = 1100.0
+    distortion: Several[float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class ToolMarker(Table):
+    """Four markers on the sides of a cube that the gripper carries."""
+
+    ids: Several[int]
+    size: float
+    cube: float
+    site: str
+
+
+class ReachTable(Table):
+    """``[reach]`` of a ``robot.toml``."""
+
+    marker: Marker
+    hover: float
+    table: TableTop | None = None
+    camera: SceneCamera
+    tool_marker: ToolMarker
+
+
+class _ReachFile(Table):
+    reach: ReachTable
 
 
 @dataclass(frozen=True)
@@ -99,15 +152,21 @@ def scene_for(robot: Robot, frame: str | None = None, *, upright: bool = False) 
 
     Raises:
         CameraError: No camera pose shows a goal.
+        ConfigError: ``[reach]`` of the robot's ``robot.toml`` is wrong.
     """
-    if robot.file.reach is not None:
-        return _described(robot)
-    return _generated(robot, frame or robot.tool, upright)
+    reach = reach_table(robot)
+    return _generated(robot, frame or robot.tool, upright) if reach is None else _described(robot, reach)
 
 
-def _described(robot: Robot) -> Scene:
-    reach = robot.file.reach
-    assert reach is not None
+def reach_table(robot: Robot) -> ReachTable | None:
+    """``[reach]`` of the robot's ``robot.toml``, if it has one; raises ``ConfigError`` where it is wrong."""
+    file = robot.file
+    if file.reach is None:
+        return None
+    return check_table(_ReachFile, {"reach": file.reach}, file.path or file.name).reach
+
+
+def _described(robot: Robot, reach: ReachTable) -> Scene:
     camera, marker, tool = reach.camera, reach.marker, reach.tool_marker
     centre = ((camera.width - 1) / 2, (camera.height - 1) / 2)
     intrinsics = CameraIntrinsics(

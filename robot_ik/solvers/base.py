@@ -16,7 +16,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit, workspace
@@ -29,6 +28,8 @@ Array = NDArray[np.float64]
 # With a time budget the kernel runs in slices of about this long between readings of the clock.
 _SLICE_SECONDS = 1e-3
 _FIRST_SLICE = 16
+# Solvers whose tables one problem keeps: a slider makes a new one at each of its stops.
+_SOLVERS_KEPT = 16
 
 
 def option(
@@ -96,6 +97,9 @@ class Solver(ABC):
             if meta.get("choices") and value not in meta["choices"]:
                 allowed = ", ".join(meta["choices"])
                 raise ConfigError(f"{value!r} is no choice", file=file, key=item.name, allowed=allowed)
+            if type(value) is not type(item.default) and not _is_like(item.default, value):
+                allowed = _VALUES[type(item.default)]
+                raise ConfigError(f"{value!r} is not right", file=file, key=item.name, allowed=allowed)
             if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
                 allowed = f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip()
                 raise ConfigError(f"{value} is out of range", file=file, key=item.name, allowed=allowed)
@@ -165,12 +169,37 @@ class Solver(ABC):
         kept = problem.made.get(id(self))
         if kept is None or kept[1] is None:
             self.require_support(problem)
-            return problem.compiled.made_for(self, lambda: self.make(problem))
+            return self.made_for(problem)
+        return kept[1]
+
+    def made_for(self, problem: Problem) -> Any:
+        """What ``make`` makes: once for a problem, which keeps it with this solver, by its ``id``."""
+        kept = problem.made.get(id(self))
+        if kept is None:
+            made = self.make(problem)
+            if len(problem.made) >= _SOLVERS_KEPT:
+                problem.made.clear()
+            kept = problem.made[id(self)] = self, made
         return kept[1]
 
     @abstractmethod
     def make(self, problem: Problem) -> Any:
         """Compiles, or loads, all that a solve of a problem that it supports may need."""
+
+
+# What an option with such a default takes, as text.
+_VALUES = {bool: "True or False", int: "a whole number", float: "a number", str: "text"}
+
+
+def _is_like(default: Any, value: Any) -> bool:
+    """Whether a value is of the kind of an option's default; defaults of other types say nothing."""
+    if type(default) not in _VALUES:
+        return True
+    if isinstance(default, str) or not isinstance(value, int | float | np.number | np.bool_):
+        return False
+    if isinstance(default, bool):
+        return value in (0, 1)
+    return isinstance(default, float) or float(value).is_integer()
 
 
 # What a problem may ask for beside its goals, as text.
@@ -191,10 +220,9 @@ class IterativeSolver(Solver):
     try_steps: int = option(15, "steps granted to a try from a random point", low=1, high=100_000)
     patience: int = option(3, "steps without progress before a try is given up", low=1, high=1000)
     progress: float = option(0.01, "smallest drop of the cost that counts as progress", low=0.0, high=1.0)
+    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
     # Whether its steps are taken without evaluating the cost; the last descent then evaluates it.
     unseen: ClassVar[bool] = False
-
-    draws: int = option(1, "random points of which a try takes the best", low=1, high=1000)
 
     @abstractmethod
     def kernel(self) -> Callable[..., None]:
@@ -211,9 +239,9 @@ class IterativeSolver(Solver):
         choices = [item.metadata["choices"].index(v) if isinstance(v, str) else v for item, v in values]
         return np.array(choices, dtype=float)
 
-    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+    def tables(self, problem: Problem) -> tuple[Any, ...]:
         """What the kernel takes for a problem, in its order."""
-        return compiled.tree, compiled.goals, compiled.work, self.option_values
+        return *problem.tables, self.option_values
 
     def make(self, problem: Problem) -> Run:
         return Run(self, problem)
@@ -287,7 +315,7 @@ class Run:
     def __init__(self, solver: IterativeSolver, problem: Problem) -> None:
         kernel, arrays = solver.kernel_for(problem), problem.arrays
         jit.announce(kernel, f"solver {solver.name!r}")
-        self.solver, self.tables = solver, solver.tables(problem.compiled)
+        self.solver, self.tables = solver, solver.tables(problem)
         self.arguments = tuple(address_of(table) for table in self.tables)
         self.entry = jit.entry(kernel, *self.arguments)
         self.state, self.value, self.start = arrays["state"], arrays["value"], arrays["start"]

@@ -324,7 +324,7 @@ class Auto(Combined):
             return _SolverSequence((self._quick, *members))
         if FIRST_CHOICE.get((family, "warm")) != "lm":
             return plain
-        table = problem.compiled.run_table(np.zeros(0))
+        table = problem.run_table(np.zeros(0))
         address = address_of(table)
         holds = jit.entry(starts_near, address)
         local = self._local, *members

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import UnsupportedJointError
 from robot_ik.goals import Goal, PositionGoal
 from robot_ik.kernels.bones import BONES
@@ -50,10 +49,10 @@ class BoneSolver(IterativeSolver):
     kinds: ClassVar[tuple[int, ...]] = (HINGE, BALL)
     several: ClassVar[bool] = False
 
-    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
-        nodes, goals = len(compiled.arrays["world"]), len(compiled.arrays["frames"])
+    def tables(self, problem: Problem) -> tuple[Any, ...]:
+        nodes, goals = len(problem.arrays["world"]), len(problem.arrays["frames"])
         bones = BONES.zeros({"c": nodes + goals, "g": goals})
-        return *super().tables(compiled), BONES.pack(bones)
+        return *super().tables(problem), BONES.pack(bones)
 
     def require_support(self, problem: Problem) -> None:
         """As every method.

@@ -19,7 +19,6 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.kernels import jit, residuals
 from robot_ik.kernels import workspace as ws
 from robot_ik.kernels.jit import kernel, outlined, pure
@@ -157,7 +156,7 @@ class LevenbergMarquardt(IterativeSolver):
         return lm
 
     def kernel_for(self, problem: Problem) -> Callable[..., None]:
-        if not has_levels(problem.compiled):
+        if not problem.has_levels:
             return lm
         from robot_ik.kernels.priorities import lm_levels  # which few problems need
 
@@ -165,17 +164,17 @@ class LevenbergMarquardt(IterativeSolver):
 
     def unsupported(self, problem: Problem) -> str:
         guided = self.clamp < _NO_CLAMP or self.gain != 1.0 or self.alternative
-        if guided and has_levels(problem.compiled):
+        if guided and problem.has_levels:
             return "goals of different priorities, or soft ones, together with clamp, gain or alternative"
         return super().unsupported(problem)
 
-    def tables(self, compiled: CompiledProblem) -> tuple[Any, ...]:
+    def tables(self, problem: Problem) -> tuple[Any, ...]:
         options = self.option_values
-        if has_levels(compiled):
+        if problem.has_levels:
             from robot_ik.kernels.priorities import LEVEL_OPTIONS
 
             options = np.array([getattr(self, name) for name in LEVEL_OPTIONS], dtype=float)
-        return (compiled.run_table(options),)
+        return (problem.run_table(options),)
 
     def attempt_many(
         self, problem: Problem, targets: Array, starts: Array, results: BatchResult, budget: Budget
@@ -195,11 +194,6 @@ class LevenbergMarquardt(IterativeSolver):
 
 
 open_options = options_of(LevenbergMarquardt)
-
-
-def has_levels(compiled: CompiledProblem) -> bool:
-    """Whether goals are served level after level: they have several priorities, or some are soft."""
-    return bool(compiled.goal_arrays["level"].any() or compiled.goal_arrays["soft"].any())
 
 
 @pure

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 
 from robot_ik.camera.synthetic.camera import SyntheticSource
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CameraError
+from robot_ik.errors import CameraError, ConfigError
 from robot_ik.goals import PoseGoal, PositionGoal
 from robot_ik.inverse_kinematics import solve
 from robot_ik.jobs import scene as scenes
-from robot_ik.jobs.scene import Scene, scene_for
+from robot_ik.jobs.scene import Scene, reach_table, scene_for
 from robot_ik.robot import Robot, load_robot
 
 
@@ -24,7 +25,7 @@ def puma() -> Robot:
 
 
 def test_the_described_scene(puma: Robot) -> None:
-    scene, reach = scene_for(puma), puma.file.reach
+    scene, reach = scene_for(puma), reach_table(puma)
     assert reach is not None and not scene.generated
     np.testing.assert_allclose(scene.pose_world_marker.position, reach.marker.position)
     np.testing.assert_allclose(scene.pose_world_marker.rotation[:, 2], [0, 0, 1], atol=1e-12)
@@ -36,6 +37,15 @@ def test_the_described_scene(puma: Robot) -> None:
     tool = scene.pose_world_marker.compose(scene.pose_marker_tool)
     np.testing.assert_allclose(tool.position, np.add(reach.marker.position, [0, 0, reach.hover]), atol=1e-12)
     np.testing.assert_allclose(tool.rotation[:, 2], [0, 0, -1], atol=1e-12)
+
+
+def test_a_wrong_key_of_the_scene_is_named_with_its_file(tmp_path: Path, puma: Robot) -> None:
+    shutil.copytree(puma.folder, tmp_path / "arm")
+    file = tmp_path / "arm" / "robot.toml"
+    file.write_text(file.read_text().replace("hover =", "hovers ="))
+    robot = load_robot(file.parent)
+    with pytest.raises(ConfigError, match=r"robot\.toml: reach\.hovers: unknown key"):
+        scene_for(robot)
 
 
 def check_cube(scene: Scene) -> None:

@@ -11,7 +11,6 @@ from robot_ik.geometry import Pose, quat_multiply, rotation_exp
 from robot_ik.goals import OrientationGoal, PoseGoal, PositionGoal, axis_vector
 from robot_ik.kernels.jit import kernel
 from robot_ik.kernels.residuals import rotation_error
-from robot_ik.model import pose_row
 from robot_ik.problem import Problem
 from robot_ik.solvers import make_solver
 from tests.residual_rows import residual_and_jacobian
@@ -26,7 +25,7 @@ def evaluate(problem, q):
     """(cost, residual, miss, jacobian) of a problem at q, in arrays of their own."""
     a = problem.arrays
     a["q"][:] = q
-    cost = residual_and_jacobian(problem.compiled.tree, problem.compiled.goals, problem.compiled.work)
+    cost = residual_and_jacobian(*problem.tables)
     return cost, a["residual"].copy(), a["miss"].copy(), a["jacobian"].copy()
 
 
@@ -137,7 +136,7 @@ def test_half_a_turn_has_a_finite_axis_and_the_whole_angle(axis, short):
     current = Pose((0, 0, 0), (0.4, -0.3, 0.8, 0.2))
     target = Pose((0, 0, 0), quat_multiply(rotation_exp(vector), current.wxyz))
     out = np.zeros(3)
-    angle = compiled_rotation_error(pose_row(target)[None], pose_row(current)[None], out)
+    angle = compiled_rotation_error(target.row[None], current.row[None], out)
     assert angle == pytest.approx(np.pi - short, abs=1e-9)
     assert min(np.abs(out - vector).max(), np.abs(out + vector).max()) < 1e-7
     if short >= 1e-6:

@@ -37,8 +37,7 @@ def hessian_parts(tree, goals, work, out):
 
 def parts(problem, q):
     """The cost at q, JᵀJ and what it lacks (nu, nu), and whether that is known."""
-    compiled, n = problem.compiled, len(problem.dofs)
-    tables = compiled.tree, compiled.goals, compiled.work
+    tables, n = problem.tables, len(problem.dofs)
     problem.arrays["q"][:] = q
     cost, lacking = residual_and_jacobian(*tables), np.zeros((n, n))
     jacobian = problem.arrays["jacobian"].copy()
@@ -73,7 +72,7 @@ GOALS = [
 def test_it_is_what_gauss_newton_lacks(load_xml, goals, stiff):
     robot = load_xml(MIXED)
     problem = Problem(robot, goals)
-    scale = problem.compiled.goal_arrays["joint_scale"]
+    scale = problem.goal_arrays["joint_scale"]
     if stiff:
         scale[:] = np.linspace(0.5, 1.0, len(scale))
     rng = np.random.default_rng(1)

@@ -17,6 +17,7 @@ import robot_ik as rik
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs.reach import ReachRequest, run_reach
 from robot_ik.jobs.robot_setup import Rehearsal
+from robot_ik.jobs.scene import reach_table
 from tests.models.arm_checks import touching
 
 Array = NDArray[np.float64]
@@ -336,7 +337,7 @@ def test_reach_on_simulated_servos_without_a_contact(name: str, place: tuple[flo
 
 
 def test_the_scenes_table_is_that_of_robot_toml(arm: OwnedArm) -> None:
-    scene = arm.robot.file.reach
+    scene = reach_table(arm.robot)
     assert scene is not None and scene.table is not None
     data = arm.posed(arm.robot.home, arm.scene)
     top = arm.scene.geom("table_top")

@@ -45,10 +45,9 @@ def prior(robot: rik.Robot) -> PosePrior:
 
 
 def rows_at(problem: Problem, q: Array) -> tuple[Array, Array]:
-    compiled = problem.compiled
-    compiled.arrays["q"][:] = q
-    residual_and_jacobian(compiled.tree, compiled.goals, compiled.work)
-    return compiled.arrays["residual"].copy(), compiled.arrays["jacobian"].copy()
+    problem.arrays["q"][:] = q
+    residual_and_jacobian(*problem.tables)
+    return problem.arrays["residual"].copy(), problem.arrays["jacobian"].copy()
 
 
 def test_the_rows_are_the_energy_and_their_slope_its_gradient(robot: rik.Robot, prior: PosePrior) -> None:

@@ -152,7 +152,7 @@ class Analytic(Solver):
     goals: ClassVar[tuple[type[Goal], ...]] = (PoseGoal, PositionGoal)
 
     def unsupported(self, problem: Problem) -> str:
-        if problem.compiled.made_for(self, lambda: self.make(problem)) is not None:
+        if self.made_for(problem) is not None:
             return ""
         goals = " and ".join(goal.with_article for goal in problem.goals)
         lacking = f"{goals} on {problem.robot.name}: {_what_has_a_form(problem)}"
@@ -249,8 +249,7 @@ def _prepare(problem: Problem) -> Prepared | None:
     limbs = form.family is Family.LIMB
     kernel, batch = (closed_limb, closed_limb_many) if limbs else (closed_form, closed_form_many)
     jit.announce(kernel, "closed forms")
-    compiled = problem.compiled
-    tables = (compiled.tree, compiled.goals, compiled.work, subproblems.FORM.pack(arrays))
+    tables = (*problem.tables, subproblems.FORM.pack(arrays))
     tree, goals, space, numbers = (address_of(table) for table in tables)
     run = jit.entry(kernel, tree, goals, space, numbers, int(form.family), subproblems.SOLVE)
     prove = proofs.PROOFS[form.family]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from robot_ik.geometry import Pose, quat_to_matrix, rotation_exp
 from robot_ik.kernels.tree import BALL, HINGE, Tree
-from robot_ik.model import row_pose
 
 Array = NDArray[np.float64]
 
@@ -174,10 +173,10 @@ def axes_at_zero(tree: Tree, chain: list[int], local: Array) -> tuple[Array, lis
     """At q = 0, in the world: axes (n, 6), rotations of the joints' frames, pose of the frame."""
     pose, axes, frames = Pose(), [], []
     for k in chain:
-        pose = pose.compose(row_pose(tree.constant[k]))
+        pose = pose.compose(Pose.from_row(tree.constant[k]))
         frames.append(pose.rotation)
         axes.append(np.concatenate([pose.rotation[:, 2], pose.position]))
-    return np.array(axes), frames, pose.compose(row_pose(local))
+    return np.array(axes), frames, pose.compose(Pose.from_row(local))
 
 
 def _form(family: Family, chain: list[int], axes: Array, tool: Pose, centre: Array | None) -> Form:

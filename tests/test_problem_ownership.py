@@ -71,13 +71,12 @@ def test_every_address_is_held_together_with_what_it_points_to(puma, name):
     problem, _, _ = problem_for(name, puma)
     solver = make_solver(name)
     solver.solve(problem)
-    compiled = problem.compiled
-    known = [array for table in (compiled.tree, compiled.goals, compiled.work) for array in owned(table)]
-    assert {id(array) for array in (*compiled.arrays.values(), *compiled.goal_arrays.values())} <= {
+    known = [array for table in problem.tables for array in owned(table)]
+    assert {id(array) for array in (*problem.arrays.values(), *problem.goal_arrays.values())} <= {
         id(array) for array in known
     }
-    assert compiled.made
-    for key, (owner, kept) in compiled.made.items():
+    assert problem.made
+    for key, (owner, kept) in problem.made.items():
         assert key == id(owner)  # so that no other solver gets this id
         packed = [table for table in getattr(kept, "tables", ()) if owned(table)]
         held = {table.__array_interface__["data"][0] for start in packed for table in tables_of(start, [])}
