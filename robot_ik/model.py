@@ -220,7 +220,7 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
             raise ModelError(
                 f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no range",
                 path=path,
-                hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
+                hint='write the lower limit first; to hold the joint still, remove it (URDF: type="fixed")',
             )
 
 
