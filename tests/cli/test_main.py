@@ -183,6 +183,8 @@ def test_unknown_option_before_the_command(robot_ik: Any) -> None:
         ("servo", "which subcommand of servo? There are: ports, scan,"),
         ("servo skan", "did you mean 'scan'?"),
         ("servo --bus pty scan", "options stand behind the subcommand: robot-ik servo scan --bus"),
+        ("solve --goal 1 2 3 --robot ur5e --goal 4 5 6", "--goal: given twice; allowed: once"),
+        ("servo move joint1=1 --on_exit hold --on-exit torque_off", "--on-exit: given twice"),
         ("servo torque onn", "'onn' is not a valid choice (did you mean 'on'?); allowed: on, off"),
         ("servo torque", "missing: on|off (What to do.)"),
         ("servo scan --baud x", "--baud: 'x' is no"),
