@@ -39,7 +39,7 @@ class Tolerance:
     def __post_init__(self) -> None:
         try:
             positive = self.position > 0 and self.angle > 0
-        except TypeError:
+        except (TypeError, ValueError):
             positive = False
         if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
@@ -49,7 +49,7 @@ def nonnegative_number(value: float, what: str) -> float:
     """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = -1.0
     if not 0.0 <= number < math.inf:
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
@@ -363,6 +363,9 @@ class PoseGoal(Goal):
     @classmethod
     def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
         """From a ``Pose``."""
+        given: object = pose
+        if not isinstance(given, Pose):
+            raise InvalidGoalError(f"not a pose: {given!r}", hint="Pose(position, wxyz)")
         return cls(frame, pose.position, pose.wxyz)
 
     @property

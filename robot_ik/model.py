@@ -7,7 +7,7 @@ import logging
 import math
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError
-from robot_ik.geometry import Pose, rotation_entries, rotation_exp, rotation_z_to
+from robot_ik.geometry import Pose, matrix_to_quat, rotation_entries, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
-from robot_ik.reading import LARGEST_NUMBER, read_text
+from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
 
 if TYPE_CHECKING:
@@ -280,7 +280,9 @@ def active_joints(names: list[str], joints: Sequence[str] | str | None, file: Ro
     group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
     if group is not None and group not in file.groups:
         raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
-    wanted = file.groups[group] if group is not None else names if joints is None else joints
+    wanted: object = file.groups[group] if group is not None else names if joints is None else joints
+    if not isinstance(wanted, Iterable) or not all(isinstance(joint, str) for joint in wanted):
+        raise UnknownJointError(shown(joints), names, hint="joints are a list of names, or a joint group")
     for joint in wanted:
         if joint not in names:
             raise UnknownJointError(joint, names)
@@ -332,7 +334,7 @@ def pose_row(pose: Pose) -> Array:
 
 def row_pose(row: Array) -> Pose:
     """Inverse of ``pose_row``."""
-    return Pose.from_rotation(row[3:].reshape(3, 3), row[:3])
+    return Pose(row[:3], matrix_to_quat(row[3:].reshape(3, 3)))
 
 
 def _joint_motion(kind: int, axis: Array, anchor: Array, q: Array, reference: float) -> Pose:

@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.compiled_problem import CompiledProblem
 from robot_ik.errors import ConfigError, ProblemInUseError, UnsupportedGoalError
+from robot_ik.geometry import REAL
 from robot_ik.goals import Goal
 from robot_ik.kernels import jit, workspace
 from robot_ik.kernels.bundle import address_of, named_row
-from robot_ik.problem import Budget, Problem
+from robot_ik.problem import WHOLE, Budget, Problem
 from robot_ik.solution import STATUS_OF, Solution
 
 Array = NDArray[np.float64]
@@ -96,6 +97,10 @@ class Solver(ABC):
             if meta.get("choices") and value not in meta["choices"]:
                 allowed = ", ".join(meta["choices"])
                 raise ConfigError(f"{value!r} is no choice", file=file, key=item.name, allowed=allowed)
+            whole = item.type in (int, "int")
+            if meta.get("low") is not None and not isinstance(value, WHOLE if whole else REAL):
+                allowed = "a whole number" if whole else "a number"
+                raise ConfigError(f"{value!r}", file=file, key=item.name, allowed=allowed)
             if meta.get("low") is not None and not meta["low"] <= value <= meta["high"]:
                 allowed = f"{meta['low']:g} … {meta['high']:g} {meta['unit']}".rstrip()
                 raise ConfigError(f"{value} is out of range", file=file, key=item.name, allowed=allowed)
