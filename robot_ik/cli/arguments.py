@@ -327,7 +327,8 @@ def _unknown(tokens: Sequence[str], usage: str, hint: str) -> ConfigError:
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
         return wrong("", f"{' '.join(tokens)!r}: nothing more is taken here", hint=hint)
-    flags = re.findall(r"--[a-z][\w.-]*", usage)
+    rows = re.findall(r"^[│ ]*(-.*?)(?:  |$)", usage, re.MULTILINE)  # not what prose speaks of
+    flags = re.findall(r"--[a-z][\w.-]*", " ".join(rows))
     if (now := FORMER.get(flag)) in flags:
         return wrong(flag, f"this option is called {now} now", hint=hint)
     close = close_matches(flag, flags, 1)
