@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import LARGEST, ROUNDING, Pose, numbers, rotation_entries
+from robot_ik.geometry import INTEGER, LARGEST, ROUNDING, Pose, numbers, off_rotation, rotation_entries
 from robot_ik.goals import PoseGoal, PositionGoal, Tolerance
 from robot_ik.inverse_kinematics import ORIGIN, borrowed_problem
 from robot_ik.problem import Budget, require_options
@@ -116,19 +116,13 @@ def _require_rotations(rows: Array) -> None:
     """Raises ``InvalidGoalError`` unless all matrices in pose rows (n, 12) are rotation matrices."""
     rotations = rows[:, 3:]
     if len(rows) <= _FEW:  # Python's own numbers are quicker for so few
-        off: Any = [_from_rotation(*row) for row in rotations.tolist()]
+        off: Any = [off_rotation(*row) for row in rotations.tolist()]
     else:  # row by row; one copy, then quick sums
-        off = _from_rotation(*np.ascontiguousarray(rotations.T))
+        off = off_rotation(*np.ascontiguousarray(rotations.T))
     if len(off) and np.max(off) > ROUNDING:
         raise InvalidGoalError(
             f"the matrix of pose {int(np.argmax(off))} is not a rotation: it scales or mirrors"
         )
-
-
-def _from_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
-    """How far a matrix, row by row, is from unit columns of which the third is the others' cross product."""
-    off = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
-    return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
 
 
 def solve_batch(
@@ -163,8 +157,9 @@ def solve_batch(
         UnsupportedGoalError: As in ``solve``.
     """
     require_options(robot, tolerance, budget, seed)
-    if threads is not None and threads < 1:
-        raise InvalidGoalError(f"threads must be 1 or more, not {threads}")
+    wanted: object = 1 if threads is None else threads
+    if not (isinstance(wanted, INTEGER) and wanted >= 1):
+        raise InvalidGoalError(f"threads must be a whole number, 1 or more, not {threads!r}")
     targets, with_angle = target_rows(poses)
     begin = np.empty((len(targets), robot.nq))
     given = robot.home if starts is None else numbers(starts, "starts")

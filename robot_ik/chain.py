@@ -36,7 +36,7 @@ def make_chain(n: int, length: float = 1.0) -> Robot:
         raise InvalidModelError(f"a chain has 1 to {LONGEST} links, not {n!r}", hint=hint)
     try:
         metres = float(length)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         metres = math.nan
     if not (math.isfinite(metres) and metres > 0.0):
         raise InvalidModelError(f"a link's length is positive and finite, not {length!r}")

@@ -9,6 +9,7 @@ more is sent; what the arm does then is its own exit policy.
 from __future__ import annotations
 
 import contextlib
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from robot_ik.errors import RobotIkError, TrajectoryError, apart
+from robot_ik.geometry import is_real
 from robot_ik.goals import Goal, PoseGoal, PositionGoal
 from robot_ik.motion.sources import Goals
 from robot_ik.motion.trajectory import Trajectory, joint_vector, motion_limits, require_positive
@@ -212,6 +214,8 @@ def clock_of(clock: Clock | None, source: JointSource | None, sinks: Sequence[Jo
     return RealClock()
 
 
+_LONGEST = 1e9
+"""s that a run may be asked to last."""
 START_TOLERANCE = 0.02
 """rad or m: how far the arm may be from a trajectory's first sample; a servo holding a load sags by less."""
 
@@ -243,6 +247,10 @@ def execute(
     Raises:
         TrajectoryError: The arm is not where the trajectory begins; nothing was sent.
     """
+    given: object = trajectory
+    if not isinstance(given, Trajectory):
+        raise TrajectoryError(f"not a trajectory: {trajectory!r}", hint="joint_move and line_move make one")
+    _require_sinks(sinks)
     clock = clock_of(clock, source, sinks)
     if source is not None:
         _require_start(trajectory, source.read().q, start_tolerance)
@@ -271,10 +279,16 @@ def execute(
     )
 
 
+def _require_sinks(sinks: object) -> None:
+    """Raises ``TrajectoryError`` unless they are a list of sinks: one alone is a likely mistake."""
+    if not isinstance(sinks, Sequence) or not all(isinstance(sink, JointSink) for sink in sinks):
+        raise TrajectoryError(f"not a list of sinks: {sinks!r}", hint="[arm]: each has send(q, now)")
+
+
 def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]:
     """Due times (n,) from 0 and read-only samples (n, nq), the last one repeated for ``settle`` seconds."""
-    if not (np.isfinite(settle) and settle >= 0.0):
-        raise TrajectoryError(f"asked to settle for {settle} s", hint="give 0 or a finite time in seconds")
+    if not is_real(settle, 0.0, _LONGEST):
+        raise TrajectoryError(f"asked to settle for {settle!r} s", hint="give 0 or a finite time in seconds")
     due, commanded = trajectory.times - trajectory.times[0], trajectory.q
     period = float(due[-1] - due[-2]) if len(due) > 1 else 0.01  # a trajectory of one sample has no rate
     extra = int(np.ceil(settle / period - 1e-9))
@@ -287,6 +301,8 @@ def _with_settling(trajectory: Trajectory, settle: float) -> tuple[Array, Array]
 
 def _require_start(trajectory: Trajectory, q: Array, tolerance: float) -> None:
     """Raises `TrajectoryError` unless the measured ``q`` (nq,) is where ``trajectory`` begins."""
+    if not is_real(tolerance, 0.0, math.inf):
+        raise TrajectoryError(f"start_tolerance is {tolerance!r}", hint="0 or more, rad (m of slides)")
     first = trajectory.q[0]
     if np.shape(q) != first.shape or not np.isfinite(q).all():
         raise TrajectoryError(
@@ -346,8 +362,11 @@ def follow(
     Raises:
         TrajectoryError: Neither ``start`` nor ``source``, or malformed options; nothing was sent.
     """
+    _require_sinks(sinks)
     clock = clock_of(clock, source, sinks)
     require_positive("rate", rate, "Hz")
+    if duration is not None and not is_real(duration, 0.0, _LONGEST):
+        raise TrajectoryError(f"asked to follow for {duration!r} s", hint="0 or a finite time in seconds")
     if start is None:
         if source is None:
             raise TrajectoryError("follow does not know where the arm is", hint="give start=q or source=arm")
@@ -380,9 +399,10 @@ class _FollowState:
     def __init__(
         self, robot: Robot, solver: str | Solver, tolerance: Tolerance | None, start: Array, step: Array
     ) -> None:
-        from robot_ik.problem import Budget  # here, because these load the compiler
+        from robot_ik.problem import Budget, require_options  # here, because these load the compiler
         from robot_ik.solvers import make_solver
 
+        require_options(robot, tolerance, None, 0)
         self.robot, self.tolerance, self.solver = robot, tolerance, make_solver(solver)
         self._budget = Budget(iterations=_TICK_ITERATIONS, restarts=_TICK_RESTARTS)
         self._largest_allowed = step

@@ -210,8 +210,11 @@ def _unwritable(path: Path, error: OSError) -> OutputError:
             f"{file} is a file, and a folder is wanted there",
             "give the name of a folder, or a new one",
         )
-    elif isinstance(error, FileNotFoundError):
+    elif isinstance(error, FileNotFoundError) and not path.parent.is_dir():
         why, hint = f"there is no folder {path.parent}", "make it first, or give another"
+    elif isinstance(error, FileNotFoundError):  # /proc says so
+        folder = path if path.is_dir() else path.parent
+        why, hint = f"nothing can be made in {folder}", "give a place where you may write"
     else:
         why, hint = error.strerror or str(error), "give a place where you may write, with space left"
     return OutputError(f"cannot write {path}: {why}", hint=hint)

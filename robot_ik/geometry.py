@@ -24,6 +24,14 @@ _SMALL_ANGLE = 1e-8
 ROUNDING = 1e-5
 # Squares of larger numbers, or of longer vectors, leave the range of floats.
 LARGEST = 1e100
+INTEGER = int | np.integer
+REAL = int | float | np.integer | np.floating
+"""Types of one whole and one real number: what a text, an array or a complex number is not."""
+
+
+def is_real(value: object, low: float = -LARGEST, high: float = LARGEST) -> bool:
+    """Whether a value is one real number between two bounds, themselves included."""
+    return isinstance(value, REAL) and bool(low <= value <= high)
 
 
 def numbers(
@@ -32,7 +40,7 @@ def numbers(
     """A new array of floats; raises ``error`` with a clear message for text or uneven rows."""
     try:
         return np.array(values, dtype=float)
-    except (TypeError, ValueError) as reason:
+    except (TypeError, ValueError, OverflowError) as reason:
         raise error(f"{what} must be {wanted}, not {values!r}") from reason
 
 
@@ -112,6 +120,12 @@ def matrix_to_quat(rotation: ArrayLike) -> Array:
     return -quat if quat[0] < 0 else quat
 
 
+def off_rotation(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any, i: Any) -> Any:
+    """How far a matrix, row by row, is from unit columns of which the third is the others' cross product."""
+    off = abs(a * a + d * d + g * g - 1.0) + abs(b * b + e * e + h * h - 1.0)
+    return off + abs(d * h - g * e - c) + abs(g * b - a * h - f) + abs(a * e - d * b - i)
+
+
 def rotation_z_to(axis: ArrayLike) -> Array:
     """A rotation matrix (3, 3) whose z column is the unit vector ``axis``; the identity for z itself."""
     z = np.asarray(axis, dtype=float)
@@ -179,17 +193,19 @@ class Pose:
     @classmethod
     def from_rotation(cls, rotation: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
         """From a rotation matrix (3, 3) and a position (3,)."""
-        return cls(position, matrix_to_quat(rotation))
+        r = numbers(rotation, "a rotation matrix", "numbers (3, 3)", InvalidPoseError)
+        if r.shape != (3, 3):
+            raise InvalidPoseError(f"a rotation matrix is (3, 3), not {r.shape}")
+        if off_rotation(*r.ravel().tolist()) > ROUNDING:  # of NaN, the pose complains
+            raise InvalidPoseError(f"the matrix {r.tolist()} is no rotation: it scales or mirrors")
+        return cls(position, matrix_to_quat(r))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
         """From a homogeneous matrix (4, 4)."""
-        m = np.asarray(matrix, dtype=float)
+        m = numbers(matrix, "a homogeneous matrix", "numbers (4, 4)", InvalidPoseError)
         if m.shape != (4, 4):
             raise InvalidPoseError(f"a homogeneous matrix is (4, 4), not {m.shape}")
-        off = np.abs(m[:3, :3] @ m[:3, :3].T - np.eye(3)).max()
-        if off > ROUNDING or np.linalg.det(m[:3, :3]) < 0.0:  # of NaN, the pose complains
-            raise InvalidPoseError(f"the matrix {m.tolist()} is no rotation and shift: it scales or mirrors")
         if not np.allclose(m[3], (0.0, 0.0, 0.0, 1.0)):
             raise InvalidPoseError(f"the last row of a homogeneous matrix is 0 0 0 1, not {m[3].tolist()}")
         return cls.from_rotation(m[:3, :3], m[:3, 3])
@@ -237,7 +253,10 @@ class Pose:
 
     def apply(self, points: ArrayLike) -> Array:
         """Points (3,) or (n, 3) of frame b in frame a."""
-        return np.asarray(points, dtype=float) @ self.rotation.T + self.position
+        array = numbers(points, "points", "numbers (3,) or (n, 3)", InvalidPoseError)
+        if array.shape[-1:] != (3,):
+            raise InvalidPoseError(f"points are (3,) or (n, 3), not {array.shape}")
+        return np.asarray(array @ self.rotation.T + self.position)
 
     def distance(self, other: Pose) -> tuple[float, float]:
         """Distance to ``other``: metres between origins, radians of the rotation between axes."""

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from robot_ik.errors import InvalidGoalError
-from robot_ik.geometry import Pose, rotation_z_to, unit_quaternion, vector
+from robot_ik.geometry import INTEGER, Pose, rotation_z_to, unit_quaternion, vector
 from robot_ik.kernels import residuals as codes
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 # Made once: goals are made in loops.
-_WHOLE, _YES_OR_NO = int | np.integer, bool | np.bool_
+_YES_OR_NO = bool | np.bool_
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Tolerance:
     def __post_init__(self) -> None:
         try:
             positive = self.position > 0 and self.angle > 0
-        except TypeError:
+        except (TypeError, ValueError):
             positive = False
         if not positive:
             raise InvalidGoalError(f"a tolerance must be positive, not {self.position} m, {self.angle} rad")
@@ -49,7 +49,7 @@ def nonnegative_number(value: float, what: str) -> float:
     """A finite number, zero or more; raises ``InvalidGoalError`` for anything else."""
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = -1.0
     if not 0.0 <= number < math.inf:
         raise InvalidGoalError(f"{what} must be zero or more and finite, not {value!r}")
@@ -153,7 +153,7 @@ class Goal:
                 hint='the frame comes first: PositionGoal("gripper", (x, y, z))',
             )
         priority: object = self.priority
-        if not (isinstance(priority, _WHOLE) and priority >= 0):
+        if not (isinstance(priority, INTEGER) and priority >= 0):
             raise InvalidGoalError(f"a priority is 0 (first), 1, 2 …, not {self.priority!r}")
         if self.tolerance is not None and not isinstance(self.tolerance, Tolerance):
             raise InvalidGoalError(f"a goal's tolerance is a Tolerance, not {self.tolerance!r}")
@@ -382,6 +382,9 @@ class PoseGoal(Goal):
     @classmethod
     def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
         """From a ``Pose``."""
+        given: object = pose
+        if not isinstance(given, Pose):
+            raise InvalidGoalError(f"not a pose: {given!r}", hint="Pose(position, wxyz)")
         return cls(frame, pose.position, pose.wxyz)
 
     @property

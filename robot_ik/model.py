@@ -7,7 +7,7 @@ import logging
 import math
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from robot_ik.errors import ConfigError, ModelError, UnknownFrameError, UnknownJointError, require_joints
 from robot_ik.geometry import Pose, rotation_exp, rotation_z_to
 from robot_ik.kernels.tree import BALL, FREE, HINGE, Q_WIDTH, SLIDE, V_WIDTH, Tree
-from robot_ik.reading import LARGEST_NUMBER, read_text
+from robot_ik.reading import LARGEST_NUMBER, read_text, shown
 from robot_ik.robot_file import RobotFile
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def _refuse_ranges(model: mujoco.MjModel, path: Path) -> None:
             raise ModelError(
                 f"{path}: joint {name!r} has the range {low:g} … {high:g}, which leaves it no range",
                 path=path,
-                hint="write the lower limit first; to hold a joint still, leave it out of joints=[…]",
+                hint='write the lower limit first; to hold the joint still, remove it (URDF: type="fixed")',
             )
 
 
@@ -278,7 +278,9 @@ def active_joints(names: list[str], joints: Sequence[str] | str | None, file: Ro
     group = joints if isinstance(joints, str) else "arm" if joints is None and "arm" in file.groups else None
     if group is not None and group not in file.groups:
         raise UnknownJointError(group, file.groups, hint="a single string names a joint group")
-    wanted = file.groups[group] if group is not None else names if joints is None else joints
+    wanted: object = file.groups[group] if group is not None else names if joints is None else joints
+    if not isinstance(wanted, Iterable) or not all(isinstance(joint, str) for joint in wanted):
+        raise UnknownJointError(shown(joints), names, hint="joints are a list of names, or a joint group")
     require_joints(wanted, names)
     return [j for j, joint in enumerate(names) if joint in set(wanted)]
 

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_ik.errors import GoalError, InvalidGoalError, ModelError, ProblemInUseError
-from robot_ik.geometry import Pose
+from robot_ik.errors import GoalError, InvalidGoalError, ProblemInUseError
+from robot_ik.geometry import INTEGER, REAL, Pose
 from robot_ik.goals import Array, Goal, Tolerance
 from robot_ik.kernels import residuals, workspace
 from robot_ik.kernels.residuals import (
@@ -33,7 +33,7 @@ from robot_ik.kernels.residuals import (
     SOME_AXES,
     WHOLE,
 )
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, require_robot
 
 if TYPE_CHECKING:
     from robot_ik.targets import Mover
@@ -45,7 +45,6 @@ _MOST = 1 << 62
 # A pose goal weighs metres against radians: one reach-radius times this counts as much as one radian.
 # With 0.15 `lm` solved cold poses of PUMA 560, UR5e and Panda with the least work (0.06 … 0.35 tried).
 _LENGTH_PER_REACH = 0.15
-_WHOLE = int | np.integer
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,12 @@ class Budget:
     def __post_init__(self) -> None:
         counts: list[Any] = [self.iterations, 0 if self.restarts is None else self.restarts]
         for count in counts:
-            if not (isinstance(count, _WHOLE) and 0 <= count <= _MOST):
+            if not (isinstance(count, INTEGER) and 0 <= count <= _MOST):
                 raise InvalidGoalError(
                     f"a budget of iterations or restarts must be zero or more, at most 2^62, not {count!r}"
                 )
         seconds: Any = self.seconds
-        if seconds is not None and not (isinstance(seconds, int | float | np.number) and seconds >= 0):
+        if seconds is not None and not (isinstance(seconds, REAL) and seconds >= 0):
             raise InvalidGoalError(f"a budget of seconds must be zero or more, not {self.seconds!r}")
 
 
@@ -221,7 +220,7 @@ class Problem:
             raise ProblemInUseError from None
         try:
             mover = self.mover
-            if index:
+            if index != 0:
                 mover.require_index(self, index)
             if self.whole[index] and type(target) is np.ndarray and target.dtype is mover.dtype:
                 array, flip = mover.buffers.get(target.shape, (None, 0))
@@ -279,13 +278,12 @@ _TOLERANCE, _BUDGET = Tolerance | None, Budget | None
 
 def require_options(robot: object, tolerance: object, budget: object, seed: object) -> None:
     """Raises for likely mistakes: a name in place of a robot, a number in place of a tolerance."""
-    if not isinstance(robot, Robot):
-        raise ModelError(f"a problem needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
+    require_robot(robot)
     if not isinstance(tolerance, _TOLERANCE):
         raise InvalidGoalError(f"not a tolerance: {tolerance!r}", hint="Tolerance(position=1e-4, angle=1e-3)")
     if not isinstance(budget, _BUDGET):
         raise InvalidGoalError(f"not a budget: {budget!r}", hint="Budget(iterations=2000, seconds=0.1)")
-    if not isinstance(seed, _WHOLE):
+    if not isinstance(seed, INTEGER):
         raise InvalidGoalError(f"a seed is a whole number, not {seed!r}")
 
 

@@ -134,7 +134,7 @@ class Robot:
         """The frame of that name (default: the tool); raises ``UnknownFrameError`` with the close names."""
         try:
             return self._frames[self.tool if name is None else name]
-        except KeyError:
+        except (KeyError, TypeError):  # a list is no key
             raise UnknownFrameError(str(name), self._frames) from None
 
     def check_q(self, q: ArrayLike, what: str = "q") -> Array:
@@ -194,9 +194,10 @@ class Robot:
     def body_id(self, name: str | None) -> int:
         """MuJoCo's number of a body (None: the world, which carries all); raises ``UnknownFrameError``."""
         names = {self.model.body(b).name: b for b in range(self.model.nbody)}
-        if name is not None and name not in names:
-            raise UnknownFrameError(name, filter(None, names))
-        return 0 if name is None else names[name]
+        try:
+            return 0 if name is None else names[name]
+        except (KeyError, TypeError):  # a list is no key
+            raise UnknownFrameError(str(name), filter(None, names)) from None
 
     def qpos(self, q: ArrayLike) -> Array:
         """(model.nq,): ``q`` at its addresses, the frozen joints where they stand."""
@@ -211,7 +212,8 @@ class Robot:
             ModelError: ``q`` is not nq finite numbers, or ``dq`` not nv.
         """
         moved = self.check_q(q).copy()
-        step = vector(dq, self.nv, "dq", ModelError).copy()  # of one type: a kernel is compiled for each
+        # Contiguous: for every other layout the kernel would be compiled anew.
+        step = vector(dq, self.nv, "dq", ModelError, largest=sys.float_info.max).copy()
         kinematics.tree_integrate(self.tree.handle, np.arange(self.tree.size), moved, step)
         return moved
 
@@ -233,6 +235,7 @@ class Robot:
     def outside(self, q: ArrayLike, slack: float = 1e-9) -> list[str]:
         """Names of joints beyond their limits by more than ``slack`` (rad or m)."""
         q = self.check_q(q)
+        vector([slack], 1, "slack", ModelError)
         gone = np.abs(self.clip(q) - q)
         if not gone.max(initial=0.0) > slack:
             return []
@@ -241,6 +244,9 @@ class Robot:
 
     def sample(self, rng: np.random.Generator) -> Array:
         """A random q (nq,) inside the limits; unlimited hinges within ±pi, unlimited slides within ±1 m."""
+        given: object = rng
+        if not isinstance(given, np.random.Generator):
+            raise ModelError(f"not a random generator: {given!r}", hint="np.random.default_rng(1)")
         return self.follow(mjcf.random_q(self.tree, self.home, rng))
 
     def with_limits(self, lower: ArrayLike, upper: ArrayLike) -> Robot:
@@ -251,7 +257,7 @@ class Robot:
         """
         try:
             low, high = (np.broadcast_to(np.asarray(side, dtype=float), self.nv) for side in (lower, upper))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ModelError(f"limits are {self.nv} numbers each, not {lower!r}, {upper!r}") from error
         if not (low <= high).all():
             raise ModelError(f"limits must be numbers, lower <= upper, not {low.tolist()}, {high.tolist()}")
@@ -293,6 +299,12 @@ class Robot:
     @cached_property
     def _addresses(self) -> NDArray[np.int64]:
         return mjcf.qpos_addresses(self.model, self.tree)
+
+
+def require_robot(robot: object) -> None:
+    """Raises ``ModelError`` for anything else: a name in place of a robot is a likely mistake."""
+    if not hasattr(robot, "velocity"):  # MuJoCo's models have nq and joints, too
+        raise ModelError(f"this needs a robot, not {robot!r}", hint='rik.load_robot("puma560")')
 
 
 def load_robot(
@@ -340,9 +352,10 @@ def load_robot(
     if tree.nv == 0:
         raise UnsupportedJointError(f"{path} has no joint that may move", path=path)
     frames = mjcf.model_frames(model, file)
-    default_tool = tool or file.tool or mjcf.guess_tool(model, frames)
-    if default_tool not in frames:
-        raise UnknownFrameError(default_tool, frames, hint="" if tool else f"named by tool of {file.path}")
+    default_tool: object = file.tool or mjcf.guess_tool(model, frames) if tool is None else tool
+    if not isinstance(default_tool, str) or default_tool not in frames:
+        hint = f"named by tool of {file.path}" if tool is None else ""
+        raise UnknownFrameError(str(default_tool), frames, hint=hint)
     active = tuple(names[j] for j in tree.joint_ids)
     speed, acceleration = mjcf.motion_limits(tree, active, names, file)
     robot = Robot(

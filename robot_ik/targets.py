@@ -143,7 +143,7 @@ def _move_whole(problem: Problem, target: Any, index: int) -> None:
         return
     try:
         given = np.asarray(target, dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         given = np.empty(0)
     if given.shape not in ((4, 4), (3,)) or not np.isfinite(given).all():
         raise InvalidGoalError(

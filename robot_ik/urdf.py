@@ -9,17 +9,31 @@ import os
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
-from robot_ik.errors import MissingExtraError, ModelError, UnknownRobotError
+from robot_ik.errors import MissingExtraError, ModelError, UnknownRobotError, did_you_mean
 
 _log = logging.getLogger(__name__)
 
 # What MuJoCo reads (XML reference, asset/mesh).
 _MESHES = (".stl", ".obj", ".msh")
+# Joints with limits; joints of one number, of which one can mimic another.
+_LIMITED = ("revolute", "prismatic")
+_FOLLOWED = (*_LIMITED, "continuous")
 
 
 def _child(parent: ElementTree.Element, tag: str) -> ElementTree.Element:
     found = parent.find(tag)
     return ElementTree.SubElement(parent, tag) if found is None else found
+
+
+def _limits(joint: ElementTree.Element) -> tuple[float, float] | None:
+    """Lower and upper limit of a joint, 0 for one that is not written; None: neither is, or no number."""
+    limit = joint.find("limit")
+    if limit is None or ("lower" not in limit.attrib and "upper" not in limit.attrib):
+        return None
+    try:
+        return float(limit.get("lower", "0")), float(limit.get("upper", "0"))
+    except ValueError:  # MuJoCo says so
+        return None
 
 
 class Urdf:
@@ -46,11 +60,48 @@ class Urdf:
                 "it is a xacro file, from which a URDF is yet to be made",
                 "xacro arm.urdf.xacro > arm.urdf",
             )
-        names = [joint.get("name", "") for joint in self._root.findall("joint")]
+        joints = self._root.findall("joint")
+        names = [joint.get("name", "") for joint in joints]
         doubled = next((name for name in names if names.count(name) > 1), None)
-        return (
-            ("", "") if doubled is None else (f"two joints are called {doubled!r}", "each needs its own name")
-        )
+        if doubled is not None:
+            return f"two joints are called {doubled!r}", "each needs its own name"
+        return self._still_joints() or self._lost_leader() or ("", "")
+
+    def _still_joints(self) -> tuple[str, str] | None:
+        """Which joint has two equal limits: of 0 … 0 MuJoCo would make no limit at all."""
+        for joint in self._root.findall("joint"):
+            limits = _limits(joint)
+            if joint.get("type") in _LIMITED and limits and limits[0] == limits[1]:
+                return (
+                    f"joint {joint.get('name', '')!r} has the limits {limits[0]:g} … {limits[1]:g}, "
+                    "so it cannot move",
+                    'write where it may move, or type="fixed" to hold it still; '
+                    'a revolute joint without limits is of type="continuous"',
+                )
+        return None
+
+    def _lost_leader(self) -> tuple[str, str] | None:
+        """Which joint is to follow one that it cannot follow: MuJoCo would let it move freely."""
+        kinds = {joint.get("name", ""): joint.get("type", "") for joint in self._root.findall("joint")}
+        able = [name for name, kind in kinds.items() if kind in _FOLLOWED]
+        for joint in self._root.findall("joint"):
+            mimic, name = joint.find("mimic"), joint.get("name", "")
+            if mimic is None or kinds[name] == "fixed":
+                continue
+            leader = mimic.get("joint", "")
+            unable = [one for one in (leader, name) if one not in able]
+            if leader == name:
+                why = "which is itself"
+            elif leader not in kinds:
+                why = "which does not exist"
+            elif unable:
+                why = f"but {unable[0]!r} is {kinds[unable[0]]}"
+            else:
+                continue
+            others = [one for one in able if one != name]
+            hint = did_you_mean(leader, others) or f"it may mimic one of: {', '.join(others) or 'none'}"
+            return f"joint {name!r} mimics {leader!r}, {why}", hint
+        return None
 
     @property
     def velocity(self) -> dict[str, float]:
@@ -72,6 +123,11 @@ class Urdf:
         Fixed joints keep their frames, and meshes are found, unless the file's own ``<mujoco>`` says more.
         A mesh that is not there, or that MuJoCo does not read (.dae), is left out: kinematics needs none.
         """
+        for joint in self._root.findall("joint"):
+            limit = joint.find("limit")
+            if limit is not None and joint.get("type") in _LIMITED and _limits(joint) is not None:
+                limit.attrib.setdefault("lower", "0")  # MuJoCo takes one limit alone for none
+                limit.attrib.setdefault("upper", "0")
         compiler = _child(_child(self._root, "mujoco"), "compiler")
         compiler.attrib.setdefault("fusestatic", "false")
         if "meshdir" not in compiler.attrib and "strippath" not in compiler.attrib:

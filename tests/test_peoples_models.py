@@ -224,8 +224,8 @@ def test_what_mujoco_ignores_of_a_model_is_logged_and_leaves_no_file(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    robot = rik.load_robot(URDF.replace('lower="-2" upper="2" velocity="0.7"', 'lower="0" upper="0"'))
-    assert robot.upper[0] == np.inf
+    limited = URDF.replace('lower="-2" upper="2" velocity="0.7"', 'lower="0" upper="0"')
+    rik.load_robot(limited.replace("revolute", "planar", 1))
     assert [record.levelno for record in caplog.records if "limit ignored" in record.message] == [
         logging.WARNING
     ]
@@ -258,6 +258,36 @@ def test_what_is_no_urdf_yet_says_so(was: str, becomes: str, says: str) -> None:
         rik.load_robot(URDF.replace(was, becomes))
     namespace = '<robot name="two" xmlns:xacro="http://ros.org/wiki/xacro">'  # xacro leaves it there
     assert rik.load_robot(URDF.replace('<robot name="two">', namespace)).nv == 2
+
+
+@pytest.mark.parametrize("limit", ["0", "0.5"])
+def test_a_urdf_joint_that_cannot_move_is_refused_and_not_unlimited(limit: str) -> None:
+    still = URDF.replace('lower="-2" upper="2" velocity="1.3"', f'lower="{limit}" upper="{limit}"')
+    with pytest.raises(ModelError, match=rf"joint 'bend' has the limits {limit} … {limit}") as told:
+        rik.load_robot(still)
+    assert 'type="fixed"' in told.value.hint and 'type="continuous"' in told.value.hint
+
+
+def test_a_urdf_with_one_limit_has_zero_for_the_other() -> None:
+    robot = rik.load_robot(URDF.replace('lower="-2" upper="2" velocity="1.3"', 'lower="-2"'))
+    assert (robot.lower[1], robot.upper[1]) == (-2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("leader", "says", "hint"),
+    [
+        ("tern", "'bend' mimics 'tern', which does not exist", "did you mean turn"),
+        ("end", "'bend' mimics 'end', but 'end' is fixed", "one of: turn"),
+        ("bend", "'bend' mimics 'bend', which is itself", "turn"),
+    ],
+)
+def test_a_urdf_joint_that_follows_nobody_is_refused(leader: str, says: str, hint: str) -> None:
+    limit = '<limit lower="-2" upper="2" velocity="1.3" effort="1"/>'
+    with pytest.raises(ModelError, match=says) as told:
+        rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="{leader}"/>'))
+    assert hint in told.value.hint
+    robot = rik.load_robot(URDF.replace(limit, f'{limit}<mimic joint="turn" multiplier="-1"/>'))
+    assert robot.follow([0.5, 0.0]).tolist() == [0.5, -0.5]
 
 
 def test_an_mjcf_by_another_ending_says_which_it_needs(tmp_path: Path) -> None:

@@ -150,6 +150,7 @@ def parse(kind: Any, prog: str, tokens: Sequence[str]) -> Any:
     options, said = _tyro(kind, prog, gathered, _ENDLESS)
     if options is None:
         raise _mistake(kind, prog, gathered, said)
+    _refuse_repeated(gathered)
     return options
 
 
@@ -161,6 +162,13 @@ def _refuse_empty(prog: str, tokens: Sequence[str]) -> None:
             name = flag if given else before
             key = name if name.startswith("-") else ""
             raise wrong(key, "nothing is given", hint=f"all options: {prog} --help")
+
+
+def _refuse_repeated(tokens: Sequence[str]) -> None:
+    """Raises ``ConfigError`` for an option that is given twice: tyro would take the last one in silence."""
+    given = [token.partition("=")[0].replace("_", "-") for token in tokens if token.startswith("--")]
+    if repeated := next((flag for flag in given if given.count(flag) > 1), None):
+        raise wrong(repeated, "given twice", "once")
 
 
 def gather(kind: Any, tokens: Sequence[str]) -> list[str]:
@@ -319,7 +327,8 @@ def _unknown(tokens: Sequence[str], usage: str, hint: str) -> ConfigError:
     flag = next((token for token in tokens if token.startswith("-")), None)
     if flag is None:
         return wrong("", f"{' '.join(tokens)!r}: nothing more is taken here", hint=hint)
-    flags = re.findall(r"--[a-z][\w.-]*", usage)
+    rows = re.findall(r"^[│ ]*(-.*?)(?:  |$)", usage, re.MULTILINE)  # not what prose speaks of
+    flags = re.findall(r"--[a-z][\w.-]*", " ".join(rows))
     if (now := FORMER.get(flag)) in flags:
         return wrong(flag, f"this option is called {now} now", hint=hint)
     close = close_matches(flag, flags, 1)

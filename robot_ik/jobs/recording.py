@@ -105,16 +105,11 @@ class McapRecording(Recording):
     """An MCAP file: ``/joint_commands``, ``/joint_states``, ``/goal`` and ``/rosout``.
 
     Of several robots side by side each has its topics below ``/robot_1`` and so on.
-
-    Raises:
-        MissingExtraError: The extra ``record`` is not installed.
     """
 
     def __init__(self, path: Path, joints: Sequence[str]) -> None:
-        try:
-            from mcap_ros2.writer import Writer
-        except ImportError as reason:
-            raise MissingExtraError("mcap_ros2", "record", "an MCAP file") from reason
+        from mcap_ros2.writer import Writer
+
         self._file = _opened(path, "wb")
         self._writer: Any = Writer(self._file)
         self._joints, self._begin = list(joints), time.time_ns()
@@ -155,17 +150,29 @@ def _opened(path: Path, mode: str) -> Any:
         raise OutputError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
-def open_recording(path: Path, joints: Sequence[str]) -> Recording:
-    """A recording by the ending of its name; a context manager.
+def require_recording(path: Path) -> None:
+    """Whether recordings of this name can be made at all, asked before anything else is.
 
     Raises:
         ConfigError: Another ending.
         MissingExtraError: ``.mcap`` without the extra ``record``.
-        OutputError: It cannot be written.
     """
     if path.suffix not in SUFFIXES:
         problem = f"the format is not clear from the name {path.name!r}"
         raise ConfigError(problem, file="command line", key="--record", allowed=" or ".join(SUFFIXES))
+    if path.suffix == ".mcap":
+        try:
+            import mcap_ros2  # noqa: F401
+        except ImportError as reason:
+            raise MissingExtraError("mcap_ros2", "record", "an MCAP file") from reason
+
+
+def open_recording(path: Path, joints: Sequence[str]) -> Recording:
+    """A recording by the ending of its name; a context manager.
+
+    Raises as ``require_recording``, and ``OutputError`` where it cannot be written.
+    """
+    require_recording(path)
     return TableRecording(path, joints) if path.suffix == ".csv" else McapRecording(path, joints)
 
 

@@ -23,7 +23,7 @@ from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.films import open_sink
 from robot_ik.jobs.pictures import draw_markers
-from robot_ik.jobs.recording import Moment, Recording, open_recording
+from robot_ik.jobs.recording import Moment, Recording, open_recording, require_recording
 from robot_ik.jobs.robot_setup import require_joints
 from robot_ik.jobs.scene import scene_for
 from robot_ik.ports import Array, Image
@@ -149,6 +149,8 @@ def film(
             "it says nothing of its length", file="command log", key="end", allowed="--seconds N"
         )
     log = replace(log, ticks=wanted, commands=tuple(c for c in log.commands if c[0] < wanted))
+    if record is not None:
+        require_recording(record)
     every = max(1, round(log.start.rate / rate_hz))
     artist, _ = make_artist(backend)
     view: View | None = None

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike
 
 from robot_ik.errors import ConfigError, TrajectoryError, UnsupportedJointError, apart
 from robot_ik.files import write_atomically
+from robot_ik.geometry import is_real, numbers
 from robot_ik.motion.timing import PROFILES, Profile, quintic
 from robot_ik.ports import Array
 from robot_ik.reading import LARGEST_NUMBER, read_csv, shown
-from robot_ik.robot import Robot
+from robot_ik.robot import Robot, require_robot
 
 if TYPE_CHECKING:
     from robot_ik.hardware.config import ArmConfig
@@ -42,15 +43,13 @@ def joint_vector(robot: Robot, q: ArrayLike, what: str) -> Array:
         TrajectoryError: Wrong length or a number that is not finite; names the joint.
         UnsupportedJointError: The robot has ball or free joints.
     """
+    require_robot(robot)
     if robot.nq != robot.nv:
         raise UnsupportedJointError(
             f"robot {robot.name!r} has ball or free joints; moves are planned for hinges and slides",
             hint="keep only hinge and slide joints: load_robot(…, joints=[…])",
         )
-    try:
-        vector = np.array(q, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise TrajectoryError(f"the {what} is to be {robot.nq} numbers, not {shown(q)}") from error
+    vector = numbers(q, f"the {what}", f"{robot.nq} numbers", TrajectoryError)
     if vector.shape != (robot.nq,):
         raise TrajectoryError(
             f"the {what} has shape {vector.shape}; {robot.name!r} has {robot.nq} joints",
@@ -74,8 +73,8 @@ def motion_limits(
     Raises:
         TrajectoryError: ``speed`` outside (0, 1], or a limit that is missing, zero, infinite or no number.
     """
-    if not 0.0 < speed <= 1.0:
-        raise TrajectoryError(f"asked for speed {speed}", hint="a part of the limits: above 0, at most 1")
+    if not is_real(speed, math.ulp(0.0), 1.0):
+        raise TrajectoryError(f"asked for speed {speed!r}", hint="a part of the limits: above 0, at most 1")
     limits = []
     for what, own, cap in (
         ("velocity", robot.velocity, velocity),
@@ -83,7 +82,7 @@ def motion_limits(
     ):
         try:
             lowest = np.minimum(own, np.inf if cap is None else np.asarray(cap, dtype=float))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise TrajectoryError(f"{what} is to be {robot.nv} numbers, or one, not {shown(cap)}") from error
         if lowest.shape != (robot.nv,) or not (np.isfinite(lowest) & (lowest > 0.0)).all():
             raise TrajectoryError(
@@ -96,8 +95,8 @@ def motion_limits(
 
 def require_positive(what: str, value: float, unit: str) -> None:
     """Raises `TrajectoryError` unless ``value`` is finite and above zero."""
-    if not (np.isfinite(value) and value > 0.0):
-        raise TrajectoryError(f"asked for a {what} of {value} {unit}", hint=f"{what} must be above zero")
+    if not is_real(value, math.ulp(0.0)):
+        raise TrajectoryError(f"asked for a {what} of {value!r} {unit}", hint=f"{what} must be above zero")
 
 
 def checked_samples(
@@ -108,7 +107,8 @@ def checked_samples(
     Raises:
         TrajectoryError: They are not; ``what`` is for its message.
     """
-    t, rows = np.array(times, dtype=float), np.array(q, dtype=float)
+    t = numbers(times, f"times of {what}", error=TrajectoryError)
+    rows = numbers(q, f"q of {what}", error=TrajectoryError)
     if t.ndim != 1 or len(t) < 1 or rows.shape != (len(t), width):
         raise TrajectoryError(
             f"{what} got times {t.shape} and q {rows.shape}",
@@ -152,7 +152,10 @@ class Trajectory:
     joints: tuple[str, ...]
 
     def __init__(self, times: ArrayLike, q: ArrayLike, joints: Iterable[str]) -> None:
-        names = tuple(joints)
+        given: object = joints
+        names = tuple(given) if isinstance(given, Iterable) and not isinstance(given, str) else (given,)
+        if not all(isinstance(name, str) for name in names):
+            raise TrajectoryError(f"joints are names, not {joints!r}", hint='joints=["joint1", "joint2"]')
         t, samples = checked_samples(f"a trajectory of {len(names)} joints", times, q, len(names))
         t.flags.writeable = samples.flags.writeable = False
         for name, value in (("times", t), ("q", samples), ("joints", names)):
@@ -171,8 +174,8 @@ class Trajectory:
 
     def at(self, t: float) -> Array:
         """``q`` (nq,) at ``t`` in seconds; exact at samples, held before the first and after the last."""
-        if not np.isfinite(t):
-            raise TrajectoryError(f"asked for the time {t}", hint="ask for a finite time in seconds")
+        if not is_real(t):
+            raise TrajectoryError(f"asked for the time {t!r}", hint="ask for a finite time in seconds")
         k = int(np.searchsorted(self.times, t, side="right")) - 1
         if k < 0:
             return np.array(self.q[0])
@@ -325,7 +328,7 @@ def joint_move(
         )
     top, push = motion_limits(robot, speed, velocity, acceleration)
     require_positive("rate", rate, "Hz")
-    if profile not in PROFILES:
+    if str(profile) not in PROFILES:
         raise TrajectoryError(f"unknown profile {profile!r}", hint=f"known: {', '.join(PROFILES)}")
     distance = np.abs(last - first)
     if not distance.any():

@@ -112,3 +112,11 @@ def test_every_command_refuses_a_file_it_cannot_have(
     run.assert_one_screen_error()
     assert file.name in run.err or "none is a file" in run.err
     assert not file.exists() or file.read_text() == "precious"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a folder that takes no files from anybody")
+@pytest.mark.parametrize("words", [["reach", "--out"], ["reach", "--record"]])
+def test_a_folder_that_takes_no_files_is_not_said_to_be_missing(words: list[str], robot_ik: Any) -> None:
+    run = robot_ik(*words, "/proc/x.csv")
+    run.assert_one_screen_error()
+    assert "nothing can be made in /proc" in run.err and "no folder" not in run.err

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import teach
 from robot_ik.motion import Trajectory, trajectory
 
@@ -85,6 +86,18 @@ def test_a_soft_stop_is_played_at_the_limit(desk: Any) -> None:
     played, stretch = trajectory.playable(motion, desk.config, 0.5)
     assert stretch == 2.0 and played.duration == pytest.approx(2.0 * (1.0 + trajectory.SMOOTHING), abs=0.03)
     assert np.degrees(played.q.max()) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize("name", ["puma560", "tabletop_puma", "omx_f", "wx250s", "vx300s", "koch_v11"])
+def test_what_begins_a_few_ticks_beyond_a_limit_is_playable(name: str, tmp_path: Path) -> None:
+    config = ArmConfig.load(name).whole
+    ticks = 3.0 * np.array([abs(joint.to_radians(1) - joint.to_radians(0)) for joint in config.joints])
+    middle = 0.5 * (config.lower + config.upper)
+    for start in (config.lower - ticks, config.upper + ticks):  # as servos measure it where an arm rests
+        file = tmp_path / "motion.csv"
+        Trajectory([0.0, 5.0], [start, middle], config.names).save_csv(file)
+        motion, _ = teach.load_playable(file, config, 1.0)
+        assert (config.lower <= motion.q).all() and (motion.q <= config.upper).all()
 
 
 def test_steps_that_no_hand_has_made_do_not_slow_it_down(desk: Any) -> None:

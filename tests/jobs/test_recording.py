@@ -12,6 +12,8 @@ from robot_ik.cli.main import main
 from robot_ik.errors import ConfigError
 from robot_ik.geometry import Pose
 from robot_ik.jobs.recording import Moment, open_recording
+from robot_ik.jobs.testbed import film
+from robot_ik.testbed.commands import CommandLog, Start
 from tests.testbed.test_frontends import SCRIPT
 
 JOINTS = ("a", "b")
@@ -76,6 +78,13 @@ def test_a_script_and_a_reach_write_what_was_commanded_and_measured(tmp_path: Pa
         assert len(found) > 20 and len(joints) == 6
         assert all(abs(float(last[f"commanded.{j}"]) - float(last[f"measured.{j}"])) < 0.02 for j in joints)
         assert [float(row["time_s"]) for row in found] == sorted(float(row["time_s"]) for row in found)
+
+
+def test_a_recording_of_no_kind_is_refused_before_a_film_begins(tmp_path: Path) -> None:
+    film_file = tmp_path / "a.mp4"
+    with pytest.raises(ConfigError, match="the format is not clear"):
+        film(CommandLog(Start("puma560"), ()), film_file, record=tmp_path / "a.txt", seconds=1.0)
+    assert not film_file.exists()
 
 
 def test_a_film_has_a_recording_beside_it(tmp_path: Path) -> None:

@@ -314,5 +314,5 @@ def test_what_is_no_number_of_each_joint_and_a_move_without_end_are_refused_in_w
     ):
         with pytest.raises(TrajectoryError, match=says):
             joint_move(robot, robot.home, end, **asked)
-    with pytest.raises(TrajectoryError, match="start is to be 6 numbers"):
+    with pytest.raises(TrajectoryError, match="start must be 6 numbers"):
         joint_move(robot, "home", end)
