@@ -27,7 +27,7 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
-from robot_ik.hardware.torque import arm_watchdog
+from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
 
@@ -408,6 +408,7 @@ class Cycle:
             return
         log.info("a bus watchdog tripped in a pause of the commands; the arm is held")
         self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
+        set_profiles(self._bus, self._config)
         self.samples.take(dict(read_all(self._bus, self._config, "present_position")), self._clock.now())
         goals = self.begin_hold()
         self._bus.sync_write(self._goal, goals)

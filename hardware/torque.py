@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +12,12 @@ from pathlib import Path
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
+from robot_ik.hardware.control_table import (
+    ACCELERATION_UNIT,
+    TICKS_PER_REVOLUTION,
+    VELOCITY_UNIT,
+    hardware_error_names,
+)
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.reading import WrongKey
@@ -24,6 +30,13 @@ ON_EXIT = ("torque_off", "hold", "park")
 PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
 
+SPEED_HEADROOM = 1.5
+"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
+
+RAMP_SHARE = 0.25
+"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
+
+_LARGEST_PROFILE = 32767  # of both profile registers
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
 _ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
 _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
@@ -85,6 +98,34 @@ def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
             f"{_names(missing)} did not take the bus watchdog",
             hint="power-cycle the servos and try again",
         )
+
+
+def set_profiles(bus: ServoBus, config: ArmConfig) -> None:
+    """How fast servos may follow their goals.  0, which they have after a restart, is as fast as they can.
+
+    So it is after their Bus Watchdog has tripped (ROBOTIS-GIT/emanual _includes/en/dxl/x/bus_watchdog.md).
+
+    Raises:
+        HardwareError: A servo did not take it.
+    """
+    profiles = {servo.id: _profile(servo, config.rate_hz) for servo in config.servos}
+    for name in ("profile_acceleration", "profile_velocity"):
+        missing = _sync_set(bus, config, name, {id: profile[name] for id, profile in profiles.items()})
+        if missing:
+            raise HardwareError(
+                f"{name} of {_names(missing)} was written and reads back otherwise; no torque was changed"
+            )
+
+
+def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
+    # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
+    gear = servo.ratio / servo.levers[0]
+    speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s
+    ramp = speed * rate_hz / RAMP_SHARE
+    if servo.profile_acceleration is not None:
+        ramp = gear * servo.profile_acceleration
+    rows = (("profile_acceleration", ramp, ACCELERATION_UNIT), ("profile_velocity", speed, VELOCITY_UNIT))
+    return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}
 
 
 def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[JointMap]:

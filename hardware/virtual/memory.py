@@ -6,6 +6,9 @@ from robot_ik.hardware.control_table import ControlTable, OperatingMode, Registe
 from robot_ik.hardware.virtual.protocol import ErrorCode
 from robot_ik.hardware.x_series import TIME_BASED
 
+PROFILE = ("profile_acceleration", "profile_velocity")
+"""0 once the Bus Watchdog has tripped: "when it stops, [both] are set to 0" (ROBOTIS
+e-manual, x/bus_watchdog; an older page: "applied as 0")."""
 CONTROLLER = (
     "velocity_i_gain",
     "velocity_p_gain",
@@ -14,8 +17,7 @@ CONTROLLER = (
     "position_p_gain",
     "feedforward_2nd_gain",
     "feedforward_1st_gain",
-    "profile_acceleration",
-    "profile_velocity",
+    *PROFILE,
 )
 """Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
 "Control Table Backup"; the indirect addresses come on top)."""

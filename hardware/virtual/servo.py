@@ -20,7 +20,7 @@ from robot_ik.hardware.control_table import (
     OperatingMode,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory
+from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, TRIPPED, Memory
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
 from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
 from robot_ik.hardware.virtual.shaft import Shaft
@@ -345,6 +345,8 @@ class VirtualServo:
         if limit > 0 and now > trip:
             self.shaft.brake_at(trip)
             self.memory.set("bus_watchdog", TRIPPED)
+            for name in PROFILE:
+                self.memory.set(name, 0)
 
     def _warm(self, now: float) -> None:
         electrics, memory = self.electrics, self.memory

@@ -138,7 +138,7 @@ def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest()
     from tests.hardware.test_arm_file_keys import ALL
 
     finger = ArmConfig.parse(ALL.replace("profile_velocity_mm = 60.0\n", "")).joint("finger")
-    from robot_ik.hardware.startup import SPEED_HEADROOM
+    from robot_ik.hardware.torque import SPEED_HEADROOM
 
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     with open_arm(config, "sim") as arm:
