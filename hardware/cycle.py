@@ -34,7 +34,7 @@ from robot_ik.ports import Array
 log = logging.getLogger(__name__)
 
 PAUSE = 0.25
-"""s between two commands after which the arm is taken to stand: the next command starts from rest."""
+"""s on the arm's own clock between two commands after which it is taken to stand: it starts from rest."""
 
 LONGEST_TICK = 2.0
 """Control periods that one command may move the arm by, however long ago the last one was."""
@@ -428,11 +428,11 @@ class Cycle:
             self._moved_until = here
             return self.period
         asked, spent = now - last, here - self._moved_until
-        if asked > PAUSE:
+        if spent > PAUSE:
             self.limits = LimiterState.at_rest(self.limits.q)
             asked = self.period
-        elif asked <= 0.0:
-            # The same time again, or another loop with another zero of time: our own clock decides.
+        elif not 0.0 < asked <= PAUSE:
+            # The same time again, another loop's zero of time, or a clock that was set: our own decides.
             asked = self.period if spent >= 0.5 * self.period else 0.0
         dt = min(asked, spent, LONGEST_TICK * self.period)
         if dt < SHORTEST_TICK * self.period:
