@@ -235,8 +235,9 @@ class Arm(Closing):
         with self._lock:
             after = self._after("send")
             self._obey_stop()
-            self._commanded, self._streaming = self.clock.now(), True
+            came = self.clock.now()
             self._latching(lambda: self._cycle.drive(q, now))
+            self._commanded, self._streaming = came, True  # one that is refused is none: the arm goes stale
             self.state = after
 
     def read(self) -> JointReading:
