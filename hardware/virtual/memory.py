@@ -25,6 +25,9 @@ CONTROLLER = (
 TRIPPED = -1
 """What Bus Watchdog reads once it has tripped."""
 
+PROTOCOL_2, RC_PROTOCOLS = 2, 20
+"""Protocol Type: the usual one, and the first of those of remote controls (20 to 22, of the 330 family)."""
+
 _LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
 
 
@@ -147,6 +150,8 @@ class Memory:
                 refused = tripped and value != 0
             case "operating_mode":
                 refused = value not in self.table.modes
+            case "protocol_type":
+                refused = PROTOCOL_2 < value < RC_PROTOCOLS
             case "drive_mode":
                 refused = bool(value & ~register.maximum)
             case "profile_acceleration":

@@ -38,6 +38,8 @@ from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
+PROTOCOL_1 = 1
+"""Protocol Type of a servo that understands Protocol 1.0 only."""
 _STORE, _RESTORE = b"\x01CTRL", b"\x02CTRL"
 _TORQUE_AT_START, _RAM_FROM_BACKUP = 0b01, 0b10  # bits of Startup Configuration
 BROWN_OUT = 0.4
@@ -136,8 +138,9 @@ class VirtualServo:
 
     @property
     def deaf(self) -> bool:
-        """Silent, off, or still starting up."""
-        return self.silent or self.off or self._clock.now() < self.ready_at
+        """Silent, off, still starting up, or set to Protocol 1.0, which nobody speaks here."""
+        other = self.memory.values["protocol_type"] == PROTOCOL_1
+        return self.silent or self.off or other or self._clock.now() < self.ready_at
 
     @property
     def torque(self) -> bool:

@@ -182,6 +182,20 @@ def test_a_new_id_is_answered_under_the_old_and_heard_under_the_new(
     assert parse(bus.handle(build(9, I.PING)))[0].id == 9
 
 
+def test_a_servo_that_is_set_to_another_protocol_is_not_heard_any_more(bus: VirtualBus) -> None:
+    assert bus.handle(build(1, I.WRITE, _word(13) + b"\x01")) == build_status(1, 0)
+    assert bus.handle(build(1, I.PING)) == b""
+    assert bus.handle(build(2, I.PING)) != b""
+
+
+def test_a_330_has_no_protocol_1_and_those_of_remote_controls_only_with_their_signal(
+    clock: VirtualClock,
+) -> None:
+    bus = VirtualBus([VirtualServo("XL330-M288", 1, clock)], clock)
+    for value, error in ((1, 4), (3, 4), (19, 4), (20, 0), (22, 0), (23, 4)):
+        assert bus.handle(build(1, I.WRITE, _word(13) + bytes([value]))) == build_status(1, error)
+
+
 def test_a_secondary_id_is_obeyed_in_silence(bus: VirtualBus) -> None:
     bus.servo(1).memory.set("secondary_id", 50)
     assert bus.handle(build(50, I.WRITE, _word(65) + b"\x01")) == b""
