@@ -256,6 +256,8 @@ class VirtualServo:
     def clear(self, params: bytes) -> ErrorCode:
         """Clear multi-turn: the reading falls back into one revolution; only while the shaft stands."""
         self.update()
+        if "clear" not in self.table.abilities:
+            return ErrorCode.INSTRUCTION
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
         if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # it can be seen to move

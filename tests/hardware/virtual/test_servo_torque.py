@@ -132,6 +132,10 @@ def test_clear_multi_turn_only_at_a_stand(make_bench: Callable[..., Any]) -> Non
     assert bench.servo.true_ticks == -4000.0
 
 
+def test_older_firmware_has_no_clear(make_bench: Callable[..., Any]) -> None:
+    assert make_bench(firmware=41).servo.clear(CLEAR_MULTI_TURN) == ErrorCode.INSTRUCTION
+
+
 def test_realtime_tick_wraps(make_bench: Callable[..., Any]) -> None:
     bench = make_bench()
     bench.wait(1.25)
