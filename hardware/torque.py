@@ -53,11 +53,12 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
         Servo id -> goal position, ticks: where the arm now holds.
 
     Raises:
-        HardwareError: A goal was not taken, or a multi-turn servo has lost revolutions.  Torque may be on
-            then: the caller switches it off.
+        HardwareError: A servo restarted since it was set up, lost revolutions, or did not take a goal.
+            Torque may be on then: the caller switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
     goals = read_all(bus, config, "present_position")
+    _check_set_up(bus, config)
     _check_revolutions(config, goals)
     _check_twins(config, goals)
     missing = _sync_set(bus, config, "goal_position", goals)
@@ -143,6 +144,18 @@ def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int
 
 def _names(servos: list[JointMap]) -> str:
     return ", ".join(dict.fromkeys(servo.name for servo in servos))
+
+
+def _check_set_up(bus: ServoBus, config: ArmConfig) -> None:
+    """A servo that restarted since ``set_profiles`` has lost its profile, its gains and its goal current."""
+    velocity = read_all(bus, config, "profile_velocity")
+    for servo in config.servos:
+        if not velocity[servo.id]:
+            raise HardwareError(
+                f"joint {servo.name!r} (servo id {servo.id}) has restarted since it was set up: no limit of "
+                "speed or current is left in it; nothing was switched on",
+                hint="check its supply; then connect again, in a program reconnect(), then enable()",
+            )
 
 
 def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:

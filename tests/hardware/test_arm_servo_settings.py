@@ -134,6 +134,19 @@ def test_what_lies_in_ram_is_back_after_the_port_was_away(tuned, stream, start) 
         assert settings(arm.virtual_bus, 1) == WANTED
 
 
+def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start) -> None:
+    """Without its profile and its goal current it would be as fast and as strong as it can."""
+    with open_arm(tuned, "sim", start=start) as arm:
+        arm.virtual_bus.servo(1).reboot()
+        with pytest.raises(HardwareError, match=r"joint1.*restarted.*nothing was switched on"):
+            arm.enable()
+        assert not any(servo.torque for servo in arm.virtual_bus.servos)
+        arm.reconnect()
+        assert settings(arm.virtual_bus, 1) == WANTED
+        arm.enable()
+        stream(arm, [start] * 3)
+
+
 def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest() -> None:
     from tests.hardware.test_arm_file_keys import ALL
 
