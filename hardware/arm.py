@@ -321,7 +321,7 @@ class Arm(Closing):
             after = self._after("grip")
             fingers = Fingers(self.config, q)
             if current is not None:
-                set_currents(self.bus, self.config, dict.fromkeys(fingers.goals, current))
+                self._set_currents(dict.fromkeys(fingers.goals, current))
             self._streaming = False
             self._go(fingers.goals, timeout, lambda: fingers.at_rest(self.clock.now(), self._cycle))
             self.state = after
@@ -335,11 +335,22 @@ class Arm(Closing):
 
         Raises:
             UnknownJointError, UnsafeCommandError: Not such a joint, no such current; nothing was sent.
-            ArmStateError, bus errors.
+            ArmStateError, bus errors: With torque on latched, as of ``send``.
         """
         with self._lock:
             self._after("limit the current")
+            self._set_currents(currents)
+
+    def _set_currents(self, currents: Mapping[str, float]) -> None:
+        if self.state is ArmState.CONNECTED:
             set_currents(self.bus, self.config, currents)
+            return
+
+        def step() -> None:
+            self._cycle.stay_alive()  # a servo whose Bus Watchdog has tripped takes no current
+            set_currents(self.bus, self.config, currents)
+
+        self._latching(step)
 
     def _go(
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]
