@@ -374,15 +374,16 @@ class Cycle:
         """Servo id -> ticks where the arm is held from here on: its last goals, or the shafts far off them.
 
         Nothing is sent.  It is decided once, when holding begins: again and again of a loaded joint, each
-        goal would be a little lower than the last, and the arm would creep down.
+        goal would be a little lower than the last, and the arm would creep down.  But a servo that has jumped
+        since is held where it says it is: it would go to its goal by a revolution.
         """
-        if self.held:
-            return self.goals
         goals = dict(self.goals)
         for joint in self._config.servos:
-            presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
-            if presses and joint.id not in self.samples.jumped:
-                continue  # what it grips keeps it from its goal: yielding would let go of it
+            if joint.id not in self.samples.jumped:
+                # What a gripper holds keeps it from its goal: yielding would let go of it.
+                presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
+                if presses or self.held:
+                    continue
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
                 goals[joint.id] = present
