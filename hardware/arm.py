@@ -30,7 +30,7 @@ from robot_ik.hardware.startup import (
     verify,
 )
 from robot_ik.hardware.stop_file import StopFile
-from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
+from robot_ik.hardware.torque import ExitReport, checked_policy, leave, read_standing, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
 from robot_ik.ports import Array, Closing, JointReading, VirtualClock
 
@@ -185,9 +185,10 @@ class Arm(Closing):
         self._guard.install()
         first, self._energised = not self._energised, True
         try:
-            goals = torque_on(self.bus, self.config)
-            self._cycle.stand(goals)
-            self._cycle.samples.begin(goals, self.clock.now())
+            here = read_standing(self.bus, self.config)
+            self._cycle.samples.begin(here, self.clock.now())
+            self._cycle.stand(here)  # before torque: where it fails, nobody is sent to goals from before
+            torque_on(self.bus, self.config, here)
             if first:  # later it is somewhere it never stood without torque
                 self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
             self._commanded, self._streaming = self.clock.now(), False

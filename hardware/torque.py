@@ -46,21 +46,27 @@ _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
 # ------------------------------------------------------------------------------------------------- on
 
 
-def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
-    """Goal = present, read back; torque on, read back; then the Bus Watchdog.
-
-    Returns:
-        Servo id -> goal position, ticks: where the arm now holds.
+def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
+    """Servo id -> present position, ticks, where every servo may get torque.
 
     Raises:
-        HardwareError: A servo restarted since it was set up, lost revolutions, or did not take a goal.
-            Torque may be on then: the caller switches it off.
+        HardwareError: A servo restarted since it was set up, or lost revolutions; nothing was switched on.
+    """
+    present = read_all(bus, config, "present_position")
+    _check_set_up(bus, config)
+    _check_revolutions(config, present)
+    _check_twins(config, present)
+    return present
+
+
+def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:
+    """Goals where the arm stands (servo id -> ticks), read back; torque on, read back; then the Bus Watchdog.
+
+    Raises:
+        HardwareError: A goal was not taken, or a servo counts anew.  Torque may be on then: the caller
+            switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
-    goals = read_all(bus, config, "present_position")
-    _check_set_up(bus, config)
-    _check_revolutions(config, goals)
-    _check_twins(config, goals)
     missing = _sync_set(bus, config, "goal_position", goals)
     if missing:
         raise HardwareError(
@@ -81,7 +87,6 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
                 f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
                 hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
-    return goals
 
 
 def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
@@ -129,7 +134,7 @@ def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
     return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}
 
 
-def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[JointMap]:
+def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> list[JointMap]:
     """Servos that do not read back what was written."""
     register = shared_register(config, name)
     wrong = list(config.servos)
