@@ -290,11 +290,13 @@ class Arm(Closing):
             timeout: s; by default what the caps ask for and 2 s.
 
         Raises:
-            HardwareError: Not arrived in time.  Otherwise as ``send``.
+            HardwareError: Not arrived in time; held as by ``hold``.  Otherwise as ``send``.
         """
         with self._lock:
             self._streaming = False
             off = self._go(q, timeout, stop=lambda: False)
+            if off.any():
+                self._latching(self._cycle.hold)  # it presses no longer on what is in its way
         if off.any():
             worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
             way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
