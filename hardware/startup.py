@@ -123,6 +123,8 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         "return_delay_time": dict.fromkeys(config.servo_ids, 0),
         "drive_mode": {id: value & REVERSE for id, value in drive.items()},
         "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
+        # Else one that restarts may have torque at once, with nothing of what is set below.
+        "startup_configuration": dict.fromkeys(config.servo_ids, 0),
     }
     for name, values in wanted.items():
         _set_eeprom(bus, config, name, values, torque)

@@ -134,6 +134,19 @@ def test_what_lies_in_ram_is_back_after_the_port_was_away(tuned, stream, start) 
         assert settings(arm.virtual_bus, 1) == WANTED
 
 
+def test_no_servo_gets_torque_by_a_restart_of_its_own(tuned, stream, start) -> None:
+    servos = servos_of(tuned, start)
+    for servo in servos.servos:
+        servo.memory.set("startup_configuration", 0b11)
+    with open_arm(tuned, "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        servos.servo(1).reboot()
+        assert not servos.servo(1).torque
+        with pytest.raises(MotorFaultError, match="torque_lost"):
+            stream(arm, [start] * 3)
+
+
 def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start) -> None:
     """Without its profile and its goal current it would be as fast and as strong as it can."""
     with open_arm(tuned, "sim", start=start) as arm:
