@@ -170,7 +170,7 @@ class Samples:
 # Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is described.
 
 
-def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
+def shutdown_fault(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     """The fault of a servo whose replies carry the alert bit, with what its register says."""
     try:
         value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
@@ -184,7 +184,7 @@ def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     )
 
 
-def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
+def jump_fault(servo: JointMap, before: int, now: int) -> MotorFaultError:
     """The fault of a servo whose position changed by more than it can have moved, in ticks.
 
     It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
@@ -310,14 +310,14 @@ class Cycle:
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
-                raise shut_down(self._bus, servo)
+                raise shutdown_fault(self._bus, servo)
             # Not heard: if it stays so, it is a silent servo.
             if measured[servo.id].torque is False and has_torque(self._bus, servo):
                 log.warning("servo %d has torque, which its feedback denies: read plainly now", servo.id)
                 self.feedback.read_plainly(servo.id)
             if servo.id in self.samples.jumped:
                 has_torque(self._bus, servo)
-                raise jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
+                raise jump_fault(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
