@@ -30,7 +30,7 @@ from robot_ik.hardware.startup import (
     verify,
 )
 from robot_ik.hardware.stop_file import StopFile
-from robot_ik.hardware.torque import ExitReport, checked_policy, leave, torque_on
+from robot_ik.hardware.torque import ExitReport, checked_policy, leave, read_standing, torque_on
 from robot_ik.hardware.watchdogs import GIVE_UP, ExitGuard, Heartbeat, stale_time, uninterrupted
 from robot_ik.ports import Array, Closing, JointReading, VirtualClock
 
@@ -185,9 +185,10 @@ class Arm(Closing):
         self._guard.install()
         first, self._energised = not self._energised, True
         try:
-            goals = torque_on(self.bus, self.config)
-            self._cycle.stand(goals)
-            self._cycle.samples.begin(goals, self.clock.now())
+            here = read_standing(self.bus, self.config)
+            self._cycle.samples.begin(here, self.clock.now())
+            self._cycle.stand(here)  # before torque: where it fails, nobody is sent to goals from before
+            torque_on(self.bus, self.config, here)
             if first:  # later it is somewhere it never stood without torque
                 self._rest = self._cycle.limits.q[: len(self.joints)]  # a gripper keeps what it has
             self._commanded, self._streaming = self.clock.now(), False
@@ -235,8 +236,9 @@ class Arm(Closing):
         with self._lock:
             after = self._after("send")
             self._obey_stop()
-            self._commanded, self._streaming = self.clock.now(), True
+            came = self.clock.now()
             self._latching(lambda: self._cycle.drive(q, now))
+            self._commanded, self._streaming = came, True  # one that is refused is none: the arm goes stale
             self.state = after
 
     def read(self) -> JointReading:
@@ -288,11 +290,13 @@ class Arm(Closing):
             timeout: s; by default what the caps ask for and 2 s.
 
         Raises:
-            HardwareError: Not arrived in time.  Otherwise as ``send``.
+            HardwareError: Not arrived in time; held as by ``hold``.  Otherwise as ``send``.
         """
         with self._lock:
             self._streaming = False
             off = self._go(q, timeout, stop=lambda: False)
+            if off.any():
+                self._latching(self._cycle.hold)  # it presses no longer on what is in its way
         if off.any():
             worst = self.config.whole.joints[int((off / self.config.whole.resolution).argmax())]
             way = worst.text(float(off[self.config.whole.names.index(worst.name)]))
@@ -320,7 +324,7 @@ class Arm(Closing):
             after = self._after("grip")
             fingers = Fingers(self.config, q)
             if current is not None:
-                set_currents(self.bus, self.config, dict.fromkeys(fingers.goals, current))
+                self._set_currents(dict.fromkeys(fingers.goals, current))
             self._streaming = False
             self._go(fingers.goals, timeout, lambda: fingers.at_rest(self.clock.now(), self._cycle))
             self.state = after
@@ -334,11 +338,22 @@ class Arm(Closing):
 
         Raises:
             UnknownJointError, UnsafeCommandError: Not such a joint, no such current; nothing was sent.
-            ArmStateError, bus errors.
+            ArmStateError, bus errors: With torque on latched, as of ``send``.
         """
         with self._lock:
             self._after("limit the current")
+            self._set_currents(currents)
+
+    def _set_currents(self, currents: Mapping[str, float]) -> None:
+        if self.state is ArmState.CONNECTED:
             set_currents(self.bus, self.config, currents)
+            return
+
+        def step() -> None:
+            self._cycle.stay_alive()  # a servo whose Bus Watchdog has tripped takes no current
+            set_currents(self.bus, self.config, currents)
+
+        self._latching(step)
 
     def _go(
         self, q: ArrayLike | Mapping[str, float], timeout: float | None, stop: Callable[[], bool]

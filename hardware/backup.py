@@ -191,11 +191,7 @@ def restore(bus: ServoBus, servos: Sequence[SavedServo]) -> list[Change]:
                 if last:
                     raise
                 left.append(change)
-    wrong = [
-        c
-        for c in changes
-        if c.register in tables[c.id] and bus.read(c.id, tables[c.id][c.register]).data != c.saved
-    ]
+    wrong = [c for c in changes if bus.read(c.id, tables[c.id][c.register]).data != c.saved]
     if wrong:
         names = ", ".join(f"{c.register} of {c.joint}" for c in wrong)
         raise HardwareError(f"written, and reads back otherwise: {names}")

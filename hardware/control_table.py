@@ -141,7 +141,7 @@ class ControlTable:
         registers: By name, in order of address.
         modes: Operating modes the model has.
         supply: Nominal supply, V; ``motor``: what it can do.
-        abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``.
+        abilities: What this firmware can do: ``fast_read``, ``backup``, ``guarded_reset``, ``clear``.
     """
 
     model: str
@@ -203,7 +203,7 @@ def _indirect(blocks: list[Indirect]) -> Iterator[Register]:
 
 
 _DRIVE_BITS = {"reverse": REVERSE, "slave": SLAVE, "time_based": TIME_BASED, "torque_by_goal": TORQUE_BY_GOAL}
-_ABILITIES = ("fast_read", "backup", "guarded_reset")
+_ABILITIES = ("fast_read", "backup", "guarded_reset", "clear")
 
 
 def _build(model: str, row: Model, firmware: int | None = None) -> ControlTable:

@@ -27,14 +27,14 @@ from robot_ik.hardware.control_table import (
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.limiter import LimiterReport, LimiterState, SafetyLimiter
-from robot_ik.hardware.torque import arm_watchdog
+from robot_ik.hardware.torque import arm_watchdog, set_profiles
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.ports import Array
 
 log = logging.getLogger(__name__)
 
 PAUSE = 0.25
-"""s between two commands after which the arm is taken to stand: the next command starts from rest."""
+"""s on the arm's own clock between two commands after which it is taken to stand: it starts from rest."""
 
 LONGEST_TICK = 2.0
 """Control periods that one command may move the arm by, however long ago the last one was."""
@@ -170,7 +170,7 @@ class Samples:
 # Something in a cycle looks wrong: the servo itself is asked what it is, and the fault is described.
 
 
-def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
+def shutdown_fault(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     """The fault of a servo whose replies carry the alert bit, with what its register says."""
     try:
         value = bus.read(servo.id, servo.table["hardware_error_status"]).data or 0
@@ -184,7 +184,7 @@ def shut_down(bus: ServoBus, servo: JointMap) -> MotorFaultError:
     )
 
 
-def jumped(servo: JointMap, before: int, now: int) -> MotorFaultError:
+def jump_fault(servo: JointMap, before: int, now: int) -> MotorFaultError:
     """The fault of a servo whose position changed by more than it can have moved, in ticks.
 
     It goes on to where its goal seems to be by then, and takes the joint there: it must be held at once.
@@ -310,14 +310,14 @@ class Cycle:
         self.samples.take({id: m.ticks for id, m in measured.items()}, now)
         for servo in self._config.servos:
             if statuses[servo.id].alert:
-                raise shut_down(self._bus, servo)
+                raise shutdown_fault(self._bus, servo)
             # Not heard: if it stays so, it is a silent servo.
             if measured[servo.id].torque is False and has_torque(self._bus, servo):
                 log.warning("servo %d has torque, which its feedback denies: read plainly now", servo.id)
                 self.feedback.read_plainly(servo.id)
             if servo.id in self.samples.jumped:
                 has_torque(self._bus, servo)
-                raise jumped(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
+                raise jump_fault(servo, self.samples.jumped[servo.id], self.samples.ticks[servo.id])
         twisted = self.samples.twisted()
         if twisted is not None:
             raise MotorFaultError(twisted.name, ("twisted",), hint="its two servos do not stand together")
@@ -374,15 +374,16 @@ class Cycle:
         """Servo id -> ticks where the arm is held from here on: its last goals, or the shafts far off them.
 
         Nothing is sent.  It is decided once, when holding begins: again and again of a loaded joint, each
-        goal would be a little lower than the last, and the arm would creep down.
+        goal would be a little lower than the last, and the arm would creep down.  But a servo that has jumped
+        since is held where it says it is: it would go to its goal by a revolution.
         """
-        if self.held:
-            return self.goals
         goals = dict(self.goals)
         for joint in self._config.servos:
-            presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
-            if presses and joint.id not in self.samples.jumped:
-                continue  # what it grips keeps it from its goal: yielding would let go of it
+            if joint.id not in self.samples.jumped:
+                # What a gripper holds keeps it from its goal: yielding would let go of it.
+                presses = joint.mode == OperatingMode.CURRENT_BASED_POSITION
+                if presses or self.held:
+                    continue
             present = self.samples.ticks.get(joint.id)
             if present is not None and abs(present - goals[joint.id]) * joint.resolution > SAG * joint.lever:
                 goals[joint.id] = present
@@ -408,6 +409,7 @@ class Cycle:
             return
         log.info("a bus watchdog tripped in a pause of the commands; the arm is held")
         self._bus.sync_write(watchdog, dict.fromkeys(self._config.servo_ids, 0))
+        set_profiles(self._bus, self._config)
         self.samples.take(dict(read_all(self._bus, self._config, "present_position")), self._clock.now())
         goals = self.begin_hold()
         self._bus.sync_write(self._goal, goals)
@@ -427,11 +429,11 @@ class Cycle:
             self._moved_until = here
             return self.period
         asked, spent = now - last, here - self._moved_until
-        if asked > PAUSE:
+        if spent > PAUSE:
             self.limits = LimiterState.at_rest(self.limits.q)
             asked = self.period
-        elif asked <= 0.0:
-            # The same time again, or another loop with another zero of time: our own clock decides.
+        elif not 0.0 < asked <= PAUSE:
+            # The same time again, another loop's zero of time, or a clock that was set: our own decides.
             asked = self.period if spent >= 0.5 * self.period else 0.0
         dt = min(asked, spent, LONGEST_TICK * self.period)
         if dt < SHORTEST_TICK * self.period:

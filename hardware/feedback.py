@@ -114,7 +114,7 @@ class Feedback:
         self._asked = {**self.registers, turn: self._blocks[turn][0]}
         return self._asked
 
-    def measurement(self, status: BusStatus, now: float = 0.0) -> Measurement:
+    def measurement(self, status: BusStatus, now: float) -> Measurement:
         """What a reply says; ``now``: when it came, s, for thresholds."""
         value, id = status.data, status.id
         if value is None:

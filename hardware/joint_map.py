@@ -91,7 +91,7 @@ class SwingArm:
     def distance(self, angle: float) -> float:
         """m of the finger from the middle, where the horn stands at ``angle``, rad."""
         a = min(max(angle, self.reach[0]), self.reach[1])
-        return self.horn * math.sin(a) + self._share(a) + (angle - a) * self._lead(a)
+        return self.horn * math.sin(a) + self._rod_along_slide(a) + (angle - a) * self._lead(a)
 
     def angle(self, distance: float) -> float:
         """The inverse of ``distance``: ``sin a = (d^2 + h^2 - L^2) / (2 d h)``."""
@@ -108,15 +108,15 @@ class SwingArm:
         """m of the finger for a radian of the horn, where the finger is."""
         return self._lead(min(max(self.angle(distance), self.reach[0]), self.reach[1]))
 
-    def _share(self, a: float) -> float:
+    def _rod_along_slide(self, a: float) -> float:
         """Of the rod along the slide, m."""
         return math.sqrt(max(self.rod**2 - (self.horn * math.cos(a)) ** 2, 0.0))
 
     def _lead(self, a: float) -> float:
-        share = self._share(a)
-        if share <= 0.0:  # horn and rod are equal and fold up: from here on outwards d = 2 h sin a
+        along = self._rod_along_slide(a)
+        if along <= 0.0:  # horn and rod are equal and fold up: from here on outwards d = 2 h sin a
             return 2.0 * self.horn if a >= 0.0 else 0.0
-        return self.horn * math.cos(a) * (1.0 + self.horn * math.sin(a) / share)
+        return self.horn * math.cos(a) * (1.0 + self.horn * math.sin(a) / along)
 
 
 @dataclass(frozen=True)

@@ -113,20 +113,24 @@ class SafetyLimiter:
         low = np.array(lower, dtype=float).ravel() + margin
         high = np.array(upper, dtype=float).ravel() - margin
         size = low.size
-        fast = np.broadcast_to(np.asarray(velocity, dtype=float), (size,))
-        brisk = np.broadcast_to(np.asarray(acceleration, dtype=float), (size,))
+        max_velocity = np.broadcast_to(np.asarray(velocity, dtype=float), (size,))
+        max_acceleration = np.broadcast_to(np.asarray(acceleration, dtype=float), (size,))
         if high.shape != low.shape or not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError("lower and upper must be finite and of one length")
         if (low > high).any() or margin < 0.0:
             raise ValueError(f"nothing is left between lower {low} and upper {high} (margin {margin} rad)")
-        if not all(np.isfinite(caps).all() and (caps > 0.0).all() for caps in (fast, brisk)):
+        if not all(
+            np.isfinite(caps).all() and (caps > 0.0).all() for caps in (max_velocity, max_acceleration)
+        ):
             raise ValueError("velocity and acceleration caps must be positive and finite")
         self.joints = tuple(joints) if joints is not None else tuple(f"joint{i + 1}" for i in range(size))
         if len(self.joints) != size:
             raise ValueError(f"{len(self.joints)} joint names for {size} joints")
         self.size = size
         self.commanded = size if commanded is None else commanded
-        self._caps = tuple(zip(low.tolist(), high.tolist(), fast.tolist(), brisk.tolist(), strict=True))
+        self._caps = tuple(
+            zip(low.tolist(), high.tolist(), max_velocity.tolist(), max_acceleration.tolist(), strict=True)
+        )
 
     def command(
         self, q: ArrayLike | Mapping[str, float], fill: Sequence[float], size: int | None = None
@@ -233,11 +237,11 @@ def _step_joint(
     Returns:
         q, velocity, command, velocity of the command, clipped, capped.
     """
-    lower, upper, fastest, brisk = caps
+    lower, upper, max_velocity, max_acceleration = caps
     target = min(max(wanted, lower), upper)
-    longest = fastest * dt * (1.0 + CAP_SLACK)
-    brake = brisk * dt * dt * (1.0 + PLAN_SLACK)
-    change = brisk * dt * mean_dt * (1.0 + CAP_SLACK)
+    longest = max_velocity * dt * (1.0 + CAP_SLACK)
+    brake = max_acceleration * dt * dt * (1.0 + PLAN_SLACK)
+    change = max_acceleration * dt * mean_dt * (1.0 + CAP_SLACK)
     last = velocity * dt  # the last move at this tick's length
 
     # The command's own move, believed only as far as the joint could follow it: a jump is not a velocity.

@@ -28,15 +28,10 @@ from robot_ik.errors import (
 from robot_ik.hardware.bus import ServoBus, read_all, require_models
 from robot_ik.hardware.calibration import check_calibration, own_calibration
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import (
-    ACCELERATION_UNIT,
-    TICKS_PER_REVOLUTION,
-    VELOCITY_UNIT,
-    OperatingMode,
-    hardware_error_names,
-)
+from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, OperatingMode, hardware_error_names
 from robot_ik.hardware.feedback import Feedback
 from robot_ik.hardware.joint_map import HOMING_FIXES, POSITION_MODE_HOMING, JointMap
+from robot_ik.hardware.torque import set_profiles
 from robot_ik.hardware.x_series import REVERSE
 from robot_ik.ports import Clock
 
@@ -49,14 +44,6 @@ NO_SECONDARY_ID = 255
 
 RETURN_ALL = 2
 """Status Return Level: answer everything."""
-
-SPEED_HEADROOM = 1.5
-"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
-
-RAMP_SHARE = 0.25
-"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
-
-_LARGEST_PROFILE = 32767  # of both profile registers
 
 RESTART_TIME = 2.0
 """s a servo is given to answer after a reboot; it takes some tenths."""
@@ -136,6 +123,8 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         "return_delay_time": dict.fromkeys(config.servo_ids, 0),
         "drive_mode": {id: value & REVERSE for id, value in drive.items()},
         "operating_mode": {joint.id: int(joint.mode) for joint in config.servos},
+        # Else one that restarts may have torque at once, with nothing of what is set below.
+        "startup_configuration": dict.fromkeys(config.servo_ids, 0),
     }
     for name, values in wanted.items():
         _set_eeprom(bus, config, name, values, torque)
@@ -148,8 +137,9 @@ def set_up_servos(bus: ServoBus, config: ArmConfig) -> None:
         _set_eeprom(bus, limited, "current_limit", counts, torque)
     set_currents(bus, config, {})
     for servo in config.servos:
-        for name, value in (servo.gains.registers | _profile(servo, config.rate_hz)).items():
+        for name, value in servo.gains.registers.items():
             _write_register(bus, servo, name, value)
+    set_profiles(bus, config)
 
 
 def _check_reverse(servo: JointMap, found: bool) -> None:
@@ -278,17 +268,6 @@ def _check_servo_limits(bus: ServoBus, config: ArmConfig) -> None:
                 key=f"joints[{config.whole.names.index(joint.name)}]",
                 allowed=f"{ends[0]:.1f} to {ends[1]:.1f} {joint.unit}, or other limits in the servo",
             )
-
-
-def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
-    # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
-    gear = servo.ratio / servo.levers[0]
-    speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s
-    ramp = speed * rate_hz / RAMP_SHARE
-    if servo.profile_acceleration is not None:
-        ramp = gear * servo.profile_acceleration
-    rows = (("profile_acceleration", ramp, ACCELERATION_UNIT), ("profile_velocity", speed, VELOCITY_UNIT))
-    return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}
 
 
 def set_currents(bus: ServoBus, config: ArmConfig, wanted: Mapping[str, float]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +12,12 @@ from pathlib import Path
 from robot_ik.errors import HardwareError, MotorFaultError
 from robot_ik.hardware.bus import BROADCAST_ID, ServoBus, read_all, shared_register
 from robot_ik.hardware.config import ArmConfig
-from robot_ik.hardware.control_table import TICKS_PER_REVOLUTION, hardware_error_names
+from robot_ik.hardware.control_table import (
+    ACCELERATION_UNIT,
+    TICKS_PER_REVOLUTION,
+    VELOCITY_UNIT,
+    hardware_error_names,
+)
 from robot_ik.hardware.joint_map import TWIST, JointMap
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.reading import WrongKey
@@ -24,6 +30,13 @@ ON_EXIT = ("torque_off", "hold", "park")
 PATIENCE = 1.0
 """s after which servos that still do not confirm are given up; leaving must not hang on a dead one."""
 
+SPEED_HEADROOM = 1.5
+"""Profile Velocity over the joint's cap: the servo catches up after a lost cycle, yet stays bounded."""
+
+RAMP_SHARE = 0.25
+"""Share of a control period in which the servo reaches its profile speed, so that it follows without lag."""
+
+_LARGEST_PROFILE = 32767  # of both profile registers
 _PAUSE = 0.02  # s between two attempts; on a virtual clock asking takes no time, and patience would never end
 _ATTEMPTS = 3  # a sync write has no reply: it is read back, and repeated if it was lost
 _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
@@ -33,20 +46,27 @@ _REBASE_TICKS = TICKS_PER_REVOLUTION // 8
 # ------------------------------------------------------------------------------------------------- on
 
 
-def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
-    """Goal = present, read back; torque on, read back; then the Bus Watchdog.
-
-    Returns:
-        Servo id -> goal position, ticks: where the arm now holds.
+def read_standing(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
+    """Servo id -> present position, ticks, where every servo may get torque.
 
     Raises:
-        HardwareError: A goal was not taken, or a multi-turn servo has lost revolutions.  Torque may be on
-            then: the caller switches it off.
+        HardwareError: A servo restarted since it was set up, or lost revolutions; nothing was switched on.
+    """
+    present = read_all(bus, config, "present_position")
+    _check_set_up(bus, config)
+    _check_revolutions(config, present)
+    _check_twins(config, present)
+    return present
+
+
+def torque_on(bus: ServoBus, config: ArmConfig, goals: Mapping[int, int]) -> None:
+    """Goals where the arm stands (servo id -> ticks), read back; torque on, read back; then the Bus Watchdog.
+
+    Raises:
+        HardwareError: A goal was not taken, or a servo counts anew.  Torque may be on then: the caller
+            switches it off.
         MotorFaultError: A servo refuses torque, by joint and with its hardware error.
     """
-    goals = read_all(bus, config, "present_position")
-    _check_revolutions(config, goals)
-    _check_twins(config, goals)
     missing = _sync_set(bus, config, "goal_position", goals)
     if missing:
         raise HardwareError(
@@ -67,7 +87,6 @@ def torque_on(bus: ServoBus, config: ArmConfig) -> dict[int, int]:
                 f"joint {joint.name!r} read {goals[joint.id]} ticks before torque came on and {after} after",
                 hint="a servo may count its revolutions anew when torque comes on: check zero_ticks",
             )
-    return goals
 
 
 def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
@@ -87,7 +106,35 @@ def arm_watchdog(bus: ServoBus, config: ArmConfig) -> None:
         )
 
 
-def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int]) -> list[JointMap]:
+def set_profiles(bus: ServoBus, config: ArmConfig) -> None:
+    """How fast servos may follow their goals.  0, which they have after a restart, is as fast as they can.
+
+    So it is after their Bus Watchdog has tripped (ROBOTIS-GIT/emanual _includes/en/dxl/x/bus_watchdog.md).
+
+    Raises:
+        HardwareError: A servo did not take it.
+    """
+    profiles = {servo.id: _profile(servo, config.rate_hz) for servo in config.servos}
+    for name in ("profile_acceleration", "profile_velocity"):
+        missing = _sync_set(bus, config, name, {id: profile[name] for id, profile in profiles.items()})
+        if missing:
+            raise HardwareError(
+                f"{name} of {_names(missing)} was written and reads back otherwise; no torque was changed"
+            )
+
+
+def _profile(servo: JointMap, rate_hz: float) -> dict[str, int]:
+    # At the servo; on a swing arm where the finger is slowest, or the motor would not keep up there.
+    gear = servo.ratio / servo.levers[0]
+    speed = gear * (servo.profile_velocity or SPEED_HEADROOM * servo.velocity)  # rad/s
+    ramp = speed * rate_hz / RAMP_SHARE
+    if servo.profile_acceleration is not None:
+        ramp = gear * servo.profile_acceleration
+    rows = (("profile_acceleration", ramp, ACCELERATION_UNIT), ("profile_velocity", speed, VELOCITY_UNIT))
+    return {name: min(max(math.ceil(value / unit), 1), _LARGEST_PROFILE) for name, value, unit in rows}
+
+
+def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: Mapping[int, int]) -> list[JointMap]:
     """Servos that do not read back what was written."""
     register = shared_register(config, name)
     wrong = list(config.servos)
@@ -102,6 +149,18 @@ def _sync_set(bus: ServoBus, config: ArmConfig, name: str, values: dict[int, int
 
 def _names(servos: list[JointMap]) -> str:
     return ", ".join(dict.fromkeys(servo.name for servo in servos))
+
+
+def _check_set_up(bus: ServoBus, config: ArmConfig) -> None:
+    """A servo that restarted since ``set_profiles`` has lost its profile, its gains and its goal current."""
+    velocity = read_all(bus, config, "profile_velocity")
+    for servo in config.servos:
+        if not velocity[servo.id]:
+            raise HardwareError(
+                f"joint {servo.name!r} (servo id {servo.id}) has restarted since it was set up: no limit of "
+                "speed or current is left in it; nothing was switched on",
+                hint="check its supply; then connect again, in a program reconnect(), then enable()",
+            )
 
 
 def _check_revolutions(config: ArmConfig, present: dict[int, int]) -> None:

@@ -153,7 +153,7 @@ class ServoFamily:
         indirect: Blocks of indirect registers.
         since: Register or ability -> first firmware that has it.  Abilities: ``reverse``, ``slave``,
             ``time_based``, ``torque_by_goal`` (bits of Drive Mode), ``fast_read``, ``backup``,
-            ``guarded_reset`` (ignores a broadcast factory reset of everything).
+            ``guarded_reset`` (ignores a broadcast factory reset of everything), ``clear`` (the instruction).
         fastest: Largest Velocity Limit, 0.229 rev/min; ``current_unit``: of the current registers.
         changed: Register name -> fields of ``Register`` that differ from the shared table.
         added: Registers beyond it.
@@ -178,7 +178,7 @@ FAMILY_430 = ServoFamily(
     indirect=(Indirect(168, 224, 28), Indirect(578, 634, 28)),
     since={
         **dict.fromkeys(("drive_mode", "bus_watchdog", "reverse"), 38),
-        **dict.fromkeys(("time_based", "guarded_reset"), 42),
+        **dict.fromkeys(("time_based", "guarded_reset", "clear"), 42),
         **dict.fromkeys(_LATEST, 45),
     },
 )
@@ -190,7 +190,7 @@ FAMILY_330 = ServoFamily(
     indirect=(Indirect(168, 224, 20, below=52), Indirect(168, 208, 20, since=52)),
     since={
         **dict.fromkeys(("reverse", "time_based"), 0),
-        "guarded_reset": 42,
+        **dict.fromkeys(("guarded_reset", "clear"), 42),
         **dict.fromkeys(_LATEST, 46),
     },
     fastest=2047,

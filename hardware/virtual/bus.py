@@ -207,10 +207,10 @@ class VirtualBus:
             return [] if instruction == Instruction.STATUS else self._execute(packet, listeners)
         orders = instructions.WRITES[instruction](packet.params)
         for servo in listeners:
-            heard = {servo.memory.values["id"], servo.memory.values["secondary_id"]}
+            own, secondary = servo.id, servo.secondary_id
             for id, address, data in orders:
-                if id in heard:
-                    servo.write(address, data)
+                if id in (own, secondary):
+                    servo.write(address, data, secondary=id == secondary)
         return []
 
     def _execute(self, packet: Packet, listeners: Sequence[VirtualServo]) -> list[bytes]:
@@ -222,14 +222,12 @@ class VirtualBus:
             id, level, alert = servo.id, servo.memory.values["status_return_level"], servo.status_byte(0)
             delay = servo.return_delay
             if not (broadcast or packet.id == id):
-                if packet.valid and packet.id == servo.memory.values["secondary_id"]:
-                    instructions.execute(servo, packet.instruction, packet.params, broadcast=True)
+                if packet.valid and packet.id == servo.secondary_id:
+                    instructions.execute(servo, packet.instruction, packet.params, packet.id)
                 continue
             error, data = ErrorCode.CRC, b""
             if packet.valid:
-                error, data = instructions.execute(
-                    servo, packet.instruction, packet.params, broadcast=broadcast
-                )
+                error, data = instructions.execute(servo, packet.instruction, packet.params, packet.id)
             if ping or (not broadcast and level >= (RETURN_READ if read else RETURN_ALL)):
                 self._delay += delay
                 replies.setdefault(id, []).append(

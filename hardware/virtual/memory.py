@@ -6,6 +6,9 @@ from robot_ik.hardware.control_table import ControlTable, OperatingMode, Registe
 from robot_ik.hardware.virtual.protocol import ErrorCode
 from robot_ik.hardware.x_series import TIME_BASED
 
+PROFILE = ("profile_acceleration", "profile_velocity")
+"""0 once the Bus Watchdog has tripped: "when it stops, [both] are set to 0" (ROBOTIS
+e-manual, x/bus_watchdog; an older page: "applied as 0")."""
 CONTROLLER = (
     "velocity_i_gain",
     "velocity_p_gain",
@@ -14,14 +17,16 @@ CONTROLLER = (
     "position_p_gain",
     "feedforward_2nd_gain",
     "feedforward_1st_gain",
-    "profile_acceleration",
-    "profile_velocity",
+    *PROFILE,
 )
 """Gains and profile: another operating mode resets them, and a backup keeps them (Protocol 2.0 manual,
 "Control Table Backup"; the indirect addresses come on top)."""
 
 TRIPPED = -1
 """What Bus Watchdog reads once it has tripped."""
+
+PROTOCOL_2, RC_PROTOCOLS = 2, 20
+"""Protocol Type: the usual one, and the first of those of remote controls (20 to 22, of the 330 family)."""
 
 _LONGEST_RAMP = 32_737  # ms; Profile Acceleration of a time-based profile
 
@@ -145,6 +150,8 @@ class Memory:
                 refused = tripped and value != 0
             case "operating_mode":
                 refused = value not in self.table.modes
+            case "protocol_type":
+                refused = PROTOCOL_2 < value < RC_PROTOCOLS
             case "drive_mode":
                 refused = bool(value & ~register.maximum)
             case "profile_acceleration":

@@ -15,20 +15,31 @@ from robot_ik.hardware.control_table import (
     BAUD_CODES,
     BAUD_RATES,
     HARDWARE_ERRORS,
+    IDS,
     RADIANS_PER_TICK,
     TICKS_PER_REVOLUTION,
     OperatingMode,
+    Register,
     control_table,
 )
-from robot_ik.hardware.virtual.memory import CONTROLLER, TRIPPED, Memory
+from robot_ik.hardware.virtual.memory import CONTROLLER, PROFILE, TRIPPED, Memory
 from robot_ik.hardware.virtual.motor import PWM_FULL, TORQUE_MODES, VELOCITY_TICKS, Electrics
-from robot_ik.hardware.virtual.protocol import ALERT, MAX_PACKET, ErrorCode, Instruction, build_fast_status
+from robot_ik.hardware.virtual.protocol import (
+    ALERT,
+    BROADCAST,
+    MAX_PACKET,
+    ErrorCode,
+    Instruction,
+    build_fast_status,
+)
 from robot_ik.hardware.virtual.shaft import Shaft
 from robot_ik.hardware.watchdogs import WATCHDOG_UNIT_MS
 from robot_ik.hardware.x_series import REVERSE, SLAVE, TORQUE_BY_GOAL
 from robot_ik.ports import Clock
 
 CLEAR_MULTI_TURN = b"\x01\x44\x58\x4c\x22"
+PROTOCOL_1 = 1
+"""Protocol Type of a servo that understands Protocol 1.0 only."""
 _STORE, _RESTORE = b"\x01CTRL", b"\x02CTRL"
 _TORQUE_AT_START, _RAM_FROM_BACKUP = 0b01, 0b10  # bits of Startup Configuration
 BROWN_OUT = 0.4
@@ -111,6 +122,12 @@ class VirtualServo:
         return self.memory.values["id"]
 
     @property
+    def secondary_id(self) -> int | None:
+        """Another id to which it listens, in silence."""
+        id = self.memory.values["secondary_id"]
+        return id if id in IDS and id != self.id else None
+
+    @property
     def baud(self) -> int:
         return BAUD_RATES[self.memory.values["baud_rate"]]
 
@@ -121,8 +138,9 @@ class VirtualServo:
 
     @property
     def deaf(self) -> bool:
-        """Silent, off, or still starting up."""
-        return self.silent or self.off or self._clock.now() < self.ready_at
+        """Silent, off, still starting up, or set to Protocol 1.0, which nobody speaks here."""
+        other = self.memory.values["protocol_type"] == PROTOCOL_1
+        return self.silent or self.off or other or self._clock.now() < self.ready_at
 
     @property
     def torque(self) -> bool:
@@ -197,24 +215,35 @@ class VirtualServo:
             memory.set(name, value())
         return memory.read(address, length)
 
-    def write(self, address: int, data: bytes) -> ErrorCode:
-        """Sets registers if all of them may be set; then does what they say."""
+    def write(self, address: int, data: bytes, *, secondary: bool = False) -> ErrorCode:
+        """Sets registers if all of them may be set; then does what they say.
+
+        ``secondary``: sent to the Secondary ID, by which EEPROM cannot be changed.
+        """
         self.update()
         had_torque = bool(self.memory.values["torque_enable"])
-        values, error = self.memory.parse_write(address, data)
+        values, error = self._parse_write(address, data, secondary)
         for register, value in values:
             self.memory.set(register.name, value)
             self._written(register.name, had_torque)
         return error
 
-    def reg_write(self, address: int, data: bytes) -> ErrorCode:
+    def reg_write(self, address: int, data: bytes, *, secondary: bool = False) -> ErrorCode:
         """Checks a write and keeps it for ``action``."""
         self.update()
-        _, error = self.memory.parse_write(address, data)
+        _, error = self._parse_write(address, data, secondary)
         if not error:
             self._registered = (address, data)
             self.memory.set("registered_instruction", 1)
         return error
+
+    def _parse_write(
+        self, address: int, data: bytes, secondary: bool
+    ) -> tuple[list[tuple[Register, int]], ErrorCode]:
+        values, error = self.memory.parse_write(address, data)
+        if secondary and any(register.eeprom for register, _ in values):
+            return [], ErrorCode.ACCESS
+        return values, error
 
     def action(self) -> ErrorCode:
         """Does the kept write; an instruction error if there is none."""
@@ -227,6 +256,8 @@ class VirtualServo:
     def clear(self, params: bytes) -> ErrorCode:
         """Clear multi-turn: the reading falls back into one revolution; only while the shaft stands."""
         self.update()
+        if "clear" not in self.table.abilities:
+            return ErrorCode.INSTRUCTION
         if params != CLEAR_MULTI_TURN:
             return ErrorCode.DATA_RANGE
         if abs(self.shaft.speed) >= 0.5 * VELOCITY_TICKS:  # it can be seen to move
@@ -345,6 +376,8 @@ class VirtualServo:
         if limit > 0 and now > trip:
             self.shaft.brake_at(trip)
             self.memory.set("bus_watchdog", TRIPPED)
+            for name in PROFILE:
+                self.memory.set(name, 0)
 
     def _warm(self, now: float) -> None:
         electrics, memory = self.electrics, self.memory
@@ -516,10 +549,9 @@ WRITES: Mapping[int, Callable[[bytes], list[Order]]] = {
 """Instructions to many servos -> what is in their parameters."""
 
 
-def execute(
-    servo: VirtualServo, instruction: int, params: bytes, *, broadcast: bool
-) -> tuple[ErrorCode, bytes]:
-    """What ``servo`` does on an instruction that is meant for it, to it alone or to all: error and data."""
+def execute(servo: VirtualServo, instruction: int, params: bytes, to: int) -> tuple[ErrorCode, bytes]:
+    """What ``servo`` does on an instruction to its id, its Secondary ID or to all: error and data."""
+    secondary = to == servo.secondary_id
     error = ErrorCode.NONE
     match instruction:
         case Instruction.PING:
@@ -528,14 +560,14 @@ def execute(
             data, error = servo.read(word(params, 0), word(params, 2))
             return error, data
         case Instruction.WRITE:
-            error = servo.write(word(params, 0), params[2:])
+            error = servo.write(word(params, 0), params[2:], secondary=secondary)
         case Instruction.REG_WRITE:
-            error = servo.reg_write(word(params, 0), params[2:])
+            error = servo.reg_write(word(params, 0), params[2:], secondary=secondary)
         case Instruction.ACTION:
             error = servo.action()
         case Instruction.FACTORY_RESET if len(params) == 1:
-            guarded = broadcast and params == b"\xff" and "guarded_reset" in servo.table.abilities
-            error = ErrorCode.RESULT_FAIL if guarded else servo.factory_reset(params[0])
+            guarded = to == BROADCAST and params == b"\xff" and "guarded_reset" in servo.table.abilities
+            error = ErrorCode.RESULT_FAIL if guarded or secondary else servo.factory_reset(params[0])
         case Instruction.READ | Instruction.FACTORY_RESET:
             error = ErrorCode.DATA_LENGTH
         case Instruction.REBOOT:
@@ -543,7 +575,7 @@ def execute(
         case Instruction.CLEAR:
             error = servo.clear(params)
         case Instruction.CONTROL_TABLE_BACKUP:
-            error = servo.control_table_backup(params)
+            error = ErrorCode.RESULT_FAIL if secondary else servo.control_table_backup(params)
         case _:
             error = ErrorCode.INSTRUCTION
     return error, b""

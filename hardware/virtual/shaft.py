@@ -132,7 +132,9 @@ class Shaft:
         return self.sign * round(self._actual()[1] / VELOCITY_TICKS)
 
     def moving_status(self) -> int:
-        """Bit 0 in position, 1 profile going on, 3 following error, 4-5 kind of profile."""
+        """Of a goal position. Bit 0: in position, 1: profile going on, 3: following error, 4-5: its kind."""
+        if self._mode == OperatingMode.VELOCITY or self._mode in drive.TORQUE_MODES:
+            return 0
         ongoing = self._clock.now() < self.motion.end
         goal_error = abs(self._memory.values["goal_position"] - self.reading)
         kind = self.motion.kind if ongoing else ProfileKind.STEP

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -117,6 +118,31 @@ def test_over_any_window_travel_is_within_the_cap(arm_config, steps, way):
             arm.clock.sleep_until(arm.clock.now() + ours)
             arm.send(np.full(6, way * FAR), now)
         assert goals.worst(arm.config.velocity, arm.resolution) <= 1.0
+
+
+def test_a_clock_that_is_set_in_the_middle_of_a_motion_does_not_stop_it_dead(moving):
+    arm, _, far = moving
+    for k in range(40):
+        arm.clock.sleep_until(arm.clock.now() + PERIOD)
+        arm.send(far, PERIOD * k)
+    before = np.array(arm._cycle.limits.velocity)
+    for jump in (1.0, 1.01, -5.0):
+        arm.clock.sleep_until(arm.clock.now() + PERIOD)
+        arm.send(far, 40 * PERIOD + jump)
+        change = np.abs(np.array(arm._cycle.limits.velocity) - before)
+        assert (change <= arm.config.acceleration * PERIOD * (1 + 1e-5)).all()
+        before = np.array(arm._cycle.limits.velocity)
+
+
+def test_after_a_stall_an_arm_starts_from_rest_whatever_time_its_program_says(arm_config):
+    """Nothing has tripped that would say so: the servos have no Bus Watchdog."""
+    with open_arm(dataclasses.replace(arm_config, watchdog_ms=0), "sim", start=np.zeros(6)) as arm:
+        arm.enable()
+        for k in range(41):
+            arm.clock.sleep_until(arm.clock.now() + (0.3 if k == 40 else PERIOD))
+            arm.send(np.full(6, FAR), PERIOD * k)
+        speed = np.abs(arm._cycle.limits.velocity)
+        assert (speed <= arm.config.acceleration * PERIOD * (1 + 1e-5)).all()
 
 
 def test_a_time_that_is_no_number_is_refused(moving):

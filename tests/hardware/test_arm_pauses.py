@@ -19,6 +19,18 @@ def test_after_a_pause_the_tripped_watchdog_is_cleared_and_the_arm_goes_on(
     assert registers(arm, "bus_watchdog") == [10] * 6
 
 
+def test_servos_that_stopped_by_themselves_get_their_profiles_back(arm, stream, smooth, registers, start):
+    names = ("profile_velocity", "profile_acceleration")
+    arm.enable()
+    stream(arm, [start] * 3)
+    before = [registers(arm, name) for name in names]
+    arm.clock.sleep_until(arm.clock.now() + 5.0)
+    assert all(servo.torque for servo in arm.virtual_bus.servos)
+    assert [registers(arm, name) for name in names] == [[0] * 6] * 2  # as fast as they can
+    stream(arm, smooth(start, start + 0.1, 0.3))
+    assert [registers(arm, name) for name in names] == before
+
+
 def test_a_read_after_a_pause_does_not_hide_the_tripped_watchdog(arm, stream, smooth, start):
     arm.enable()
     arm.clock.sleep_until(arm.clock.now() + 5.0)

@@ -134,11 +134,37 @@ def test_what_lies_in_ram_is_back_after_the_port_was_away(tuned, stream, start) 
         assert settings(arm.virtual_bus, 1) == WANTED
 
 
+def test_no_servo_gets_torque_by_a_restart_of_its_own(tuned, stream, start) -> None:
+    servos = servos_of(tuned, start)
+    for servo in servos.servos:
+        servo.memory.set("startup_configuration", 0b11)
+    with open_arm(tuned, "sim", virtual_bus=servos) as arm:
+        arm.enable()
+        stream(arm, [start] * 3)
+        servos.servo(1).reboot()
+        assert not servos.servo(1).torque
+        with pytest.raises(MotorFaultError, match="torque_lost"):
+            stream(arm, [start] * 3)
+
+
+def test_a_servo_that_restarted_since_connect_gets_no_torque(tuned, stream, start) -> None:
+    """Without its profile and its goal current it would be as fast and as strong as it can."""
+    with open_arm(tuned, "sim", start=start) as arm:
+        arm.virtual_bus.servo(1).reboot()
+        with pytest.raises(HardwareError, match=r"joint1.*restarted.*nothing was switched on"):
+            arm.enable()
+        assert not any(servo.torque for servo in arm.virtual_bus.servos)
+        arm.reconnect()
+        assert settings(arm.virtual_bus, 1) == WANTED
+        arm.enable()
+        stream(arm, [start] * 3)
+
+
 def test_a_profile_on_a_swing_arm_covers_the_place_where_the_finger_is_slowest() -> None:
     from tests.hardware.test_arm_file_keys import ALL
 
     finger = ArmConfig.parse(ALL.replace("profile_velocity_mm = 60.0\n", "")).joint("finger")
-    from robot_ik.hardware.startup import SPEED_HEADROOM
+    from robot_ik.hardware.torque import SPEED_HEADROOM
 
     config = ArmConfig("f", "f", 1_000_000, 100.0, 400, "torque_off", (finger,))
     with open_arm(config, "sim") as arm:

@@ -9,6 +9,7 @@ from robot_ik.errors import ArmStateError, HardwareError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.virtual.bus import VirtualBus
+from robot_ik.hardware.virtual.faults import Fault
 from robot_ik.ports import VirtualClock
 
 
@@ -48,6 +49,17 @@ def test_move_to_arrives_and_says_when_it_cannot(arm):
     arm.virtual_bus.servo(2).stuck = True
     with pytest.raises(HardwareError, match="'joint2' is still"):
         arm.move_to([0.3] * 6)
+
+
+def test_a_joint_that_cannot_arrive_stops_pressing(arm):
+    arm.enable()
+    arm.move_to([0.0] * 6)
+    arm.virtual_bus.inject(Fault("jammed", joint="joint2"))
+    with pytest.raises(HardwareError, match="'joint2' is still"):
+        arm.move_to({"joint2": 0.3}, timeout=0.6)
+    memory = arm.virtual_bus.servo(2).memory
+    assert arm.state is ArmState.HOLD
+    assert abs(memory.values["goal_position"] - arm.virtual_bus.servo(2).shaft.reading) < 5
 
 
 def test_leaving_switches_torque_off_and_verifies_it(any_arm, stream, registers, start):

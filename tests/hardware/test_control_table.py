@@ -155,7 +155,8 @@ def test_firmware_decides_what_is_there() -> None:
     assert bits == [0b1101, 0b0101] and "drive_mode" not in older
     assert "startup_configuration" in new and "startup_configuration" not in old
     assert "backup_ready" in new and "bus_watchdog" in old and "bus_watchdog" not in older
-    assert new.abilities == {"fast_read", "backup", "guarded_reset"} and old.abilities == {"guarded_reset"}
+    assert new.abilities == {"fast_read", "backup", "guarded_reset", "clear"}
+    assert old.abilities == {"guarded_reset", "clear"}
     assert control_table("XM540-W270")["drive_mode"].maximum == 0b1111  # the 540 class can be a slave
     assert old["firmware_version"].initial == 44
     small = control_table("XL330-M288"), control_table("XL330-M288", 51), control_table("XL330-M288", 45)

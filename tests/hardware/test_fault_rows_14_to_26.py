@@ -176,6 +176,20 @@ def test_who_loses_count_in_mid_motion_is_held_where_it_stands(lab, turns):
         assert np.abs(arm.virtual_bus.true_angles(lab.config) - lab.start).max() < 0.05
 
 
+def test_who_loses_count_while_the_arm_holds_is_held_where_it_stands(lab):
+    with lab.arm() as arm:
+        arm.enable()
+        lab.drive(arm)
+        arm.hold()
+        before = arm.virtual_bus.true_angles(lab.config)
+        arm.virtual_bus.inject(Fault("lost_turns", id=2, value=1))
+        arm.clock.sleep_until(arm.clock.now() + 0.02)
+        with pytest.raises(MotorFaultError, match="position_jump"):
+            arm.read()
+        arm.clock.sleep_until(arm.clock.now() + 3.0)
+        assert np.abs(arm.virtual_bus.true_angles(lab.config) - before).max() < 0.1 and all(lab.torque(arm))
+
+
 def test_a_joint_that_presses_and_loses_count_is_held_too(lab, arm_toml):
     """What it grips keeps such a joint from its goal; here nothing would."""
     text = arm_toml.replace('"extended_position"', '"current_based_position"\ncurrent_ma = 269.0', 1)

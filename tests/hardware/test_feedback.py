@@ -10,7 +10,7 @@ from robot_ik.errors import MotorFaultError
 from robot_ik.hardware import open_arm
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.control_table import OperatingMode
-from robot_ik.hardware.cycle import jumped
+from robot_ik.hardware.cycle import jump_fault
 from robot_ik.hardware.joint_map import JointMap
 from robot_ik.hardware.virtual.bus import VirtualBus
 from robot_ik.hardware.virtual.servo import VirtualServo
@@ -126,7 +126,7 @@ def test_a_servo_read_plainly_at_rest_shows_its_lost_torque_in_the_same_cycle(
 def test_a_slide_that_jumps_is_reported_in_millimetres():
     mode = OperatingMode.EXTENDED_POSITION
     rack = JointMap("rack", 2, "XL330-M288", mode, 1, 0, 1.0, 0.0, 0.03, 0.05, 0.4, pinion=0.01)
-    assert "it read 0.0 mm, now 62.8 mm:" in (jumped(rack, 0, 4096).hint or "")
+    assert "it read 0.0 mm, now 62.8 mm:" in (jump_fault(rack, 0, 4096).hint or "")
     assert "it read 0.0 deg, now 360.0 deg:" in (
-        jumped(dataclasses.replace(rack, pinion=None), 0, 4096).hint or ""
+        jump_fault(dataclasses.replace(rack, pinion=None), 0, 4096).hint or ""
     )

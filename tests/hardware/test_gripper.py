@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import robot_ik as rik
-from robot_ik.errors import ConfigError, UnsafeCommandError
+from robot_ik.errors import BusDisconnectedError, ConfigError, UnknownJointError, UnsafeCommandError
 from robot_ik.hardware import open_arm
-from robot_ik.hardware.arm import Arm
+from robot_ik.hardware.arm import Arm, ArmState
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.control_table import OperatingMode
 from robot_ik.hardware.health import read_states
@@ -136,6 +136,30 @@ def test_a_grip_stops_at_what_is_there_and_presses_as_hard_as_told(desk_arm: Arm
         desk_arm.grip(0.030)
     with pytest.raises(UnsafeCommandError, match=r"18.0004 mm.*0.0000 mm to 18.0000 mm"):
         desk_arm.grip(0.0180004)
+
+
+def test_a_current_after_a_pause_is_taken(desk_arm: Arm) -> None:
+    desk_arm.clock.sleep_until(desk_arm.clock.now() + 5.0)  # every Bus Watchdog has tripped
+    desk_arm.limit_current({"finger_left": 200.0})
+    assert desk_arm.virtual_bus.servo(ID).memory.values["goal_current"] == 200
+    desk_arm.clock.sleep_until(desk_arm.clock.now() + 5.0)
+    (grip,) = desk_arm.grip(0.002, current=150.0)
+    assert not grip.held and grip.q == pytest.approx(0.002, abs=1e-4)
+
+
+def test_a_port_that_is_gone_when_a_current_is_set_is_a_fault_of_the_arm(desk_arm: Arm) -> None:
+    desk_arm.virtual_bus.unplugged = True
+    for _ in range(2):  # the same again, and not that the bus is not open
+        with pytest.raises(BusDisconnectedError):
+            desk_arm.limit_current({"finger_left": 200.0})
+        assert desk_arm.state is ArmState.FAULT
+
+
+def test_a_wrong_current_is_no_fault_of_the_arm(desk_arm: Arm) -> None:
+    for name, error in (("finger", UnknownJointError), ("joint1", UnsafeCommandError)):
+        with pytest.raises(error):
+            desk_arm.limit_current({name: 200.0})
+    assert desk_arm.state is ArmState.ENABLED
 
 
 def test_it_is_part_of_torque_off_and_of_faults(desk: ArmConfig) -> None:

@@ -235,8 +235,8 @@ def test_the_command_says_when_torque_may_still_be_on(arm_config, arm_path, star
         servo = port.bus.servo(5)
         write = servo.write
 
-        def then_silent(address, data):
-            result = write(address, data)
+        def then_silent(address, data, **how):
+            result = write(address, data, **how)
             if address == 64 and data == b"\x01":
                 servo.silent = True
             return result

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from robot_ik.errors import HardwareError, MotorFaultError
+from robot_ik.errors import HardwareError, MotorFaultError, UnsafeCommandError
 from robot_ik.hardware import open_arm, watchdogs
 from robot_ik.hardware.arm import ArmState
 from robot_ik.hardware.watchdogs import Heartbeat
@@ -39,6 +39,18 @@ def test_a_stale_command_is_held_watched_and_the_bus_watchdog_does_not_trip(arm,
     here = arm.read().q
     stream(arm, smooth(here, here + 0.1, 0.3))  # and the program goes on
     assert arm.state is ArmState.ENABLED and arm.reports.stale == 1
+
+
+def test_a_program_that_says_nothing_but_nan_is_stale(arm_config, stream, smooth, start):
+    with open_arm(arm_config, "sim", start=start) as arm:
+        arm.enable()
+        stream(arm, smooth(start, start + 0.3, 0.6)[:30])
+        for _ in range(11):
+            arm.clock.sleep_until(arm.clock.now() + 0.01)
+            with pytest.raises(UnsafeCommandError):
+                arm.send(np.full(6, np.nan), arm.clock.now())
+        arm._beat()  # on virtual time there is no thread that does
+        assert arm.state is ArmState.HOLD and arm.reports.stale == 1
 
 
 def test_a_fault_in_the_meantime_is_raised_by_the_next_command(arm, stream, start):

@@ -182,10 +182,46 @@ def test_a_new_id_is_answered_under_the_old_and_heard_under_the_new(
     assert parse(bus.handle(build(9, I.PING)))[0].id == 9
 
 
+def test_a_servo_that_is_set_to_another_protocol_is_not_heard_any_more(bus: VirtualBus) -> None:
+    assert bus.handle(build(1, I.WRITE, _word(13) + b"\x01")) == build_status(1, 0)
+    assert bus.handle(build(1, I.PING)) == b""
+    assert bus.handle(build(2, I.PING)) != b""
+
+
+def test_a_330_has_no_protocol_1_and_those_of_remote_controls_only_with_their_signal(
+    clock: VirtualClock,
+) -> None:
+    bus = VirtualBus([VirtualServo("XL330-M288", 1, clock)], clock)
+    for value, error in ((1, 4), (3, 4), (19, 4), (20, 0), (22, 0), (23, 4)):
+        assert bus.handle(build(1, I.WRITE, _word(13) + bytes([value]))) == build_status(1, error)
+
+
 def test_a_secondary_id_is_obeyed_in_silence(bus: VirtualBus) -> None:
     bus.servo(1).memory.set("secondary_id", 50)
     assert bus.handle(build(50, I.WRITE, _word(65) + b"\x01")) == b""
     assert bus.servo(1).memory.values["led"] == 1
+
+
+def test_a_secondary_id_changes_no_eeprom(bus: VirtualBus) -> None:
+    """ROBOTIS-GIT/emanual _includes/en/dxl/x/shadow_id.md."""
+    servo = bus.servo(1)
+    servo.memory.set("secondary_id", 2)
+    new_id, delay = _word(7) + b"\x09", _word(9)
+    assert bus.handle(build(2, I.WRITE, new_id)) == build_status(2, 0)
+    bus.handle(build(254, I.SYNC_WRITE, delay + _word(1) + b"\x02\x00" + b"\x09\x00"))
+    assert (servo.id, servo.memory.values["return_delay_time"]) == (1, 250)
+    bus.handle(build(2, I.FACTORY_RESET, b"\x01"))
+    bus.handle(build(2, I.REG_WRITE, new_id))
+    bus.handle(build(254, I.ACTION))
+    assert (servo.id, servo.memory.values["secondary_id"]) == (1, 2)
+
+
+@pytest.mark.parametrize("secondary", [1, 253, 254, 255])
+def test_a_secondary_id_that_is_none(bus: VirtualBus, secondary: int) -> None:
+    bus.servo(1).memory.set("secondary_id", secondary)
+    params = _word(9) + _word(1) + b"\x01\x07" + bytes([secondary]) + b"\x08"
+    bus.handle(build(254, I.SYNC_WRITE, params if secondary != 1 else params[:-2]))
+    assert bus.servo(1).memory.values["return_delay_time"] == 7
 
 
 def test_servos_with_one_id_talk_over_each_other(

@@ -35,6 +35,7 @@ def test_a_held_load_shows_as_current_and_its_sign_turns_with_the_lever(make_ben
 def test_turning_costs_friction_and_voltage(make_bench: Make) -> None:
     bench = make_bench(mode=VELOCITY, load=Load(friction=0.41))
     bench.set(torque_enable=1, goal_velocity=100)
+    assert bench.read("moving_status") == 0  # of goal positions
     bench.wait(2.0)
     assert bench.read("present_current") * 2.69 == pytest.approx(0.41 * MILLIAMPERES_PER_NM, abs=3)
     # a tenth of the voltage for the friction, the rest for the speed: 22.9 of 46 rev/min

@@ -62,6 +62,7 @@ def test_bus_watchdog_counts_silence_with_torque_only(make_bench: Callable[..., 
     assert bench.servo.true_ticks == pytest.approx(at_trip, abs=3.0)  # it stopped then, not when it was asked
     assert bench.read("bus_watchdog") == -1
     assert bench.read("torque_enable") == 1
+    assert bench.read("profile_velocity") == bench.read("profile_acceleration") == 0
     for goal in ("goal_position", "goal_velocity", "goal_pwm", "goal_current"):
         assert bench.write(goal, 1) == ErrorCode.DATA_RANGE
     assert bench.write("bus_watchdog", 5) == ErrorCode.DATA_RANGE
@@ -129,6 +130,10 @@ def test_clear_multi_turn_only_at_a_stand(make_bench: Callable[..., Any]) -> Non
     assert bench.read("present_position") == 96
     bench.wait(1.0)
     assert bench.servo.true_ticks == -4000.0
+
+
+def test_older_firmware_has_no_clear(make_bench: Callable[..., Any]) -> None:
+    assert make_bench(firmware=41).servo.clear(CLEAR_MULTI_TURN) == ErrorCode.INSTRUCTION
 
 
 def test_realtime_tick_wraps(make_bench: Callable[..., Any]) -> None:
