@@ -234,7 +234,8 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
 
     A small rotation ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
     """
-    jacobian = np.hstack([np.eye(3), np.cross(np.asarray(lever, dtype=float), np.eye(3))])
+    x, y, z = np.asarray(lever, dtype=float).tolist()
+    jacobian = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
     metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
     radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
     return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))
@@ -391,7 +392,7 @@ class MarkerGoalSource:
     def _find(self, frame: Frame) -> MarkerObservation | BodyObservation | None:
         if not isinstance(self.marker, int):
             return self.tracker.observe_body(frame, self.marker)
-        seen = [o for o in self.tracker.observe(frame) if o.id == self.marker]
+        seen = self.tracker.observe(frame, [self.marker])
         if len(seen) > 1:
             _log.warning("marker %d is in view %d times; holding", self.marker, len(seen))
         return seen[0] if len(seen) == 1 else None
@@ -402,7 +403,8 @@ class MarkerGoalSource:
         """Pose and covariance in the world, and ``_tool_offset``; None: unknown where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
-        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
+        rotation = np.zeros((6, 6))
+        rotation[:3, :3] = rotation[3:, 3:] = pose_world_camera.rotation
         covariance = rotation @ seen.covariance @ rotation.T
         if seen.alternative is None or seen.ambiguity <= AMBIGUITY_LIMIT:
             return pose, covariance, None
@@ -430,12 +432,12 @@ class MarkerGoalSource:
             return
         self._known, self._tool_offset, self._resting = True, tool_offset, None
         if self._calm is not None:
-            if what is not Update.TAKEN or self._filter.moving().any():
+            if what is not Update.TAKEN or self._filter.moving.any():
                 self._calm.reset()
             self._calm_pose = self._calm.update(frame.time, self._filter.predict(frame.time).pose)
 
     def _goal(self, time: float) -> PoseGoal | PositionGoal:
-        moving = self._filter.moving().any() and time > self._filter.time
+        moving = self._filter.moving.any() and time > self._filter.time
         if not moving and self._resting is not None:
             return self._resting
         pose, covariance, _ = self._filter.predict(time)

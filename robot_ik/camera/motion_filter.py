@@ -95,11 +95,16 @@ class MotionFilter:
 
     Attributes:
         time: Of the last observation taken, s; NaN before the first.
+        moving: (2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict.
     """
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
         self.time = float("nan")
+        self.moving = np.zeros(2)
+        # (6, 6) variance that the velocity gains in each second, and the least variance of an observation.
+        self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
+        self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
         self._pose = Pose()
         self._rate = np.zeros(6)
         self._covariance = np.zeros((12, 12))
@@ -142,8 +147,10 @@ class MotionFilter:
             return self._begin(time, pose, noise, Update.RESTARTED)
         predicted, step, spread = self._advanced(time - self.time)
         innovation = pose.change_from(predicted)
-        gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
-        distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
+        weighted = np.linalg.solve(
+            spread[_POSE, _POSE] + noise, np.concatenate([spread[_POSE], innovation[:, None]], axis=1)
+        )
+        gain, distance = weighted[:, :12].T, innovation @ weighted[:, 12]
         if not distance <= self.options.gate:
             self._rejected, self._rejected_at = self._rejected + 1, time
             if self._rejected >= self.options.outliers_to_restart:
@@ -160,6 +167,7 @@ class MotionFilter:
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
         self._pose, self._rate = predicted.moved(change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
+        self.moving = self._how_much_moving()
         return Update.TAKEN
 
     def predict(self, time: float) -> Prediction:
@@ -176,17 +184,19 @@ class MotionFilter:
                 hint="call update first",
             )
         span = min(max(time - self.time, 0.0), self.options.longest_prediction)
-        shares = self.moving()
-        horizon = span * np.repeat(shares, 3)
+        shares = np.repeat(self.moving, 3)
+        horizon = span * shares
         pose = self._pose.moved(horizon * self._rate)
         p = self._covariance
         cross = p[_POSE, _RATE] * horizon
         spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
-        spread = spread + np.diag(self._density() * horizon**3 / 3.0)
-        return Prediction(pose, _symmetric(spread), self._rate * np.repeat(shares, 3))
+        spread = spread + self._density * horizon**3 / 3.0
+        return Prediction(pose, _symmetric(spread), self._rate * shares)
 
-    def moving(self) -> Array:
-        """(2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict."""
+    # ------------------------------------------------------------------------------------ inside
+
+    def _how_much_moving(self) -> Array:
+        """(2,) ``moving``, by the last observation."""
         shares = np.empty(2)
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
             rate, shaking = self._rate[part], self._shaking[6:, 6:][part, part]
@@ -200,8 +210,6 @@ class MotionFilter:
         earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
         return shares * earned
 
-    # ------------------------------------------------------------------------------------ inside
-
     def _noise(self, time: float, covariance: ArrayLike) -> Array:
         noise = np.array(covariance, dtype=float)
         good = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and bool(np.isfinite(time))
@@ -210,7 +218,7 @@ class MotionFilter:
                 f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
-        return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least_sigma), 3))
+        return _symmetric(noise) + self._least_noise
 
     def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
         self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
@@ -220,11 +228,8 @@ class MotionFilter:
         self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
         self._shaking = np.zeros((12, 12))
         self._shaking[_POSE, _POSE] = noise
-        self._misses = np.zeros((2, 2))
+        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
         return how
-
-    def _density(self) -> Array:
-        return np.repeat(np.square(self.options.process_noise), 3)
 
     def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
         """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
@@ -232,7 +237,7 @@ class MotionFilter:
         step[3:6, 3:6] = quat_to_matrix(rotation_exp(span * self._rate[3:]))
         step[_POSE, _RATE] = span * np.eye(6)
         spread = step @ self._covariance @ step.T
-        density = np.diag(self._density())
+        density = self._density
         spread[_POSE, _POSE] += density * span**3 / 3.0
         spread[_POSE, _RATE] += density * span**2 / 2.0
         spread[_RATE, _POSE] += density * span**2 / 2.0
