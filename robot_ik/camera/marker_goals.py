@@ -285,8 +285,8 @@ class MarkerGoalSource:
     Attributes:
         last: Observation of the marker in the last frame; None when it was not seen.
         last_frame: The last frame looked at, without its truth; None before the first.
-        made: Delays from grab to goal.
-        used: Age of the pictures from which the goals were that were asked for.
+        goal_delays: From the grab of a picture to its goal.
+        picture_ages: Of the pictures from which goals were made, when these were asked for.
     """
 
     def __init__(
@@ -311,7 +311,7 @@ class MarkerGoalSource:
         self.lead, self.when_lost = lead, when_lost
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
-        self.made, self.used = DelayMeter(), DelayMeter()
+        self.goal_delays, self.picture_ages = DelayMeter(), DelayMeter()
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
@@ -358,10 +358,10 @@ class MarkerGoalSource:
         done = now if self._clock is None else self._clock.now()  # looking may have taken long
         with self._lock:
             self._fresh_at, self.last_frame, self.last = done, frame, seen
-            self._take(frame, seen)
+            self._update_filter(frame, seen)
             made = self._known
         if made and not isinstance(self._clock, VirtualClock):
-            self.made.add(frame.time, (self._clock or RealClock()).now())
+            self.goal_delays.add(frame.time, (self._clock or RealClock()).now())
 
     def goal_at(self, now: float) -> Goal | None:
         """The goal for the time ``now`` from the pictures looked at; takes no picture and is quick.
@@ -376,7 +376,7 @@ class MarkerGoalSource:
             if not self._known or self.last_frame is None:
                 return self._absent(now)
             self._goal_at = now
-            age = self.used.add(self.last_frame.time, now)
+            age = self.picture_ages.add(self.last_frame.time, now)
             # A stamp of another clock cannot be compared with now.
             target_time = now + self.lead if self._predict and age == age else self.last_frame.time
             return self._goal(target_time)
@@ -417,7 +417,7 @@ class MarkerGoalSource:
         unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
         return pose, unsure, 0.5 * (one + two) - pose.position
 
-    def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
+    def _update_filter(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
         placed = None if seen is None else self._placed(seen, pose)

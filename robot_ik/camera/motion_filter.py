@@ -51,29 +51,27 @@ class FilterOptions:
 
     Attributes:
         process_noise: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
-            rad/s per √s.  Larger follows faster rotations and trusts single pictures more.
+            rad/s per √s.  Larger follows faster motion and trusts single pictures more.
         initial_speed_sigma: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
-        rest_speed: Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds
-            that the filter cannot tell from rest count as rest, too.
-        longest_prediction: Longest time to predict, s.
-        gate: Squared Mahalanobis distance beyond which an observation is an outlier (27.9: one of 10 000 good
-            ones, six degrees of freedom).
-        outliers_to_restart: So many in a row are no outliers: it was moved, and the filter restarts there.
-        restart_after: After this time without an observation the filter starts again, s.
         least_sigma: Least standard deviation that an observation is believed to have, m and rad: print and
             lens are never as good as the corners.
     """
 
     process_noise: tuple[float, float] = (0.5, 4.0)
     initial_speed_sigma: tuple[float, float] = (1.0, 6.0)
-    rest_speed: tuple[float, float] = (0.015, 0.10)
-    longest_prediction: float = 0.15
-    gate: float = 27.9
-    outliers_to_restart: int = 3
-    restart_after: float = 1.0
     least_sigma: tuple[float, float] = (5e-5, 5e-4)
 
 
+# Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds that the filter
+# cannot tell from rest count as rest, too.
+_REST_SPEED = (0.015, 0.10)
+# Longest time to predict, s.
+_LONGEST_PREDICTION = 0.15
+# Squared Mahalanobis distance beyond which an observation is an outlier: one of 10 000 good ones is, with six
+# degrees of freedom.  So many in a row are none: the object was moved, and the filter restarts there.
+_GATE, _OUTLIERS_TO_RESTART = 27.9, 3
+# After this time without an observation the filter starts again, s.
+_RESTART_AFTER = 1.0
 # A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
 _SURE = 4.0
 # Square of a speed that no camera tells from rest: keeps the noise of a perfect one from being singular.
@@ -143,7 +141,7 @@ class MotionFilter:
             return self._begin(time, pose, noise, Update.STARTED)
         if time <= max(self.time, self._rejected_at):
             return Update.LATE
-        if time - self.time > self.options.restart_after:
+        if time - self.time > _RESTART_AFTER:
             return self._begin(time, pose, noise, Update.RESTARTED)
         predicted, step, spread = self._advanced(time - self.time)
         innovation = pose.change_from(predicted)
@@ -151,9 +149,9 @@ class MotionFilter:
             spread[_POSE, _POSE] + noise, np.concatenate([spread[_POSE], innovation[:, None]], axis=1)
         )
         gain, distance = weighted[:, :12].T, innovation @ weighted[:, 12]
-        if not distance <= self.options.gate:
+        if not distance <= _GATE:
             self._rejected, self._rejected_at = self._rejected + 1, time
-            if self._rejected >= self.options.outliers_to_restart:
+            if self._rejected >= _OUTLIERS_TO_RESTART:
                 return self._begin(time, pose, noise, Update.RESTARTED)
             return Update.OUTLIER
         change = gain @ innovation
@@ -183,7 +181,7 @@ class MotionFilter:
                 "a motion filter cannot predict before its first observation, nor for a time of nan",
                 hint="call update first",
             )
-        span = min(max(time - self.time, 0.0), self.options.longest_prediction)
+        span = min(max(time - self.time, 0.0), _LONGEST_PREDICTION)
         shares = np.repeat(self.moving, 3)
         horizon = span * shares
         pose = self._pose.moved(horizon * self._rate)
@@ -203,7 +201,7 @@ class MotionFilter:
             # In its own direction: depth shakes ten times as much as what lies across the view.
             sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
             speed = float(np.linalg.norm(rate))
-            share = min(max(min(speed / self.options.rest_speed[k], sure / _SURE) - 1.0, 0.0), 1.0)
+            share = min(max(min(speed / _REST_SPEED[k], sure / _SURE) - 1.0, 0.0), 1.0)
             shares[k] = share * share * (3.0 - 2.0 * share)
         missed, held = np.sqrt(self._misses)
         # Whole where prediction misses by less than half of what holding does, nothing where by as much.
