@@ -49,7 +49,7 @@ def main(late: bool = False) -> None:
             rik.follow(latest, robot, "lm", [arm], source=arm, duration=3.0, on_tick=compare)
 
     goal, tool = 1e3 * np.median(off[-80:], axis=0)
-    print(f"pictures when they were used: {goals.used.summary()}")
+    print(f"pictures when they were used: {goals.picture_ages.summary()}")
     print(f"goal {goal:.1f} mm, gripper {tool:.1f} mm from where the marker was by then")
 
 

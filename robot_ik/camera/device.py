@@ -66,17 +66,18 @@ def find_cameras(dev: str = "/dev", sys_root: str = "/sys") -> tuple[CameraDevic
             CameraDevice(
                 int(node.removeprefix("video")),
                 path,
-                _said(folder / "name"),
+                _text_of(folder / "name"),
                 stable.get(os.path.realpath(path), ""),
                 os.access(path, os.R_OK | os.W_OK),
                 # The kernel counts the nodes of one camera from 0, and the first is the one with pictures.
-                _said(folder / "index") in ("", "0"),
+                _text_of(folder / "index") in ("", "0"),
             )
         )
     return tuple(sorted(cameras, key=lambda camera: camera.index))
 
 
-def _said(path: Path) -> str:
+def _text_of(path: Path) -> str:
+    """What a file of the kernel's says; empty where it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

@@ -234,7 +234,8 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
 
     A small rotation ω moves that point by ω × lever.  Covariance (6, 6) and lever have the same axes.
     """
-    jacobian = np.hstack([np.eye(3), np.cross(np.asarray(lever, dtype=float), np.eye(3))])
+    x, y, z = np.asarray(lever, dtype=float).tolist()
+    jacobian = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
     metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
     radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
     return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))
@@ -284,8 +285,8 @@ class MarkerGoalSource:
     Attributes:
         last: Observation of the marker in the last frame; None when it was not seen.
         last_frame: The last frame looked at, without its truth; None before the first.
-        made: Delays from grab to goal.
-        used: Age of the pictures from which the goals were that were asked for.
+        goal_delays: From the grab of a picture to its goal.
+        picture_ages: Of the pictures from which goals were made, when these were asked for.
     """
 
     def __init__(
@@ -310,7 +311,7 @@ class MarkerGoalSource:
         self.lead, self.when_lost = lead, when_lost
         self.last: MarkerObservation | BodyObservation | None = None
         self.last_frame: Frame | None = None
-        self.made, self.used = DelayMeter(), DelayMeter()
+        self.goal_delays, self.picture_ages = DelayMeter(), DelayMeter()
         self._filter, self._each_alone = MotionFilter(motion), motion is None
         self._predict = source.live if predict is None else predict
         self._calm, self._calm_pose = calm, Pose()
@@ -357,10 +358,10 @@ class MarkerGoalSource:
         done = now if self._clock is None else self._clock.now()  # looking may have taken long
         with self._lock:
             self._fresh_at, self.last_frame, self.last = done, frame, seen
-            self._take(frame, seen)
+            self._update_filter(frame, seen)
             made = self._known
         if made and not isinstance(self._clock, VirtualClock):
-            self.made.add(frame.time, (self._clock or RealClock()).now())
+            self.goal_delays.add(frame.time, (self._clock or RealClock()).now())
 
     def goal_at(self, now: float) -> Goal | None:
         """The goal for the time ``now`` from the pictures looked at; takes no picture and is quick.
@@ -375,7 +376,7 @@ class MarkerGoalSource:
             if not self._known or self.last_frame is None:
                 return self._absent(now)
             self._goal_at = now
-            age = self.used.add(self.last_frame.time, now)
+            age = self.picture_ages.add(self.last_frame.time, now)
             # A stamp of another clock cannot be compared with now.
             target_time = now + self.lead if self._predict and age == age else self.last_frame.time
             return self._goal(target_time)
@@ -391,7 +392,7 @@ class MarkerGoalSource:
     def _find(self, frame: Frame) -> MarkerObservation | BodyObservation | None:
         if not isinstance(self.marker, int):
             return self.tracker.observe_body(frame, self.marker)
-        seen = [o for o in self.tracker.observe(frame) if o.id == self.marker]
+        seen = self.tracker.observe(frame, [self.marker])
         if len(seen) > 1:
             _log.warning("marker %d is in view %d times; holding", self.marker, len(seen))
         return seen[0] if len(seen) == 1 else None
@@ -402,7 +403,8 @@ class MarkerGoalSource:
         """Pose and covariance in the world, and ``_tool_offset``; None: unknown where the tool should go."""
         own = seen.pose_camera_body if isinstance(seen, BodyObservation) else seen.pose
         pose = pose_world_camera.compose(own)
-        rotation = np.kron(np.eye(2), pose_world_camera.rotation)
+        rotation = np.zeros((6, 6))
+        rotation[:3, :3] = rotation[3:, 3:] = pose_world_camera.rotation
         covariance = rotation @ seen.covariance @ rotation.T
         if seen.alternative is None or seen.ambiguity <= AMBIGUITY_LIMIT:
             return pose, covariance, None
@@ -415,7 +417,7 @@ class MarkerGoalSource:
         unsure[3:, 3:] = _ANY_ROTATION**2 * np.eye(3)
         return pose, unsure, 0.5 * (one + two) - pose.position
 
-    def _take(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
+    def _update_filter(self, frame: Frame, seen: MarkerObservation | BodyObservation | None) -> None:
         camera = self.pose_world_camera
         pose = camera(frame.time) if callable(camera) else camera
         placed = None if seen is None else self._placed(seen, pose)
@@ -430,12 +432,12 @@ class MarkerGoalSource:
             return
         self._known, self._tool_offset, self._resting = True, tool_offset, None
         if self._calm is not None:
-            if what is not Update.TAKEN or self._filter.moving().any():
+            if what is not Update.TAKEN or self._filter.moving.any():
                 self._calm.reset()
             self._calm_pose = self._calm.update(frame.time, self._filter.predict(frame.time).pose)
 
     def _goal(self, time: float) -> PoseGoal | PositionGoal:
-        moving = self._filter.moving().any() and time > self._filter.time
+        moving = self._filter.moving.any() and time > self._filter.time
         if not moving and self._resting is not None:
             return self._resting
         pose, covariance, _ = self._filter.predict(time)

@@ -51,29 +51,27 @@ class FilterOptions:
 
     Attributes:
         process_noise: Standard deviation of what the velocity changes in a time t is this times √t: m/s and
-            rad/s per √s.  Larger follows faster rotations and trusts single pictures more.
+            rad/s per √s.  Larger follows faster motion and trusts single pictures more.
         initial_speed_sigma: Standard deviation of a velocity of which nothing is known yet, m/s and rad/s.
-        rest_speed: Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds
-            that the filter cannot tell from rest count as rest, too.
-        longest_prediction: Longest time to predict, s.
-        gate: Squared Mahalanobis distance beyond which an observation is an outlier (27.9: one of 10 000 good
-            ones, six degrees of freedom).
-        outliers_to_restart: So many in a row are no outliers: it was moved, and the filter restarts there.
-        restart_after: After this time without an observation the filter starts again, s.
         least_sigma: Least standard deviation that an observation is believed to have, m and rad: print and
             lens are never as good as the corners.
     """
 
     process_noise: tuple[float, float] = (0.5, 4.0)
     initial_speed_sigma: tuple[float, float] = (1.0, 6.0)
-    rest_speed: tuple[float, float] = (0.015, 0.10)
-    longest_prediction: float = 0.15
-    gate: float = 27.9
-    outliers_to_restart: int = 3
-    restart_after: float = 1.0
     least_sigma: tuple[float, float] = (5e-5, 5e-4)
 
 
+# Speeds, m/s and rad/s, at which prediction begins; from twice as much it is whole.  Speeds that the filter
+# cannot tell from rest count as rest, too.
+_REST_SPEED = (0.015, 0.10)
+# Longest time to predict, s.
+_LONGEST_PREDICTION = 0.15
+# Squared Mahalanobis distance beyond which an observation is an outlier: one of 10 000 good ones is, with six
+# degrees of freedom.  So many in a row are none: the object was moved, and the filter restarts there.
+_GATE, _OUTLIERS_TO_RESTART = 27.9, 3
+# After this time without an observation the filter starts again, s.
+_RESTART_AFTER = 1.0
 # A speed counts once it is so many of its standard deviations: the noise of three axes seldom reaches it.
 _SURE = 4.0
 # Square of a speed that no camera tells from rest: keeps the noise of a perfect one from being singular.
@@ -95,11 +93,16 @@ class MotionFilter:
 
     Attributes:
         time: Of the last observation taken, s; NaN before the first.
+        moving: (2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict.
     """
 
     def __init__(self, options: FilterOptions | None = None) -> None:
         self.options = options or FilterOptions()
         self.time = float("nan")
+        self.moving = np.zeros(2)
+        # (6, 6) variance that the velocity gains in each second, and the least variance of an observation.
+        self._density = np.diag(np.repeat(np.square(self.options.process_noise), 3))
+        self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
         self._pose = Pose()
         self._rate = np.zeros(6)
         self._covariance = np.zeros((12, 12))
@@ -138,15 +141,17 @@ class MotionFilter:
             return self._begin(time, pose, noise, Update.STARTED)
         if time <= max(self.time, self._rejected_at):
             return Update.LATE
-        if time - self.time > self.options.restart_after:
+        if time - self.time > _RESTART_AFTER:
             return self._begin(time, pose, noise, Update.RESTARTED)
         predicted, step, spread = self._advanced(time - self.time)
         innovation = pose.change_from(predicted)
-        gain = np.linalg.solve(spread[_POSE, _POSE] + noise, spread[_POSE]).T
-        distance = innovation @ np.linalg.solve(spread[_POSE, _POSE] + noise, innovation)
-        if not distance <= self.options.gate:
+        weighted = np.linalg.solve(
+            spread[_POSE, _POSE] + noise, np.concatenate([spread[_POSE], innovation[:, None]], axis=1)
+        )
+        gain, distance = weighted[:, :12].T, innovation @ weighted[:, 12]
+        if not distance <= _GATE:
             self._rejected, self._rejected_at = self._rejected + 1, time
-            if self._rejected >= self.options.outliers_to_restart:
+            if self._rejected >= _OUTLIERS_TO_RESTART:
                 return self._begin(time, pose, noise, Update.RESTARTED)
             return Update.OUTLIER
         change = gain @ innovation
@@ -160,6 +165,7 @@ class MotionFilter:
         self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
         self._pose, self._rate = predicted.moved(change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
+        self.moving = self._how_much_moving()
         return Update.TAKEN
 
     def predict(self, time: float) -> Prediction:
@@ -175,32 +181,32 @@ class MotionFilter:
                 "a motion filter cannot predict before its first observation, nor for a time of nan",
                 hint="call update first",
             )
-        span = min(max(time - self.time, 0.0), self.options.longest_prediction)
-        shares = self.moving()
-        horizon = span * np.repeat(shares, 3)
+        span = min(max(time - self.time, 0.0), _LONGEST_PREDICTION)
+        shares = np.repeat(self.moving, 3)
+        horizon = span * shares
         pose = self._pose.moved(horizon * self._rate)
         p = self._covariance
         cross = p[_POSE, _RATE] * horizon
         spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
-        spread = spread + np.diag(self._density() * horizon**3 / 3.0)
-        return Prediction(pose, _symmetric(spread), self._rate * np.repeat(shares, 3))
+        spread = spread + self._density * horizon**3 / 3.0
+        return Prediction(pose, _symmetric(spread), self._rate * shares)
 
-    def moving(self) -> Array:
-        """(2,) how much it counts as moving and as turning: 0 at rest, 1 when fast enough to predict."""
+    # ------------------------------------------------------------------------------------ inside
+
+    def _how_much_moving(self) -> Array:
+        """(2,) ``moving``, by the last observation."""
         shares = np.empty(2)
         for k, part in enumerate((slice(0, 3), slice(3, 6))):
             rate, shaking = self._rate[part], self._shaking[6:, 6:][part, part]
             # In its own direction: depth shakes ten times as much as what lies across the view.
             sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
             speed = float(np.linalg.norm(rate))
-            share = min(max(min(speed / self.options.rest_speed[k], sure / _SURE) - 1.0, 0.0), 1.0)
+            share = min(max(min(speed / _REST_SPEED[k], sure / _SURE) - 1.0, 0.0), 1.0)
             shares[k] = share * share * (3.0 - 2.0 * share)
         missed, held = np.sqrt(self._misses)
         # Whole where prediction misses by less than half of what holding does, nothing where by as much.
         earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
         return shares * earned
-
-    # ------------------------------------------------------------------------------------ inside
 
     def _noise(self, time: float, covariance: ArrayLike) -> Array:
         noise = np.array(covariance, dtype=float)
@@ -210,7 +216,7 @@ class MotionFilter:
                 f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
-        return _symmetric(noise) + np.diag(np.repeat(np.square(self.options.least_sigma), 3))
+        return _symmetric(noise) + self._least_noise
 
     def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
         self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
@@ -220,11 +226,8 @@ class MotionFilter:
         self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
         self._shaking = np.zeros((12, 12))
         self._shaking[_POSE, _POSE] = noise
-        self._misses = np.zeros((2, 2))
+        self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
         return how
-
-    def _density(self) -> Array:
-        return np.repeat(np.square(self.options.process_noise), 3)
 
     def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
         """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
@@ -232,7 +235,7 @@ class MotionFilter:
         step[3:6, 3:6] = quat_to_matrix(rotation_exp(span * self._rate[3:]))
         step[_POSE, _RATE] = span * np.eye(6)
         spread = step @ self._covariance @ step.T
-        density = np.diag(self._density())
+        density = self._density
         spread[_POSE, _POSE] += density * span**3 / 3.0
         spread[_POSE, _RATE] += density * span**2 / 2.0
         spread[_RATE, _POSE] += density * span**2 / 2.0

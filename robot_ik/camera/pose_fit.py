@@ -326,19 +326,22 @@ class Branches:
     """Fitted poses, best first, one or two.
 
     Attributes:
-        data: What they were fitted to.
         poses: ``pose_camera_body`` each.
-        costs: Sum of squares of each in standard deviations; ``expected`` for a good one.
+        fits: How well each fits; one of cost ``expected`` is good.
     """
 
-    data: CornerData
     poses: tuple[Pose, ...]
-    costs: tuple[float, ...]
+    fits: tuple[FittedPose, ...]
+
+    @cached_property
+    def costs(self) -> tuple[float, ...]:
+        """Sum of squares of each in standard deviations."""
+        return tuple(fit.cost for fit in self.fits)
 
     @property
     def expected(self) -> float:
         """Cost of a right pose on average: degrees of freedom left, 2 for the four corners of a marker."""
-        return float(2 * len(self.data.points) - 6)
+        return float(len(self.fits[0].residual) - _DOF)
 
     @property
     def ambiguity(self) -> float:
@@ -353,14 +356,9 @@ class Branches:
         return BranchChoice(0, self.ambiguity)
 
     @cached_property
-    def fits(self) -> tuple[FittedPose, ...]:
-        """How well each pose fits."""
-        return tuple(self.data.fit(pose) for pose in self.poses)
-
-    @cached_property
     def covariances(self) -> tuple[Array, ...]:
         """(6, 6) of each pose."""
-        return tuple(covariance_of(f.jacobian, cost) for f, cost in zip(self.fits, self.costs, strict=True))
+        return tuple(covariance_of(fit.jacobian, fit.cost) for fit in self.fits)
 
     def other(self, chosen: int) -> Pose | None:
         """The pose that was not chosen."""
@@ -376,7 +374,7 @@ def fitted(data: CornerData, starts: Array) -> Branches | None:
         return None
     kept = found[:1]
     kept += [f for f in found[1:] if _angle(rows[f[1]], rows[found[0][1]]) >= SAME_ANGLE][:1]
-    return Branches(data, tuple(Pose(rows[k, :3], rows[k, 3:]) for _, k in kept), tuple(c for c, _ in kept))
+    return Branches(tuple(Pose(rows[k, :3], rows[k, 3:]) for _, k in kept), tuple(fits[k] for _, k in kept))
 
 
 def _in_front(points: Array, row: Array, cost: float) -> bool:

@@ -16,7 +16,7 @@ from robot_ik.camera.boards.board import MarkerBoard, PatternBoard
 from robot_ik.camera.drawing.renderers import Artist, Drawing, DrawnRobot
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.motion_filter import MotionFilter
-from robot_ik.camera.observations import MarkerObservation, marker_points
+from robot_ik.camera.observations import MarkerObservation
 from robot_ik.camera.sources import Frame
 from robot_ik.camera.tracker import MarkerTracker
 from robot_ik.geometry import Pose
@@ -106,14 +106,12 @@ class BoardWatcher:
             pose = view.pose_camera_board.compose(middle)
             return Seen(pose, covariance, points, board_points, marker, error, frame.time)
         assert tracker is not None, "a board of markers has a tracker"
-        layout = self._board.layout
-        body = tracker.observe_body(frame, layout)
+        body = tracker.observe_body(frame, self._board.layout)
         if body is None:
             return None
         found = tracker.corners(frame)
         points = {(i, k): found[i].corners[k] for i in body.ids for k in range(4)}
-        sides = {i: layout[i][1].apply(marker_points(layout[i][0])) for i in body.ids}
-        board_points = {(i, k): sides[i][k] for i in body.ids for k in range(4)}
+        board_points = dict(zip(points, self._board.corners(body.ids), strict=True))
         pose, error = body.pose_camera_body, body.reprojection_error
         return Seen(pose, body.covariance, points, board_points, marker, error, frame.time)
 

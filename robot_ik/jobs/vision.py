@@ -221,7 +221,7 @@ class Vision:
             usual, synthetic.quality = synthetic.quality, QUALITIES["fast"]
         with LatestGoals(goals, clock, self._rate) as latest:
             yield latest
-        self.delays = goals.made.summary(), goals.used.summary()
+        self.delays = goals.goal_delays.summary(), goals.picture_ages.summary()
         if synthetic is None:
             self._followed = goals.seen
         elif self.path is not None:

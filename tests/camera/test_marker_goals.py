@@ -251,7 +251,7 @@ class StubTracker:
 
     observation: object
 
-    def observe(self, _: Frame) -> list:
+    def observe(self, _: Frame, __: list[int]) -> list:
         return [self.observation]
 
 

@@ -51,7 +51,7 @@ class Told:
     def _covariance(self) -> np.ndarray:
         return np.diag(np.repeat(np.square(self.sigma), 3))
 
-    def observe(self, picture: Frame) -> list[MarkerObservation]:
+    def observe(self, picture: Frame, _: list[int]) -> list[MarkerObservation]:
         pose = self.poses[picture.sequence]
         corners = np.zeros((4, 2))
         if pose is None:
@@ -91,7 +91,7 @@ def test_a_goal_is_for_the_time_it_is_asked_for(marker: object) -> None:
     measured = goals.measured
     assert measured is not None
     assert measured.target.position[0] == pytest.approx(wanted_x(29 / 30), abs=1e-4)
-    ages = goals.used.summary()
+    ages = goals.picture_ages.summary()
     assert ages.count == 31 and ages.p50 == pytest.approx(0.06)
 
 
@@ -109,7 +109,7 @@ def test_stamps_of_another_clock_are_not_compared_with_now() -> None:
     for k in range(20):
         goal = goals.poll(5000.0 + k / 30)
     assert goal is not None and goal.target.position[0] == pytest.approx(wanted_x(19 / 30), abs=1e-4)
-    assert goals.used.summary().count == 0
+    assert goals.picture_ages.summary().count == 0
 
 
 def test_a_resting_marker_gives_one_goal_that_may_be_calmed() -> None:

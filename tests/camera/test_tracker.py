@@ -87,7 +87,9 @@ def test_one_wrong_picture_among_right_ones_changes_nothing() -> None:
     for k in range(12):
         branches = seen(pose, 0.05, rng)
         if k == 8:  # noise prefers the mirror image by a little
-            branches = Branches(branches.data, branches.poses[::-1], (2.0, 4.0))
+            costs = zip(branches.fits[::-1], (2.0, 4.0), strict=True)
+            fits = tuple(dataclasses.replace(fit, costs=np.array([cost])) for fit, cost in costs)
+            branches = Branches(branches.poses[::-1], fits)
         index = memory.choose(branches, k / RATE).index
         assert branches.poses[index].distance(pose)[1] < 0.2, k
 

@@ -26,16 +26,14 @@ CAMERA = Pose((0.05, 0.01, -0.08), rotation_exp([0.0, -0.1, 0.4]))
 POINTS = marker_points(0.12)
 
 
-@pytest.fixture
-def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SampleSet:
-    """What a camera on the gripper would see of a large marker; one view is spoilt."""
-    monkeypatch.chdir(tmp_path)
+def seen_from_the_gripper(turned: tuple[float, ...], count: int) -> SampleSet:
+    """What a camera there would see of a large marker, the joints turned by up to so much; one is spoilt."""
     robot, rng = load_robot("puma560"), np.random.default_rng(0)
     board = robot.forward(robot.home, "gripper").compose(CAMERA).compose(Pose((0, 0, 0.6), (0, 1, 0, 0)))
     made = SampleSet("puma560", robot.joints, "gripper", "eye_in_hand", STANDARD_CAMERA)
     truth = Mount(CAMERA, board, "eye_in_hand")
-    while len(made) < 10:
-        q = robot.clip(robot.home + rng.uniform(-1, 1, 6) * (0.05, 0.05, 0.05, 0.5, 0.4, 1.0))
+    while len(made) < count:
+        q = robot.clip(robot.home + rng.uniform(-1, 1, 6) * turned)
         seen = truth.pose_parent_camera.inverse().compose(
             robot.forward(q, "gripper").inverse().compose(truth.pose_other_board)
         )
@@ -45,6 +43,14 @@ def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SampleSet:
         if len(made) == 6:
             pixels[:, 0] += (8.0, -7.0, 6.0, -9.0)
         made.add(q, BoardView(POINTS, pixels, seen))
+    return made
+
+
+@pytest.fixture
+def samples(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> SampleSet:
+    """In a folder of its own, from views in which the wrist is turned."""
+    monkeypatch.chdir(tmp_path)
+    made = seen_from_the_gripper((0.05, 0.05, 0.05, 0.5, 0.4, 1.0), 10)
     made.save(Path("some.samples.json"))
     return made
 
@@ -86,6 +92,15 @@ def test_an_arm_whose_zero_is_off_is_reported(
     with caplog.at_level("WARNING", "robot_ik.camera"):
         assert CameraExtrinsics.load("place.toml").doubt == doubt
     assert f"place.toml: {doubt}" in caplog.text
+
+
+def test_a_zero_that_is_off_by_half_a_degree_is_named() -> None:
+    made = seen_from_the_gripper((0.3, 0.3, 0.3, 0.8, 0.6, 1.0), 15)
+    assert handeye.handeye_from_samples(made).doubt == ""
+    for q in made.q:
+        q[2] -= np.deg2rad(0.5)
+    doubt = handeye.handeye_from_samples(made).doubt
+    assert "the zero of joint3 seems to be off by 0.5" in doubt and "camera verify --fit" in doubt
 
 
 def test_ctrl_c_says_how_to_go_on(robot_ik: Any, samples: SampleSet, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,12 @@ from robot_ik.camera.boards.board import BoardView, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import locate_camera
 from robot_ik.camera.calibration.handeye import HandEye, HandEyeSample, solve_handeye
-from robot_ik.camera.calibration.kinematic import CalibrationStation, KnownPose, fit_zero_offsets
+from robot_ik.camera.calibration.kinematic import (
+    ANYWHERE,
+    CalibrationStation,
+    KnownPose,
+    fit_zero_offsets,
+)
 from robot_ik.camera.motion_filter import MotionFilter, OneEuro
 from robot_ik.camera.observations import marker_points
 from robot_ik.camera.synthetic.camera import look_at
@@ -44,8 +49,6 @@ _SHEET = grid_body(4, 3, 0.05, 0.0125).markers
 _SHEET_SEEN = Pose((0.0, 0.05, 0.9), rotation_exp([0.75 * np.pi, 0.0, 0.0]))
 # How far the board in its mount is from its drawing, each axis, m and rad.
 _MOUNTED = (1e-4, float(np.deg2rad(0.03)))
-# What hand-eye calibration by the same views says of a pose is worth no more before zeros are known.
-_ANYWHERE = (0.05, np.deg2rad(5.0))
 # What is known beforehand, and how many of six joints are observable then.
 _CASES = {
     "camera and board anywhere": 4,
@@ -80,8 +83,8 @@ def honesty(effort: Effort) -> Iterator[Quantity]:
         ):  # fmt: skip
             errors.append(_nees(found.change_from(eye), covariance))
         start = _handeye(robot, views, np.zeros(robot.nv))
-        anywhere = KnownPose.within(start.pose_parent_camera, *_ANYWHERE)
-        held = KnownPose.within(start.pose_other_board, *_ANYWHERE)
+        anywhere = KnownPose.within(start.pose_parent_camera, *ANYWHERE)
+        held = KnownPose.within(start.pose_other_board, *ANYWHERE)
         drawing = KnownPose.within(_DRAWN, *_MOUNTED)
         known = ((anywhere, held), (camera, held), (camera, drawing))
         for results, (at, on) in zip(zeros.values(), known, strict=True):

@@ -232,7 +232,7 @@ def delay(effort: Effort) -> Iterator[Quantity]:
                 while time.monotonic() < end:
                     latest.poll(time.monotonic())
                     time.sleep(0.01)
-        made, used = goals.made.summary(), goals.used.summary()
+        made, used = goals.goal_delays.summary(), goals.picture_ages.summary()
         size = f"{camera.width}×{camera.height}"
         wanted = _DELAY_WANTED_MS
         yield Quantity(f"grab to goal, {size}, p50", 1e3 * made.p50, "ms", wanted)

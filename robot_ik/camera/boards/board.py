@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -92,6 +93,10 @@ class MarkerBoard:
     layout: Layout
     dictionary: str = _DICTIONARY
 
+    def corners(self, ids: Iterable[int]) -> Array:
+        """Corners (4 n, 3) of some of its markers, metres, in the board's frame."""
+        return np.concatenate([self.layout[i][1].apply(marker_points(self.layout[i][0])) for i in ids])
+
     def see(self, frame: Frame, intrinsics: CameraIntrinsics) -> BoardView | None:
         """The markers of the body that are seen; None when none of them gives a pose.
 
@@ -104,12 +109,9 @@ class MarkerBoard:
         body = estimate_body({i: one.corners for i, one in seen.items()}, self.layout, intrinsics)
         if body is None:
             return None
-        points = [self.layout[i][1].apply(marker_points(self.layout[i][0])) for i in body.ids]
-        pixels = [seen[i].corners for i in body.ids]
+        pixels = np.concatenate([seen[i].corners for i in body.ids])
         sigma = float(np.sqrt(np.mean([seen[i].sigma ** 2 for i in body.ids])))
-        return BoardView(
-            np.concatenate(points), np.concatenate(pixels), body.pose_camera_body, sigma, bias=LEAST_SIGMA
-        )
+        return BoardView(self.corners(body.ids), pixels, body.pose_camera_body, sigma, bias=LEAST_SIGMA)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,6 @@
-"""Where a carried camera or a carried board puts the board's points in the picture, and its derivatives.
+"""Hand-eye calibration: where a camera is that the arm carries, or that watches a board carried by the arm.
+
+A start from the motions alone (AX = XB), then a fit of all corners of all pictures (``solve_handeye``).
 
 Frames: the *parent* carries the camera, the *other* carries the board, and one of the two is the arm's hand:
 
@@ -506,7 +508,7 @@ def _residual(
     mount: Mount, sample: HandEyeSample, intrinsics: CameraIntrinsics, without: LeftOut
 ) -> ViewResidual:
     others, points = mount.moved(without.step), sample.view.points
-    # The target moves the hand so that the board is where it was seen.
+    # The pseudo-measurement moves the hand so that the board is where it was seen.
     expected = others.pose_camera_board(sample)
     hand = sample.pose_world_hand.compose(Pose().moved(without.pseudo_measurement))
     found = others.pose_camera_board(HandEyeSample(hand, sample.view))

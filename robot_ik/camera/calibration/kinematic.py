@@ -19,6 +19,7 @@ import numpy as np
 from robot_ik.camera.boards.board import BoardView
 from robot_ik.camera.calibration.handeye import (
     LEAST_VIEWS,
+    HandEye,
     HandEyeSample,
     Mount,
     Mounting,
@@ -39,6 +40,7 @@ from robot_ik.camera.calibration.least_squares import (
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, UnknownJointError
 from robot_ik.geometry import Pose
+from robot_ik.kernels.tree import SLIDE
 from robot_ik.ports import Array
 from robot_ik.robot import Robot
 
@@ -385,3 +387,52 @@ def _result(
         joint_noise=float(normal.noise.sizes[0]),
         singular_values=np.sqrt(joint_information(normal, n)[0]),
     )
+
+
+# What hand-eye calibration says of camera and board is worth no more than this, each axis, m and rad, before
+# the zeros are known.
+ANYWHERE = (0.05, float(np.deg2rad(5.0)))
+# A zero is doubted where it is off by more than this, rad, and by so many standard deviations.  Over 170 arms
+# with 5 to 15 views, ticks of 4096 a turn, play of 0.1 deg, 0.5 px of noise, a lens off by 0.3 % or a board
+# by 0.5 %, right zeros came out off by up to 0.14 deg, and by 6 standard deviations at most; those off by
+# 0.5 deg by 0.36 deg and more, and 6.9 standard deviations and more.
+_DOUBTED_ZERO, _SURE = float(np.deg2rad(0.25)), 5.0
+
+
+def doubted_zeros(
+    views: Sequence[CalibrationStation],
+    robot: Robot,
+    frame: str,
+    intrinsics: CameraIntrinsics,
+    found: HandEye,
+) -> dict[str, tuple[float, float]]:
+    """Joints whose zero is off by what the views of a hand-eye calibration say themselves.
+
+    Args:
+        views: What ``found`` was found from.
+        robot: Its joints are those of ``q``.
+        frame: What carries camera or board.
+        intrinsics: Of the pictures' size.
+        found: The result.
+
+    Returns:
+        By joint: by how much it is ahead of what its servo says, and the standard deviation of that, rad.
+        Joints that these views do not observe, slides, and robots with ball or free joints are left out.
+    """
+    if robot.nq != robot.nv:
+        return {}
+    slides = [name for name, kind in zip(robot.joints, robot.tree.kind, strict=True) if kind == SLIDE]
+    try:
+        fit = fit_zero_offsets(
+            views, robot, frame, intrinsics,
+            camera=KnownPose.within(found.pose_parent_camera, *ANYWHERE),
+            board=KnownPose.within(found.pose_other_board, *ANYWHERE),
+            mounting=found.mounting, hold=slides,
+        )  # fmt: skip
+    except CalibrationError:  # no zeros explain the views: what is wrong is something else
+        return {}
+    return {
+        name: (float(offset), float(sigma))
+        for name, offset, sigma in zip(fit.joints, fit.offsets, fit.sigma, strict=True)
+        if sigma > 0.0 and abs(offset) > max(_DOUBTED_ZERO, _SURE * sigma)
+    }

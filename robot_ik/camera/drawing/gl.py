@@ -1,8 +1,8 @@
 """The pretty back end: MuJoCo's OpenGL renderer behind a calibrated lens, where the machine has one.
 
 Whether OpenGL works is tried in a child process with a time limit, because a driver that fails may abort the
-process that asks.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on
-import, and a renderer is given the context that was tried instead.
+process that asks.  ``MUJOCO_GL`` is never set: MuJoCo reads it once, on import.  Instead a renderer is given
+the context that was tried.
 """
 
 from __future__ import annotations

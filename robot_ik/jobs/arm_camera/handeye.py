@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -14,6 +14,7 @@ from robot_ik.camera.boards.board import Board, MarkerBoard
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics, today
 from robot_ik.camera.calibration.handeye import HandEye, Mount, Mounting, solve_handeye
+from robot_ik.camera.calibration.kinematic import CalibrationStation, doubted_zeros
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.sources import Frame, FrameSource
 from robot_ik.camera.synthetic.camera import SyntheticMarker, SyntheticScene, SyntheticSource
@@ -263,7 +264,9 @@ class HandEyeReport(ArmCameraReport[SampleSet]):
         """
         samples = self.samples
         self.result = solve_handeye(samples.samples(robot), samples.intrinsics, mounting=samples.mounting)
-        self.doubt = self_contradiction(self.result, robot.reach(samples.frame))
+        stations = [CalibrationStation(q, view) for q, view in zip(samples.q, samples.views, strict=True)]
+        zeros = doubted_zeros(stations, robot, samples.frame, samples.intrinsics, self.result)
+        self.doubt = self_contradiction(self.result, robot.reach(samples.frame), zeros)
 
     def extrinsics(self) -> CameraExtrinsics:
         result = self.result
@@ -320,27 +323,38 @@ def handeye_from_samples(samples: SampleSet, intrinsics: CameraIntrinsics | None
     return report
 
 
-def self_contradiction(found: HandEye, ball: tuple[Array, float] | None) -> str:
-    """What a sound arm would not do: more error of its own, or more views at odds; empty: it is sound.
+def self_contradiction(
+    found: HandEye, ball: tuple[Array, float] | None, zeros: Mapping[str, tuple[float, float]]
+) -> str:
+    """What a sound arm would not do: err more, have views at odds, or zeros that are off; empty: it is sound.
 
-    ``ball`` is the robot's reach; None where it is not known, and the position is not judged then.
+    ``ball`` is the robot's reach; None where it is not known, and the position is not judged then.  ``zeros``
+    are those of ``doubted_zeros``.
     """
     views, rejected = len(found.residuals), len(found.outliers)
     position = np.inf if ball is None else _SOUND_POSITION * ball[1]
+    reasons = [
+        f"the zero of {name} seems to be off by {np.degrees(offset):.2f} ± {np.degrees(sigma):.2f} deg"
+        for name, (offset, sigma) in zeros.items()
+    ]
     if (
-        found.arm_position <= position
-        and found.arm_angle <= _SOUND_ANGLE
-        and rejected <= max(1.0, _SOUND_REJECTED * views)
+        found.arm_position > position
+        or found.arm_angle > _SOUND_ANGLE
+        or rejected > max(1.0, _SOUND_REJECTED * views)
     ):
+        own = f"{1e3 * found.arm_position:.2f} mm and {np.degrees(found.arm_angle):.2f} deg"
+        sound = f"{np.degrees(_SOUND_ANGLE):.2f} deg"
+        if ball is not None:
+            sound = f"{1e3 * position:.2f} mm and {sound}"
+        reasons.append(
+            f"its own error is {own} (a sound arm: below {sound}) and {rejected} of {views} views are not "
+            "believed"
+        )
+    if not reasons:
         return ""
-    own = f"{1e3 * found.arm_position:.2f} mm and {np.degrees(found.arm_angle):.2f} deg"
-    sound = f"{np.degrees(_SOUND_ANGLE):.2f} deg"
-    if ball is not None:
-        sound = f"{1e3 * position:.2f} mm and {sound}"
     return (
-        f"the arm contradicts itself: its own error is {own} (a sound arm: below {sound}) and {rejected} of "
-        f"{views} views are not believed, so the pose may be wrong by far more than is stated; "
-        "check the joints' zeros: robot-ik camera verify --fit"
+        f"the arm contradicts itself: {'; '.join(reasons)}; so the pose may be wrong by far more than is "
+        "stated; check the joints' zeros: robot-ik camera verify --fit"
     )
 
 

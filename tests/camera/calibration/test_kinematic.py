@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from robot_ik.camera.boards.board import BoardView
+from robot_ik.camera.calibration.handeye import HandEyeSample, solve_handeye
 from robot_ik.camera.calibration.kinematic import (
     CalibrationStation,
     KnownPose,
+    doubted_zeros,
     fit_zero_offsets,
     measure_errors,
 )
@@ -196,6 +198,22 @@ def test_each_pose_is_judged_by_the_fit_to_all_others(robot: Robot) -> None:
         apart.append((np.linalg.norm(one.vector - whole.errors[k].vector), one.distance))
     miss, size = np.sqrt(np.mean(np.square(apart), axis=0))
     assert miss < 0.2 * size
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("off", [None, "joint2", "joint3"])
+def test_hand_eye_views_show_a_zero_that_is_off_by_half_a_degree(
+    robot: Robot, off: str | None, seed: int
+) -> None:
+    """With 12 views, the ticks of a servo and 0.1 px; nothing is known of camera and board."""
+    offsets = np.deg2rad([0.5 if name == off else 0.0 for name in robot.joints])
+    views = views_of(robot, offsets, 12, seed, pixel=0.1, joint=np.deg2rad(0.03))
+    samples = [HandEyeSample(robot.forward(one.q, FRAME), one.view) for one in views]
+    found = solve_handeye(samples, STANDARD_CAMERA, mounting="eye_to_hand")
+    doubted = doubted_zeros(views, robot, FRAME, STANDARD_CAMERA, found)
+    assert list(doubted) == ([] if off is None else [off])
+    for degrees, sigma in (np.degrees(one) for one in doubted.values()):
+        assert degrees == pytest.approx(0.5, abs=0.15) and sigma < 0.07
 
 
 def test_what_cannot_be_is_reported(robot: Robot) -> None:
