@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 
 
+_ROWS = f"Which rows of the table: {', '.join(row.name for row in ROWS)}."
 _FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
 
 
@@ -62,8 +63,8 @@ class BenchOptions:
     """Largest distance that still counts as solved, metres."""
     angle_tolerance: Annotated[float, arg(metavar="RAD")] = 1e-3
     """Largest angle that still counts as solved, radians."""
-    seconds: float = 3.0
-    """Longest time for one method on one set; what is left then is not tried."""
+    seconds: Annotated[float, arg(metavar="S")] = 3.0
+    """Longest time for one method on one set, seconds; what is left then is not tried."""
     out: Annotated[str, single("FOLDER", "runs/<time>-bench")] = ""
     """Where bench.json and the plots go."""
     overwrite: bool = False
@@ -225,7 +226,7 @@ class BenchFigureOptions:
     `pip install mink daqp`; without it that row says so.
     """
 
-    model: str = "humanoid"
+    model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
     """A model whose robot.toml has a table [figure]."""
     count: int = 20
     """Balls reached, bent and jumped for."""
@@ -268,8 +269,7 @@ class BenchCameraOptions:
     Exit code 0 where every row was measured and is as wanted, else 1.
     """
 
-    rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
-    """Which rows of the table: marker, board, cameras, …"""
+    rows: Annotated[tuple[str, ...], several("NAME", "all", _ROWS)] = ()
     skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False

@@ -280,7 +280,7 @@ def _pose_cells(values: dict[str, Any]) -> list[object]:
     sigma = np.sqrt(np.diag(values["covariance"]))
     doubtful = values["ambiguity"] > _DOUBTFUL
     return [
-        " ".join(f"{x:.4f}" for x in pose.position),
+        " ".join(f"{x:z.4f}" for x in pose.position),
         f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°",
         f"{values['reprojection_error']:.2f} px",
         Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
@@ -431,8 +431,7 @@ class CameraPrintOptions:
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
     """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
     size_mm: Annotated[float | None, single("MM", "by kind")] = None
-    """Side of a marker's black square (marker 50, board 50, cube 40), or of a square of a pattern (charuco
-    30, chessboard 25)."""
+    """Side of a marker's black square (50; cube 40), or of a pattern's square (charuco 30, chessboard 25)."""
     columns: Annotated[int | None, single("N", "by kind")] = None
     """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
     rows: Annotated[int | None, single("N", "by kind")] = None

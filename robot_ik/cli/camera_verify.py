@@ -214,7 +214,7 @@ def _poses(report: VerifyReport) -> Any:
             then += [after[number].distance, after[number].sigma]
         off, sigma, *fitted = (f"{1e3 * metres:.2f}" for metres in then)
         angles = (f"{math.degrees(radians):.3f}" for radians in (one.angle, one.sigma_angle))
-        position = (f"{1e3 * x:.0f}" for x in one.position)
+        position = (f"{1e3 * x:z.0f}" for x in one.position)
         rows.append((numbers[number], *position, off, sigma, *angles, *fitted, _doubt(report, number)))
     columns += ["then: mm", "sigma"] if after else []
     return console.table(*columns, "", rows=rows, title="poses, mm")
@@ -248,8 +248,8 @@ def _offset_table(report: VerifyReport) -> Any:
     rows = []
     for k, name in enumerate(fit.joints):
         sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.found else "held"
-        true = () if truth is None else (f"{math.degrees(truth[k]):.3f}",)
-        rows.append((name, f"{math.degrees(fit.offsets[k]):.3f}", sigma, *true))
+        true = () if truth is None else (f"{math.degrees(truth[k]):z.3f}",)
+        rows.append((name, f"{math.degrees(fit.offsets[k]):z.3f}", sigma, *true))
     return console.table(*columns, rows=rows, title="joint zeros")
 
 

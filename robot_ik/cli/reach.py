@@ -97,8 +97,8 @@ class ReachOptions:
     """Move the tool on a straight line."""
     follow: bool = False
     """Then go on following the marker (the synthetic one is pushed about)."""
-    seconds: float = 10.0
-    """How long to follow."""
+    seconds: Annotated[float, arg(metavar="S")] = 10.0
+    """How long to follow, seconds."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """While following, when the marker stays unseen: hold there, park at home, or stop."""
     lost_after: Annotated[float, arg(metavar="S")] = 2.0
@@ -256,7 +256,7 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
             rows.append(("", f"true at {_mm(seen.true_pose.position)} mm; {off}"))
         elif report.vision is not None:
             pose = seen.observation.pose
-            quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
+            quaternion = " ".join(f"{v:z.4f}" for v in pose.wxyz)
             rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
     if report.target is not None:
         free = getattr(report.goal, "free_axis", None)
@@ -341,7 +341,7 @@ def _limit(value: float, unit: str) -> str:
 
 
 def _mm(position: Any) -> str:
-    return " ".join(f"{1e3 * float(v):.1f}" for v in position)
+    return " ".join(f"{1e3 * float(v):z.1f}" for v in position)
 
 
 def _judged(judged: Any) -> str:

@@ -63,7 +63,7 @@ class TeleopOptions:
     force_feedback: float = 0.0
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
     seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
-    """End by itself."""
+    """End by itself after so many seconds."""
     on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
     """How the follower is left; the leader is always left without torque."""
 

@@ -70,8 +70,8 @@ class ViewOptions:
     """Without a GPU the browser is quicker without."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float | None, single("FLOAT", "until Ctrl-C")] = None
-    """End by itself."""
+    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    """End by itself after so many seconds."""
     seed: int = 1
     """Of the ball's random places."""
     overwrite: bool = False
@@ -284,15 +284,15 @@ class VideoOptions:
     """Without a log: robots side by side, 1, 2 or 4."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
-    seconds: Annotated[float | None, single("FLOAT", "as long as the log")] = None
-    """How long."""
+    seconds: Annotated[float | None, single("S", "as long as the log")] = None
+    """How long the film is, seconds; needed without a log."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
     """Numbers of every picture: angles, misses, times."""
     record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
     """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
-    size: tuple[int, int] = (1280, 720)
+    size: Annotated[tuple[int, int], arg(metavar="W H")] = (1280, 720)
     """Width and height, pixels."""
-    rate: float = 30.0
+    rate: Annotated[float, arg(metavar="HZ")] = 30.0
     """Pictures a second."""
     backend: Literal["gl", "painter"] = "gl"
     """Who draws; without OpenGL the painter does."""

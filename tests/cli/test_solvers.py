@@ -24,7 +24,6 @@ def test_every_method_is_listed(robot_ik: Any) -> None:
             assert word in line
     rows = json.loads(robot_ik("solvers", "--json").out)
     assert [row["name"] for row in rows["solvers"]] == list(SOLVERS)
-    assert rows["auto"] in SOLVERS
 
 
 @pytest.mark.parametrize("name", SOLVERS)
