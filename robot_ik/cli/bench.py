@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -209,9 +209,18 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-def _cells(name: str, one: Quantity) -> tuple[object, ...]:
-    """A line of a table: name, quantity, value, wanted, verdict."""
-    return name, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed)
+def show_quantities(of: str, rows: Iterable[tuple[str, Quantity]], *remarks: str) -> None:
+    """A table of what was measured, beside what is wanted; ``of``: the title of the names in ``rows``."""
+    cells, judged, before = [], [], ""
+    for name, one in rows:
+        mark = console.verdict_mark(one.passed)
+        cells.append(("" if name == before else name, one.quantity, one.measured_text, one.wanted_text, mark))
+        judged += [] if one.passed is None else [one.passed]
+        before = name
+    console.show(
+        console.table(of, "quantity", "measured", "wanted", "", rows=cells),
+        "; ".join([f"{sum(judged)} of {len(judged)} as wanted", *remarks]),
+    )
 
 
 # ------------------------------------------------------------------------------------------
@@ -248,9 +257,7 @@ def run_figure(options: BenchFigureOptions) -> int:
     if options.json:
         console.print_json({"schema": 2, "rows": [{"motion": motion, **one.facts()} for motion, one in rows]})
     else:
-        console.show(
-            console.table("motion", "what", "measured", "wanted", "", rows=[_cells(*row) for row in rows])
-        )
+        show_quantities("motion", rows)
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
 
 
@@ -301,14 +308,13 @@ def run_camera(options: BenchCameraOptions) -> int:
         finally:
             # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
             if found.figures:
-                print_figures(rows, found)
+                print_figures(found)
                 if options.json is not None:
                     facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
                     save_json(options.json, facts)
                     console.say(f"figures: {options.json}", "dim")
-    good = not found.unmeasured and all(one.passed is not False for one in found.every)
-    return console.DONE if good else console.NOT_ACHIEVED
+    return console.NOT_ACHIEVED if found.failed or found.unmeasured else console.DONE
 
 
 def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
@@ -328,16 +334,9 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     return chosen
 
 
-def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
-    """The table: quantity, value, wanted, verdict."""
-    cells: list[tuple[object, ...]] = []
-    for row in rows:
-        for index, one in enumerate(found.figures.get(row.name, ())):
-            cells.append(_cells(row.name if index == 0 else "", one))
-    judged = [one.passed for one in found.every if one.passed is not None]
-    console.show(
-        console.table("row", "quantity", "measured", "wanted", "", rows=cells),
-        f"{sum(judged)} of {len(judged)} as wanted"
-        + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
-        + ("" if found.complete else "; not all measured"),
-    )
+def print_figures(found: MeasuredRows) -> None:
+    """What was measured, and what was not."""
+    remarks = [f"not measured: {', '.join(found.unmeasured)}"] if found.unmeasured else []
+    remarks += [] if found.complete else ["not all measured"]
+    rows = ((name, one) for name, figures in found.figures.items() for one in figures)
+    show_quantities("row", rows, *remarks)

@@ -107,9 +107,9 @@ class MeasuredRows:
         self.complete = True
 
     @property
-    def every(self) -> list[Quantity]:
-        """The figures of all rows."""
-        return [one for figures in self.figures.values() for one in figures]
+    def failed(self) -> bool:
+        """Whether a figure is not as wanted; one that was not measured is not among these."""
+        return any(one.passed is False for figures in self.figures.values() for one in figures)
 
     @property
     def unmeasured(self) -> list[str]:
