@@ -124,16 +124,11 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
 
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     """Asks, and writes the zeros to the arm file; whether that was done."""
-    from robot_ik.hardware.calibration_file import write_zeros, zeros_moved
+    from robot_ik.hardware.calibration_file import write_zeros
 
-    offsets, config = report.offsets(), report.config
+    offsets, config, changed = report.offsets(), report.config, report.zero_ticks()
     if not offsets:
         return False
-    changed = []
-    if config is not None:
-        pairs = zip(config.servos, zeros_moved(config, offsets).servos, strict=True)
-        zeros = [(was.name, was.zero_ticks, now.zero_ticks) for was, now in pairs]
-        changed = [f"{name} {before} -> {after}" for name, before, after in zeros if before != after]
     if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
     elif config is None or not options.arm or config.file != options.arm.expanduser():  # a robot's, not yours
@@ -141,7 +136,8 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
     else:
-        console.say(f"zero_ticks: {', '.join(changed)}")
+        zeros = (f"{name} {before} -> {after}" for name, (before, after) in changed.items())
+        console.say(f"zero_ticks: {', '.join(zeros)}")
         if options.yes or console.confirm(f"write them to {options.arm}?"):
             kept = write_zeros(options.arm, config, offsets)
             console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
