@@ -180,8 +180,8 @@ def run_record(options: PosesRecordOptions) -> int:
     if options.reach:
         found = _reached(robot, q, options.reach)
         if found is None:
-            console.say("out of reach; nothing was recorded", "red")
-            return console.NOT_ACHIEVED
+            hint = "a nearer position, or another pose to start from: --begin"
+            return console.refused("a position is out of reach, so nothing is recorded", hint)
         q = found
     try:
         book.record(options.name, q, replace=options.replace)
