@@ -63,7 +63,7 @@ ROWS: tuple[Row, ...] = (
     Row("gl", "the same, drawn by OpenGL", _HERE + "accuracy:gl_projection"),
     Row("calibration", "intrinsics from 20 views of a board", _HERE + "accuracy:calibration"),
     Row("handeye", "camera on the hand, from 15 poses", _HERE + "accuracy:handeye"),
-    Row("consistency", "errors of locate, hand-eye and verify beside those they state, 20 seeds", _HERE + "arm:consistency"),
+    Row("consistency", "errors of locate, hand-eye, verify over the stated", _HERE + "arm:consistency"),
     Row("prediction", "a moving hand, seen 66 ms ago", _HERE + "arm:prediction"),
     Row("times", "finding and measuring a marker in a picture", _HERE + "speed:times"),
     Row("drawing", "drawing a robot over a picture", _HERE + "speed:drawing"),
