@@ -107,7 +107,7 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
         with console.progress() as bar:
             return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
-        console.say(f"stopped after {views} views", "yellow")
+        console.say(f"stopped after {console.count_of(views, 'view')}", "yellow")
         if views >= LEAST_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
