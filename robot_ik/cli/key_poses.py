@@ -280,7 +280,7 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
     allowed = f"{', '.join(known[:20])}, or a .csv file"
-    require(name in known, "motion", f"there is no {name!r}", allowed, did_you_mean(name, known))
+    require(name in known, "MOTION", f"there is no {name!r}", allowed, did_you_mean(name, known))
     return book.motion(name, speed=options.speed)
 
 
@@ -331,5 +331,5 @@ def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
 
 def _out(name: str, *endings: str) -> Path:
     path = Path(name)
-    require(path.suffix in endings, "out", f"{name!r} is not right", " or ".join(endings))
+    require(path.suffix in endings, "OUT", f"no format is known by the name {name!r}", " or ".join(endings))
     return path

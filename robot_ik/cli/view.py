@@ -303,7 +303,8 @@ class VideoOptions:
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
     count, (width, height), rate = len(options.files), options.size, options.rate
-    require(1 <= count <= 2, "FILES", f"{count} names", "OUT, or LOG.jsonl OUT")
+    given = f"{count} names are given" if count else "no film is named"
+    require(1 <= count <= 2, "FILES", given, "OUT, or LOG.jsonl OUT")
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
     require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
     require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")
