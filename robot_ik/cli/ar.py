@@ -67,7 +67,7 @@ class ArOptions:
     occluders: Annotated[Path | None, single("FILE")] = None
     """Real objects that hide the robot: boxes in TOML, or MJCF."""
     occluder_geoms: Annotated[tuple[str, ...], several("GEOM")] = ()
-    """Geoms of the model that do."""
+    """The same, as geoms of the robot's own model."""
     sync: Literal["tracked", "latest"] = "tracked"
     """Show the picture that was tracked (no delay by construction), or the newest."""
     predict: bool = False

@@ -104,7 +104,7 @@ class ReachOptions:
     lost_after: Annotated[float, arg(metavar="S")] = 2.0
     """Unseen for so many seconds; until then the arm holds."""
     lead: Annotated[float, arg(metavar="S")] = 0.0
-    """Predict the marker's motion so far beyond each tick: the lag of the servos."""
+    """Predict the marker so many seconds beyond each tick, to make up for the lag of the servos."""
     view: bool = False
     """Mirror the motion in MuJoCo's window; it stays until you close it."""
     film: bool = False

@@ -53,7 +53,7 @@ class ViewOptions:
     on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
     """How the arm is left."""
     replay: Annotated[Path | None, single("FILE", "none")] = None
-    """Repeat a command log, and say whether it ends in the same bits."""
+    """Repeat a command log, and compare how it ends bit by bit."""
     log: Annotated[Path | None, single("FILE", "none")] = None
     """Write the command log at the end."""
     host: str = "127.0.0.1"
@@ -63,11 +63,11 @@ class ViewOptions:
     port: int = 8080
     """The next free one is taken where it is busy."""
     dark: bool = False
-    """Dark to begin with."""
+    """Begin with dark colours."""
     camera: bool = True
     """The synthetic camera's tab, where the robot has a scene."""
     shadows: bool = True
-    """Without a GPU the browser is quicker without."""
+    """Draw shadows; without a GPU the browser is faster with --no-shadows."""
     open: bool = True
     """Open the page in the system's browser."""
     seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
