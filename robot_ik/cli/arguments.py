@@ -360,6 +360,6 @@ def pose_option(numbers: tuple[float, ...], key: str) -> Pose | None:
 
 def pose_text(pose: Pose) -> str:
     """Millimetres and quaternion, for tables."""
-    x, y, z = (1e3 * pose.position).tolist()
-    w = " ".join(f"{v:.5f}" for v in pose.wxyz)
-    return f"{x:.2f} {y:.2f} {z:.2f} mm, wxyz {w}"
+    millimetres = " ".join(f"{1e3 * v:z.2f}" for v in pose.position)
+    quaternion = " ".join(f"{v:z.5f}" for v in pose.wxyz)
+    return f"{millimetres} mm, wxyz {quaternion}"

@@ -107,7 +107,7 @@ def measured(job: Callable[..., Report], file: Path, command: str) -> Report:
         with console.progress() as bar:
             return job(keep=keep, progress=console.shares_on(bar, command))
     except KeyboardInterrupt:
-        console.say(f"stopped after {views} views", "yellow")
+        console.say(f"stopped after {console.count_of(views, 'view')}", "yellow")
         if views >= LEAST_VIEWS:
             console.say(f"they are kept; go on with them: robot-ik {command} --samples {file}")
         elif views:
@@ -122,7 +122,7 @@ def numbers_of_seen(count: int, unseen: Sequence[int]) -> list[int]:
 
 def show_plan(name: str, joints: Sequence[str], stations: Sequence[Array]) -> None:
     """The joint angles of all stations."""
-    rows = [(k, *(f"{math.degrees(v):.1f}" for v in q)) for k, q in enumerate(stations, 1)]
+    rows = [(k, *(f"{math.degrees(v):z.1f}" for v in q)) for k, q in enumerate(stations, 1)]
     console.show(console.table(name, *joints, rows=rows, title="planned, degrees"))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 SetName = Literal["cold", "warm", "singular", "limits", "unreachable", "kernels", "batch"]
 
 
+_ROWS = f"Which rows of the table: {', '.join(row.name for row in ROWS)}."
 _FILES = ("bench.json", "success-*.png", "convergence-*.png", "growth.png")
 
 
@@ -62,8 +63,8 @@ class BenchOptions:
     """Largest distance that still counts as solved, metres."""
     angle_tolerance: Annotated[float, arg(metavar="RAD")] = 1e-3
     """Largest angle that still counts as solved, radians."""
-    seconds: float = 3.0
-    """Longest time for one method on one set; what is left then is not tried."""
+    seconds: Annotated[float, arg(metavar="S")] = 3.0
+    """Longest time for one method on one set, seconds; what is left then is not tried."""
     out: Annotated[str, single("FOLDER", "runs/<time>-bench")] = ""
     """Where bench.json and the plots go."""
     overwrite: bool = False
@@ -208,9 +209,18 @@ def _note(cell: Cell) -> str:
     return "; ".join(notes)
 
 
-def _cells(name: str, one: Quantity) -> tuple[object, ...]:
-    """A line of a table: name, quantity, value, wanted, verdict."""
-    return name, one.quantity, one.measured_text, one.wanted_text, console.verdict_mark(one.passed)
+def show_quantities(of: str, rows: Iterable[tuple[str, Quantity]], *remarks: str) -> None:
+    """A table of what was measured, beside what is wanted; ``of``: the title of the names in ``rows``."""
+    cells, judged, before = [], [], ""
+    for name, one in rows:
+        mark = console.verdict_mark(one.passed)
+        cells.append(("" if name == before else name, one.quantity, one.measured_text, one.wanted_text, mark))
+        judged += [] if one.passed is None else [one.passed]
+        before = name
+    console.show(
+        console.table(of, "quantity", "measured", "wanted", "", rows=cells),
+        "; ".join([f"{sum(judged)} of {len(judged)} as wanted", *remarks]),
+    )
 
 
 # ------------------------------------------------------------------------------------------
@@ -225,7 +235,7 @@ class BenchFigureOptions:
     `pip install mink daqp`; without it that row says so.
     """
 
-    model: str = "humanoid"
+    model: Annotated[str, arg(metavar="NAME|PATH")] = "humanoid"
     """A model whose robot.toml has a table [figure]."""
     count: int = 20
     """Balls reached, bent and jumped for."""
@@ -247,9 +257,7 @@ def run_figure(options: BenchFigureOptions) -> int:
     if options.json:
         console.print_json({"schema": 2, "rows": [{"motion": motion, **one.facts()} for motion, one in rows]})
     else:
-        console.show(
-            console.table("motion", "what", "measured", "wanted", "", rows=[_cells(*row) for row in rows])
-        )
+        show_quantities("motion", rows)
     return console.NOT_ACHIEVED if any(one.passed is False for _, one in rows) else console.DONE
 
 
@@ -268,8 +276,7 @@ class BenchCameraOptions:
     Exit code 0 where every row was measured and is as wanted, else 1.
     """
 
-    rows: Annotated[tuple[str, ...], several("NAME", "all")] = ()
-    """Which rows of the table: marker, board, cameras, …"""
+    rows: Annotated[tuple[str, ...], several("NAME", "all", _ROWS)] = ()
     skip: Annotated[tuple[str, ...], several("NAME")] = ()
     """Leave these rows out."""
     quick: bool = False
@@ -301,14 +308,13 @@ def run_camera(options: BenchCameraOptions) -> int:
         finally:
             # Ctrl-C and SIGTERM come through here as well: what is done is kept and shown.
             if found.figures:
-                print_figures(rows, found)
+                print_figures(found)
                 if options.json is not None:
                     facts = {"schema": 2, "machine": this_machine().model_dump(mode="json")}
                     facts |= {"quick": effort.quick, "seed": effort.seed, **found.facts()}
                     save_json(options.json, facts)
                     console.say(f"figures: {options.json}", "dim")
-    good = not found.unmeasured and all(one.passed is not False for one in found.every)
-    return console.DONE if good else console.NOT_ACHIEVED
+    return console.NOT_ACHIEVED if found.failed or found.unmeasured else console.DONE
 
 
 def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
@@ -328,16 +334,9 @@ def chosen_rows(names: Sequence[str], skipped: Sequence[str] = ()) -> list[Row]:
     return chosen
 
 
-def print_figures(rows: Sequence[Row], found: MeasuredRows) -> None:
-    """The table: quantity, value, wanted, verdict."""
-    cells: list[tuple[object, ...]] = []
-    for row in rows:
-        for index, one in enumerate(found.figures.get(row.name, ())):
-            cells.append(_cells(row.name if index == 0 else "", one))
-    judged = [one.passed for one in found.every if one.passed is not None]
-    console.show(
-        console.table("row", "quantity", "measured", "wanted", "", rows=cells),
-        f"{sum(judged)} of {len(judged)} as wanted"
-        + (f"; not measured: {', '.join(found.unmeasured)}" if found.unmeasured else "")
-        + ("" if found.complete else "; not all measured"),
-    )
+def print_figures(found: MeasuredRows) -> None:
+    """What was measured, and what was not."""
+    remarks = [f"not measured: {', '.join(found.unmeasured)}"] if found.unmeasured else []
+    remarks += [] if found.complete else ["not all measured"]
+    rows = ((name, one) for name, figures in found.figures.items() for one in figures)
+    show_quantities("row", rows, *remarks)

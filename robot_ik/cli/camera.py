@@ -28,14 +28,14 @@ from robot_ik.cli.arguments import (
     several,
     single,
 )
-from robot_ik.errors import MarkerNotFoundError, OutputError
+from robot_ik.errors import OutputError
 from robot_ik.files import claimed, claimed_folder, write_atomically
 from robot_ik.geometry import Pose
 
 if TYPE_CHECKING:
-    from robot_ik.camera.boards.board import Board, BoardView
     from robot_ik.camera.device import CameraDevice
     from robot_ik.camera.intrinsics import CameraIntrinsics
+    from robot_ik.jobs.locate import LocateReport
     from robot_ik.jobs.pictures import DrawingFolder, PictureMarkers
 
 
@@ -95,8 +95,6 @@ def _do(camera: CameraDevice) -> str:
 
 # A pose that fits hardly better than its mirror image is marked: goals are not made from it either.
 _DOUBTFUL = 0.6
-# When there is no marker in any picture, so many of them are looked at again for markers of other kinds.
-_GUESSED_FROM = 3
 # So many files that cannot be used are named on the screen.
 _MOST_NAMED = 12
 
@@ -154,7 +152,9 @@ def run_detect(options: CameraDetectOptions) -> int:
 def _detect(
     options: CameraDetectOptions, intrinsics: CameraIntrinsics | None, drawings: DrawingFolder | None
 ) -> int:
-    blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
+    from robot_ik.jobs.pictures import GUESSED_FROM, hint_of_other_markers
+
+    blank: deque[Any] = deque(maxlen=GUESSED_FROM)
     rows = _searched_pictures(options, intrinsics, blank, drawings)
     failed = [row for row in rows if row.error is not None]
     if failed and len(failed) == len(rows):  # nothing could be looked at: the first error stands for all
@@ -177,7 +177,7 @@ def _detect(
         return console.NOT_ACHIEVED if failed else console.DONE
     wanted = f"none of the ids {', '.join(map(str, options.ids))}" if options.ids else "no marker"
     looked_at = console.count_of(len(rows) - len(failed), "picture")
-    hint = _of_other_markers(options.dictionary, blank, "leave --ids away to see which")
+    hint = hint_of_other_markers(options.dictionary, blank, "leave --ids away to see which")
     hint = hint or "is the marker too small, blurred, or without white all round it?"
     return console.refused(f"{wanted} of {options.dictionary} in {looked_at}", hint)
 
@@ -190,19 +190,6 @@ def _report_failed(failed: Sequence[PictureMarkers], count: int) -> None:
         console.say(f"  {said}" if row.file in said else f"  {row.file}: {said}")
     if len(failed) > _MOST_NAMED:
         console.say(f"  and {len(failed) - _MOST_NAMED} more; --json names all")
-
-
-def _of_other_markers(dictionary: str, blank: Sequence[Any], others: str = "") -> str:
-    """What to do about markers that are in pictures where none was found; empty: there are no such.
-
-    ``others`` is for those of this ``dictionary``.
-    """
-    from robot_ik.camera.detection import guess_dictionary
-
-    found = guess_dictionary(blank)
-    if found == dictionary:
-        return f"other markers of this dictionary are there: {others}" if others else ""
-    return f"there are markers of {found}, none of {dictionary}: --dictionary {found}" if found else ""
 
 
 def _searched_pictures(
@@ -280,7 +267,7 @@ def _pose_cells(values: dict[str, Any]) -> list[object]:
     sigma = np.sqrt(np.diag(values["covariance"]))
     doubtful = values["ambiguity"] > _DOUBTFUL
     return [
-        " ".join(f"{x:.4f}" for x in pose.position),
+        " ".join(f"{x:z.4f}" for x in pose.position),
         f"{np.degrees(np.arccos(np.clip(away, -1.0, 1.0))):.1f}°",
         f"{values['reprojection_error']:.2f} px",
         Text(f"{values['ambiguity']:.2f}", style="yellow" if doubtful else ""),
@@ -290,10 +277,6 @@ def _pose_cells(values: dict[str, Any]) -> list[object]:
 
 # ------------------------------------------------------------------------------------------
 # ``robot-ik camera locate``: where a camera stands, from a board at a known pose.
-
-
-# Corners of a good calibration and a flat board miss by a few tenths of a pixel.
-_DOUBTFUL_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -325,43 +308,31 @@ class CameraLocateOptions:
 
 
 def run_locate(options: CameraLocateOptions) -> int:
-    """Looks, fits, writes."""
-    from robot_ik.camera.boards.board import parse_board
-    from robot_ik.camera.intrinsics import CameraIntrinsics
+    """Looks, fits, writes; 1 when no picture is believed."""
+    from robot_ik.jobs import locate
 
     require(1 <= options.frames <= 10_000, "--frames", f"{options.frames} pictures", "1 to 10000")
-    board = parse_board(options.board, options.dictionary)
     pose = pose_option(options.pose_world_board, "--pose-world-board") or Pose()
-    intrinsics = CameraIntrinsics.load(options.intrinsics)
+    request = request_of(locate.LocateRequest, options, pose_parent_board=pose, pictures=options.frames)
     with claimed(options.out, overwrite=options.overwrite):
-        return _locate(options, board, pose, intrinsics)
+        with console.progress() as bar:
+            report = locate.run_locate(
+                request,
+                progress=console.shares_on(bar, "locate"),
+                left_out=lambda why: console.say(f"left out: {why}", "yellow"),
+            )
+        if report.doubt:
+            console.say(f"doubtful: {report.doubt}", "yellow")
+        if not report.believed:
+            console.say(f"no picture is believed: {options.out} is not written", "yellow")
+            return console.NOT_ACHIEVED
+        report.extrinsics.save(options.out)
+    _print_located(report, options)
+    return console.DONE
 
 
-def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: CameraIntrinsics) -> int:
-    from robot_ik.camera.calibration.extrinsics import locate_camera
-    from robot_ik.camera.sources import open_source
-    from robot_ik.jobs.pictures import board_views
-
-    blank: deque[Any] = deque(maxlen=_GUESSED_FROM)
-    with open_source(options.source) as source, console.progress() as bar:
-        task = bar.add_task("looking", total=options.frames, note="")
-        views, searched = board_views(
-            source, board, intrinsics, options.frames,
-            progress=lambda searched: bar.update(task, completed=searched),
-            left_out=lambda why: console.say(f"left out: {why}", "yellow"),
-            unseen=blank.append,
-        )  # fmt: skip
-    if not views:
-        raise MarkerNotFoundError(
-            f"no board {options.board} in {console.count_of(searched, 'picture')} of {options.source}",
-            hint=_unseen_hint(board, blank),
-        )
-    extrinsics = locate_camera(views, pose, intrinsics, parent=options.parent)
-    doubtful = _doubtful(views, extrinsics.pose_parent_camera.inverse() @ pose, intrinsics)
-    if doubtful == len(views):
-        console.say(f"no picture is believed: {options.out} is not written", "yellow")
-        return console.NOT_ACHIEVED
-    extrinsics.save(options.out)
+def _print_located(report: LocateReport, options: CameraLocateOptions) -> None:
+    extrinsics, used = report.extrinsics, len(report.misses)
     if options.json:
         facts = {
             "schema": 1,
@@ -373,45 +344,20 @@ def _locate(options: CameraLocateOptions, board: Board, pose: Pose, intrinsics: 
             "sigma_angle_rad": extrinsics.sigma_angle,
             "residual_px": extrinsics.residual_px,
             "residual_mm": extrinsics.residual_mm,
-            "pictures": searched,
-            "used": len(views),
+            "pictures": report.searched,
+            "used": used,
         }
         console.print_json(facts)
-        return console.DONE
+        return
     sigma = f"{1e3 * extrinsics.sigma_position:.2f} mm, {math.degrees(extrinsics.sigma_angle):.3f} deg"
     rows = (
         (f"camera seen from {extrinsics.parent}", pose_text(extrinsics.pose_parent_camera)),
         ("stated uncertainty", f"{sigma} (one sigma; the board's pose is assumed to be exact)"),
         ("corners miss by", f"{extrinsics.residual_px:.3f} px, {extrinsics.residual_mm:.3f} mm (RMS)"),
-        ("pictures", f"{len(views)} of {searched} show the board"),
+        ("pictures", f"{used} of {report.searched} show the board"),
     )
     console.show(console.facts(*rows))
     console.say(f"wrote {options.out}", "green")
-    return console.DONE
-
-
-def _unseen_hint(board: Board, blank: Sequence[Any]) -> str:
-    """What may be wrong when no picture shows the board: markers of another dictionary are named."""
-    from robot_ik.camera.detection import MarkerDetector
-
-    dictionary, hint = getattr(getattr(board, "pattern", board), "dictionary", ""), ""
-    if dictionary and not any(MarkerDetector(dictionary, strict=True).detect(image) for image in blank):
-        hint = _of_other_markers(dictionary, blank)
-    return hint or "check its sizes and dictionary, light and focus; the whole board should be in view"
-
-
-def _doubtful(views: Sequence[BoardView], seen: Pose, intrinsics: CameraIntrinsics) -> int:
-    """How many pictures have the board elsewhere than all together (``seen`` by the camera); says so."""
-    from robot_ik.jobs.pictures import board_misses
-
-    off = board_misses(views, seen, intrinsics)
-    count = sum(miss > _DOUBTFUL_PX for miss in off)
-    if count:
-        where = f"in {count} of {len(views)} pictures the board is elsewhere, by up to {max(off):.1f} px"
-        moved = "camera or board moved, or " if len(views) > 1 else ""
-        why = f"{moved}the board is not flat or not of this size, or the calibration is of another camera"
-        console.say(f"doubtful: {where}: {why}", "yellow")
-    return count
 
 
 # ------------------------------------------------------------------------------------------
@@ -431,8 +377,7 @@ class CameraPrintOptions:
     out: Annotated[Path, arg(metavar="FILE")] = Path("sheet.pdf")
     """Where to write: .pdf (exact lines) or .png (pixels, with its resolution inside)."""
     size_mm: Annotated[float | None, single("MM", "by kind")] = None
-    """Side of a marker's black square (marker 50, board 50, cube 40), or of a square of a pattern (charuco
-    30, chessboard 25)."""
+    """Side of a marker's black square (50; cube 40), or of a pattern's square (charuco 30, chessboard 25)."""
     columns: Annotated[int | None, single("N", "by kind")] = None
     """Board: markers (2). charuco: squares (8). chessboard: inner corners, as OpenCV counts (9)."""
     rows: Annotated[int | None, single("N", "by kind")] = None

@@ -124,16 +124,11 @@ def _measure_and_judge(options: CameraVerifyOptions, request: VerifyRequest) -> 
 
 def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     """Asks, and writes the zeros to the arm file; whether that was done."""
-    from robot_ik.hardware.calibration_file import write_zeros, zeros_moved
+    from robot_ik.hardware.calibration_file import write_zeros
 
-    offsets, config = report.offsets(), report.config
+    offsets, config, changed = report.offsets(), report.config, report.zero_ticks()
     if not offsets:
         return False
-    changed = []
-    if config is not None:
-        pairs = zip(config.servos, zeros_moved(config, offsets).servos, strict=True)
-        zeros = [(was.name, was.zero_ticks, now.zero_ticks) for was, now in pairs]
-        changed = [f"{name} {before} -> {after}" for name, before, after in zeros if before != after]
     if config is not None and not changed:
         console.say("no zero is off by as much as a tick: the arm file is right")
     elif config is None or not options.arm or config.file != options.arm.expanduser():  # a robot's, not yours
@@ -141,7 +136,8 @@ def _keep_zeros(options: CameraVerifyOptions, report: VerifyReport) -> bool:
     elif not report.better:
         console.say("with these zeros the arm is no better: nothing is written", "yellow")
     else:
-        console.say(f"zero_ticks: {', '.join(changed)}")
+        zeros = (f"{name} {before} -> {after}" for name, (before, after) in changed.items())
+        console.say(f"zero_ticks: {', '.join(zeros)}")
         if options.yes or console.confirm(f"write them to {options.arm}?"):
             kept = write_zeros(options.arm, config, offsets)
             console.say(f"wrote {options.arm}; before: {', '.join(map(str, kept))}", "green")
@@ -214,7 +210,7 @@ def _poses(report: VerifyReport) -> Any:
             then += [after[number].distance, after[number].sigma]
         off, sigma, *fitted = (f"{1e3 * metres:.2f}" for metres in then)
         angles = (f"{math.degrees(radians):.3f}" for radians in (one.angle, one.sigma_angle))
-        position = (f"{1e3 * x:.0f}" for x in one.position)
+        position = (f"{1e3 * x:z.0f}" for x in one.position)
         rows.append((numbers[number], *position, off, sigma, *angles, *fitted, _doubt(report, number)))
     columns += ["then: mm", "sigma"] if after else []
     return console.table(*columns, "", rows=rows, title="poses, mm")
@@ -248,8 +244,8 @@ def _offset_table(report: VerifyReport) -> Any:
     rows = []
     for k, name in enumerate(fit.joints):
         sigma = f"{math.degrees(fit.sigma[k]):.3f}" if name in fit.found else "held"
-        true = () if truth is None else (f"{math.degrees(truth[k]):.3f}",)
-        rows.append((name, f"{math.degrees(fit.offsets[k]):.3f}", sigma, *true))
+        true = () if truth is None else (f"{math.degrees(truth[k]):z.3f}",)
+        rows.append((name, f"{math.degrees(fit.offsets[k]):z.3f}", sigma, *true))
     return console.table(*columns, rows=rows, title="joint zeros")
 
 

@@ -36,14 +36,16 @@ NONE = "none"
 """Where a command can do without servos."""
 
 
-def bus_argument(*, none: bool = False, default: str = "") -> Any:
+def bus_argument(*, none: bool = False, default: str = "", text: str = "") -> Any:
     """Annotation of a field of type ``str``; ``none``: there may be no servos at all.
 
-    ``default`` is what it says behind the help; empty: the field's own default.
+    ``default`` is what it says behind the help; empty: the field's own default.  ``text`` is the help where
+    another option has explained the buses.
     """
     titles = {bus.name: bus.title for bus in BUSES.values()} | ({NONE: "no servos"} if none else {})
     hint = f"(default: {default})" if default else None
-    text = "Where the servos are. " + "; ".join(f"{name}: {title}" for name, title in titles.items()) + "."
+    explained = "; ".join(f"{name}: {title}" for name, title in titles.items())
+    text = text or f"Where the servos are. {explained}."
     return arg(metavar="|".join(titles), help=text, help_behavior_hint=hint)
 
 

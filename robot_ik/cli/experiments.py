@@ -41,7 +41,7 @@ class ExperimentsOptions:
     plot: bool = False
     """s12: draw the table, too (needs matplotlib)."""
     out: Annotated[str, single("DIR", "runs/<time>-<experiment>")] = ""
-    """Where the JSON and CSV files go."""
+    """Where the JSON file and the picture go."""
     overwrite: bool = False
     """That folder may hold files of an earlier run: they are replaced."""
     seed: int = 0

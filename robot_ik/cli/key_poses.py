@@ -180,8 +180,8 @@ def run_record(options: PosesRecordOptions) -> int:
     if options.reach:
         found = _reached(robot, q, options.reach)
         if found is None:
-            console.say("out of reach; nothing was recorded", "red")
-            return console.NOT_ACHIEVED
+            hint = "a nearer position, or another pose to start from: --begin"
+            return console.refused("a position is out of reach, so nothing is recorded", hint)
         q = found
     try:
         book.record(options.name, q, replace=options.replace)
@@ -280,7 +280,7 @@ def _motion(robot: Robot, options: _MotionOptions) -> Keyframes:
     book = _book(robot, options.file)
     known = [*book.motions, *book.poses]
     allowed = f"{', '.join(known[:20])}, or a .csv file"
-    require(name in known, "motion", f"there is no {name!r}", allowed, did_you_mean(name, known))
+    require(name in known, "MOTION", f"there is no {name!r}", allowed, did_you_mean(name, known))
     return book.motion(name, speed=options.speed)
 
 
@@ -331,5 +331,5 @@ def _changed(robot: Robot, q: Array, items: Sequence[str]) -> Array:
 
 def _out(name: str, *endings: str) -> Path:
     path = Path(name)
-    require(path.suffix in endings, "out", f"{name!r} is not right", " or ".join(endings))
+    require(path.suffix in endings, "OUT", f"no format is known by the name {name!r}", " or ".join(endings))
     return path

@@ -170,7 +170,7 @@ def _print_robot(robot: Robot) -> None:
         # A quaternion does not fit a column; --json has it.
         home = _number(robot.home[at_q], rotary) if kind in ("hinge", "slide") else "…"
         rows.append((name, kind, *limits, home, *speeds, "deg" if rotary else "m"))
-    columns = ("joint", "kind", "lower", "upper", "home", "velocity", "acceleration", "unit")
+    columns = ("joint", "kind", "lower", "upper", "home", "speed, /s", "accel., /s²", "unit")
     console.show(
         console.table(robot.name, robot.file.title, rows=head), "", console.table(*columns, rows=rows)
     )
@@ -180,7 +180,7 @@ def _print_robot(robot: Robot) -> None:
 def _number(value: float, rotary: bool) -> str:
     if not math.isfinite(value):
         return UNBOUNDED
-    return f"{math.degrees(value):.1f}" if rotary else f"{value:.4g}"
+    return f"{math.degrees(value):z.1f}" if rotary else f"{value:z.4g}"
 
 
 # ---------------------------------------------------------------------------------- solvers
@@ -199,11 +199,11 @@ def run_solvers(options: SolversOptions) -> int:
         return console.DONE
     rows = [solver_facts(name, kind) for name, kind in SOLVERS.items()]
     if options.json:
-        console.print_json({"schema": SCHEMA, "auto": SOLVERS["auto"].name, "solvers": rows})
+        console.print_json({"schema": SCHEMA, "solvers": rows})
         return console.DONE
     cells = [(row["name"], row["title"], goals_text(row), len(row["options"])) for row in rows]
     console.show(console.table("name", "method", "goals", "options", rows=cells))
-    console.say(f"auto chooses {SOLVERS['auto'].name}; the options of one: robot-ik solvers NAME", "dim")
+    console.say("one with its options: robot-ik solvers NAME", "dim")
     return console.DONE
 
 
@@ -363,8 +363,9 @@ def run_doctor(options: DoctorOptions) -> int:
         console.print_json({"schema": SCHEMA, "ok": not problems, "rows": [asdict(row) for row in rows]})
     else:
         cells = [(row.what, Text(row.status, style=_STYLE[row.status]), row.found, row.do) for row in rows]
-        verdict = f"{problems} problem(s): see what to do" if problems else "nothing required is broken"
-        style = "bold red" if problems else "green"
+        verdict, style = "nothing required is broken", "green"
+        if problems:
+            verdict, style = f"{console.count_of(problems, 'problem')}: see what to do", "bold red"
         console.show(
             console.table("what", "is", "found", "what to do", rows=cells), Text(f"\n{verdict}", style=style)
         )

@@ -274,7 +274,7 @@ def _print_help() -> None:
             ("--debug", "show tracebacks and the whole log (also: ROBOT_IK_DEBUG=1)"),
         ),
         "Start with:  robot-ik reach, or robot-ik view",
-        "Exit codes:  0 done; 1 tried, not achieved; 2 wrong input or environment; 130 Ctrl-C",
+        "Exit codes:  0 done; 1 not achieved; 2 wrong input or environment; 130 Ctrl-C",
     )
 
 

@@ -97,14 +97,14 @@ class ReachOptions:
     """Move the tool on a straight line."""
     follow: bool = False
     """Then go on following the marker (the synthetic one is pushed about)."""
-    seconds: float = 10.0
-    """How long to follow."""
+    seconds: Annotated[float, arg(metavar="S")] = 10.0
+    """How long to follow, seconds."""
     when_lost: Literal["hold", "park", "stop"] = "hold"
     """While following, when the marker stays unseen: hold there, park at home, or stop."""
     lost_after: Annotated[float, arg(metavar="S")] = 2.0
     """Unseen for so many seconds; until then the arm holds."""
     lead: Annotated[float, arg(metavar="S")] = 0.0
-    """Predict the marker's motion so far beyond each tick: the lag of the servos."""
+    """Predict the marker so many seconds beyond each tick, to make up for the lag of the servos."""
     view: bool = False
     """Mirror the motion in MuJoCo's window; it stays until you close it."""
     film: bool = False
@@ -256,7 +256,7 @@ def _goal_rows(report: ReachReport) -> list[tuple[str, str]]:
             rows.append(("", f"true at {_mm(seen.true_pose.position)} mm; {off}"))
         elif report.vision is not None:
             pose = seen.observation.pose
-            quaternion = " ".join(f"{v:.4f}" for v in pose.wxyz)
+            quaternion = " ".join(f"{v:z.4f}" for v in pose.wxyz)
             rows.append(("", f"in the camera's frame {_mm(pose.position)} mm, wxyz {quaternion}"))
     if report.target is not None:
         free = getattr(report.goal, "free_axis", None)
@@ -270,7 +270,7 @@ def _solve_rows(report: ReachReport) -> list[tuple[str, str]]:
     if solution is None:
         return []
     steps = console.count_of(solution.iterations, "iteration")
-    restarts = f", {solution.restarts} restarts" if solution.restarts else ""
+    restarts = f", {console.count_of(solution.restarts, 'restart')}" if solution.restarts else ""
     took = f", {report.microseconds:.0f} µs" if report.microseconds is not None else ""
     miss = solution.miss
     return [
@@ -283,15 +283,15 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
     rows = []
     run, following = report.execution, report.following
     if run is not None:
-        text = f"{run.duration:.2f} s"
+        text = f"{run.duration:.2f} s at {run.rate:.1f} Hz"
         if run.tracking_error is not None:
             worst = int(run.tracking_error.argmax())
             error = math.degrees(float(run.tracking_error[worst]))
             text += f"; largest tracking error {error:.2f}° ({run.joints[worst]})"
         rows.append(("motion", text))
     if following is not None:
-        text = f"{following.duration:.1f} s; {following.held} of {following.ticks} ticks without a goal"
-        rows.append(("following", text))
+        text = f"{following.duration:.1f} s at {following.rate:.1f} Hz"
+        rows.append(("following", f"{text}; {following.held} of {following.ticks} ticks without a goal"))
     if report.behind is not None:
         median, largest = (1e3 * metres for metres in report.behind)
         rows.append(("", f"tool from the goal seen: median {median:.1f} mm, largest {largest:.1f} mm"))
@@ -301,11 +301,10 @@ def _motion_rows(report: ReachReport) -> list[tuple[str, str]]:
         ready = f"goal after {made}; " if made.count else ""
         rows.append(("delay", f"{ready}age of the picture at a tick {used}"))
     if report.counters:
-        rates = [f"{part.rate:.1f} Hz" for part in (run, following) if part is not None]
         names = ("cycles", "timeouts", "corrupt", "retries", "alerts")
         counts = ", ".join(f"{report.counters[name]} {name}" for name in names)
         port = report.request.bus.rsplit("/", 1)[-1]  # the column of names stays narrow
-        rows.append((f"bus {port}", "; ".join([*rates, counts])))
+        rows.append((f"bus {port}", counts))
     return rows
 
 
@@ -341,7 +340,7 @@ def _limit(value: float, unit: str) -> str:
 
 
 def _mm(position: Any) -> str:
-    return " ".join(f"{1e3 * float(v):.1f}" for v in position)
+    return " ".join(f"{1e3 * float(v):z.1f}" for v in position)
 
 
 def _judged(judged: Any) -> str:

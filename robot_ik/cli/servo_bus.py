@@ -307,4 +307,4 @@ def _on_off(torque: bool | None, unknown: str = "-") -> str:
 
 
 def _number(value: float | None, unit: str, digits: int, unknown: str = "-") -> str:
-    return unknown if value is None else f"{round(value, digits) + 0.0:.{digits}f}{unit}"  # + 0.0: no "-0"
+    return unknown if value is None else f"{value:z.{digits}f}{unit}"

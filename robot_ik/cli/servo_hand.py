@@ -25,11 +25,9 @@ from robot_ik.files import claimed
 from robot_ik.ports import Clock, JointSink
 
 if TYPE_CHECKING:
-    from robot_ik.hardware.arm import Arm
     from robot_ik.hardware.calibration import OperatorError
     from robot_ik.hardware.calibration_file import Calibration
     from robot_ik.hardware.config import ArmConfig
-    from robot_ik.jobs.hand_calibration import Limits
     from robot_ik.motion import Trajectory
 
 
@@ -174,7 +172,7 @@ def _calibrate(
     options: ServoCalibrateOptions, config: ArmConfig, pose: Mapping[str, float], beside: Path
 ) -> int:
     from robot_ik.hardware.calibration_file import load_lerobot
-    from robot_ik.jobs.hand_calibration import calibrate_by_hand, require_limp
+    from robot_ik.jobs.hand_calibration import calibrate_by_hand, require_limp, save_calibrated
 
     limits = model_limits(config)
     arm = arm_on(options, config)
@@ -185,24 +183,11 @@ def _calibrate(
     with arm:
         require_limp(arm)
         with attempt():
-            _write(options, arm, replace(measure(), file=beside), limits)
+            found = measure()
+            made = save_calibrated(arm, found, options.out, limits, options.to_lerobot)
+        _show(arm.config, made, found)
+        console.say(f"wrote {options.out} and {beside}; from here on: --arm {options.out}", "green")
     return console.DONE
-
-
-def _write(options: ServoCalibrateOptions, arm: Arm, found: Calibration, limits: Limits) -> None:
-    """Checks against the servos first; then both files, the arm file last: it is the one that is used."""
-    from robot_ik.hardware.calibration import calibrated, check_calibration
-    from robot_ik.hardware.calibration_file import save_lerobot
-
-    config = calibrated(arm.config, found)
-    check_calibration(arm.bus, config, found, limits)
-    if options.to_lerobot is not None:
-        save_lerobot(options.to_lerobot, found)
-    assert found.file is not None
-    found.save(found.file)
-    config.save(options.out)
-    _show(arm.config, config, found)
-    console.say(f"wrote {options.out} and {found.file}; from here on: --arm {options.out}", "green")
 
 
 def _check(options: ServoCalibrateOptions) -> int:

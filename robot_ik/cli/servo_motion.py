@@ -34,7 +34,7 @@ class ServoMoveOptions(BusOptions):
     At the end, and on Ctrl-C, the arm is left as --on-exit says: torque_off lets it fall.
     """
 
-    to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG|MM …|DEG|MM")]]
+    to: Positional[Annotated[tuple[str, ...], several("JOINT=DEG …|DEG")]]
     """Where to go."""
     by: bool = False
     """The angles are by how much, not where to."""
@@ -120,7 +120,7 @@ def shown_value(joint: JointMap, q: float) -> str:
     """A joint value for people: degrees, or mm of a slide."""
     if joint.slides:
         return joint.text(q, 2)
-    return f"{round(math.degrees(q), 2) + 0.0:.2f}°"  # + 0.0: no "-0.00"
+    return f"{math.degrees(q):z.2f}°"
 
 
 @dataclass(frozen=True)

@@ -54,9 +54,9 @@ class SimBusOptions:
     match_baud: bool = False
     """Servos hear only a client that set the port to their baud rate, as on a real wire."""
     wire_baud: int = 0
-    """Take the time that the bytes take at this rate; 0: none."""
+    """Take the time that bytes take on a wire of this rate, bits/s; 0: none."""
     latency_ms: float = 0.0
-    """Answer so much later, as a USB adapter does (16 ms unless set to 1)."""
+    """Answer so many ms later, as a USB adapter does (16 unless it is set to 1)."""
     stuck: Annotated[tuple[str, ...], several("JOINT", help=_help("stuck"))] = ()
     silent: Annotated[tuple[str, ...], several("JOINT", help=_help("silent"))] = ()
     zero_offset: Annotated[tuple[str, ...], several("JOINT=DEG")] = ()
@@ -65,7 +65,7 @@ class SimBusOptions:
     drop: Annotated[float, arg(metavar="P", help=_help("drop"))] = 0.0
     faults: Annotated[Path | None, single("FILE", "none", _FILE_HELP)] = None
     seed: Annotated[int | None, single("N", "the file's, or 0")] = None
-    """Of all this: the same seed and traffic give the same faults."""
+    """Of random faults: the same seed and traffic give the same ones."""
     physics: bool = False
     """Move the MuJoCo model of the arm: gravity shows up as current, and without torque it falls."""
 

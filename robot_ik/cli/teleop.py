@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 KEYS, GAMEPAD = "keys", "gamepad"
 """As ``--leader``: no arm, but the keys of the terminal, or the first gamepad."""
+_ONLY_PORT = "the only USB serial port"
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class TeleopOptions:
         robot-ik teleop --leader l.toml --leader-bus PORT --follower-bus PORT
         robot-ik teleop --follower tabletop_puma --follower-bus pty
 
-    Time is real, but where leader and follower are both on `sim`.
+    Time is virtual where leader and follower are both on `sim`, else real.
 
     The follower goes slowly to where the leader is, then follows within its limits and caps. A leader that
     is lost commands nothing: the follower holds, then does what `on_stale` of its arm file says; when the
@@ -55,16 +56,16 @@ class TeleopOptions:
     """Arm file of what leads, `keys`, or `gamepad` (extra `gamepad`)."""
     follower: Annotated[str, arg(metavar="FILE|NAME")] = SERVO_ROBOT
     """Arm file of what follows, or a robot of the catalogue that has one."""
-    leader_bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
-    follower_bus: Annotated[str, bus_argument(default="the only USB serial port")] = ""
+    leader_bus: Annotated[str, bus_argument(default=_ONLY_PORT)] = ""
+    follower_bus: Annotated[str, bus_argument(default=_ONLY_PORT, text="The same of the follower.")] = ""
     by: Literal["joints", "hand"] = "joints"
-    """joints: to those of the same name, range onto range; hand: by IK, so that the arms may differ."""
+    """joints: those of the same name follow, range onto range; hand: the hand does, so arms may differ."""
     scale: float = 1.0
     """Hand to hand: metres of the follower for one of the leader."""
     force_feedback: float = 0.0
     """Share of the leader's currents that push it to where the follower is; needs current-based positions."""
     seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
-    """End by itself."""
+    """End by itself after so many seconds."""
     on_exit: Annotated[str, single("torque_off|hold|park", "the arm file's")] = ""
     """How the follower is left; the leader is always left without torque."""
 

@@ -53,7 +53,7 @@ class ViewOptions:
     on_exit: Annotated[str, single("torque_off|hold|park", "the file's")] = ""
     """How the arm is left."""
     replay: Annotated[Path | None, single("FILE", "none")] = None
-    """Repeat a command log, and say whether it ends in the same bits."""
+    """Repeat a command log, and compare how it ends bit by bit."""
     log: Annotated[Path | None, single("FILE", "none")] = None
     """Write the command log at the end."""
     host: str = "127.0.0.1"
@@ -63,15 +63,15 @@ class ViewOptions:
     port: int = 8080
     """The next free one is taken where it is busy."""
     dark: bool = False
-    """Dark to begin with."""
+    """Begin with dark colours."""
     camera: bool = True
     """The synthetic camera's tab, where the robot has a scene."""
     shadows: bool = True
-    """Without a GPU the browser is quicker without."""
+    """Draw shadows; without a GPU the browser is faster with --no-shadows."""
     open: bool = True
     """Open the page in the system's browser."""
-    seconds: Annotated[float | None, single("FLOAT", "until Ctrl-C")] = None
-    """End by itself."""
+    seconds: Annotated[float | None, single("S", "until Ctrl-C")] = None
+    """End by itself after so many seconds."""
     seed: int = 1
     """Of the ball's random places."""
     overwrite: bool = False
@@ -284,15 +284,15 @@ class VideoOptions:
     """Without a log: robots side by side, 1, 2 or 4."""
     method: Annotated[tuple[str, ...], several("NAME", "usual ones")] = ()
     """Without a log: methods."""
-    seconds: Annotated[float | None, single("FLOAT", "as long as the log")] = None
-    """How long."""
+    seconds: Annotated[float | None, single("S", "as long as the log")] = None
+    """How long the film is, seconds; needed without a log."""
     csv: Annotated[Path | None, single("FILE", "none")] = None
     """Numbers of every picture: angles, misses, times."""
     record: Annotated[Path | None, single("FILE.csv|FILE.mcap", "none")] = None
     """Angles and ball at every picture, for other tools (.mcap: extra `record`)."""
-    size: tuple[int, int] = (1280, 720)
+    size: Annotated[tuple[int, int], arg(metavar="W H")] = (1280, 720)
     """Width and height, pixels."""
-    rate: float = 30.0
+    rate: Annotated[float, arg(metavar="HZ")] = 30.0
     """Pictures a second."""
     backend: Literal["gl", "painter"] = "gl"
     """Who draws; without OpenGL the painter does."""
@@ -303,7 +303,8 @@ class VideoOptions:
 def run_video(options: VideoOptions) -> int:
     """Films; 0 done."""
     count, (width, height), rate = len(options.files), options.size, options.rate
-    require(1 <= count <= 2, "FILES", f"{count} names", "OUT, or LOG.jsonl OUT")
+    given = f"{count} names are given" if count else "no film is named"
+    require(1 <= count <= 2, "FILES", given, "OUT, or LOG.jsonl OUT")
     fits = all(_SIDES[0] <= side <= _SIDES[1] for side in options.size)
     require(fits, "--size", f"{width} x {height}", "64 to 8192 pixels each")
     require(1.0 <= rate <= 240.0, "--rate", f"{rate:g} pictures a second", "1 to 240")

@@ -1,6 +1,6 @@
 """Whole jobs built from the parts: what the commands run.
 
-Jobs that look and move (``reach``, ``arm_camera.handeye``, ``arm_camera.verify``, ``ar.job``) have one shape.
+Jobs that look (``reach``, ``locate``, ``ar.job``, those of ``arm_camera``) have one shape.
 A frozen request says what to do. ``run_…`` opens what all of it needs and runs the phases, each of which
 fills in its part of the report, so that the report says how far a run got; samples on file are judged by the
 last phase alone. Files and exit codes are the command's, which is handed samples and report; ``ar`` writes

@@ -27,11 +27,11 @@ WHOLE_LIMIT = 9.0
 WORKERS = 4
 
 
-Finding = tuple[str, str, str]
+CheckFinding = tuple[str, str, str]
 """Of one row: how it is, what was found, what to do about it."""
 
 #: A check takes the moment (``time.monotonic``) at which it must be done.
-Check = Callable[[float], Finding | list[CheckRow]]
+Check = Callable[[float], CheckFinding | list[CheckRow]]
 
 
 class LateError(Exception):
@@ -54,12 +54,12 @@ def _run(code: str, until: float, environ: Mapping[str, str] | None = None) -> e
     return in_time(environment.run_probe(code, timeout=time_left(until), environment=environ))
 
 
-def check_python(until: float) -> Finding:
+def check_python(until: float) -> CheckFinding:
     """Which Python this is."""
     return OK, f"{sys.version.split()[0]}, {sys.executable}", ""
 
 
-def check_packages(until: float) -> Finding:
+def check_packages(until: float) -> CheckFinding:
     """Every package that robot_ik's own metadata requires is installed."""
     required = [text for text in metadata.requires("robot_ik") or [] if "extra ==" not in text]
     names = [re.split(r"[^A-Za-z0-9._-]", text)[0] for text in required]
@@ -70,7 +70,7 @@ def check_packages(until: float) -> Finding:
     return OK, ", ".join(f"{name} {version}" for name, version in versions.items()), ""
 
 
-def check_mujoco(until: float) -> Finding:
+def check_mujoco(until: float) -> CheckFinding:
     """MuJoCo 4 is an umbrella over mujoco-core; an upgrade across it can leave an empty shell."""
     clean = {k: v for k, v in os.environ.items() if k != "MUJOCO_GL"}
     probe = _run("import mujoco; mujoco.MjModel; print(mujoco.__version__)", until, clean)
@@ -83,7 +83,7 @@ def check_mujoco(until: float) -> Finding:
     return OK, probe.text, ""
 
 
-def check_opencv(until: float) -> Finding:
+def check_opencv(until: float) -> CheckFinding:
     """One OpenCV wheel, importable, with the marker detector."""
     wheels = [name for name in OPENCV_WHEELS if version_of(name)]
     probe = _run("import cv2; cv2.aruco.ArucoDetector; print(cv2.__version__)", until)
@@ -96,7 +96,7 @@ def check_opencv(until: float) -> Finding:
     return OK, f"{probe.text} ({wheels[0] if wheels else 'not from a wheel'})", ""
 
 
-def check_user_gl(until: float) -> Finding:
+def check_user_gl(until: float) -> CheckFinding:
     """The user's own ``MUJOCO_GL``: when its library is missing, ``import mujoco`` fails."""
     value = os.environ.get("MUJOCO_GL", "")
     if not value:
@@ -113,7 +113,7 @@ def check_user_gl(until: float) -> Finding:
     return OK, f"{value}: {drawn.text}", ""
 
 
-def check_gl(backend: str, until: float) -> Finding:
+def check_gl(backend: str, until: float) -> CheckFinding:
     """Whether ``mujoco.Renderer`` could draw with this back end (nothing in robot_ik must)."""
     probe = in_time(environment.probe_gl(backend, timeout=time_left(until)))
     if probe.ok:
@@ -122,7 +122,7 @@ def check_gl(backend: str, until: float) -> Finding:
     return NOTE, f"not usable: {probe.text}", f"only for mujoco.Renderer: sudo apt-get install {packages}"
 
 
-def check_display(until: float) -> Finding:
+def check_display(until: float) -> CheckFinding:
     """Whether the viewer window (--view) can open."""
     probe = in_time(environment.probe_display(timeout=time_left(until)))
     if not probe.ok:
@@ -131,7 +131,7 @@ def check_display(until: float) -> Finding:
     return OK, f"{probe.text} ({os.environ.get('DISPLAY', '')})", do
 
 
-def check_kernels(until: float) -> Finding:
+def check_kernels(until: float) -> CheckFinding:
     """Whether numba imports, and whether compiled kernels can be kept between runs."""
     probe = _run("from robot_ik.kernels.jit import cache_folder; print(cache_folder().parent)", until)
     if not probe.ok:
@@ -142,7 +142,7 @@ def check_kernels(until: float) -> Finding:
     return OK, f"kept in {probe.text}", ""
 
 
-def check_terminal(until: float) -> Finding:
+def check_terminal(until: float) -> CheckFinding:
     """Whether colours, progress bars and signs other than ASCII can be shown."""
     stream = sys.__stdout__ or sys.stdout  # a progress bar stands in for sys.stdout
     terminal, encoding = stream.isatty(), (stream.encoding or "").lower()
@@ -196,13 +196,13 @@ for path in {paths!r}:
 """
 
 
-def check_serial(until: float) -> Finding | list[CheckRow]:
+def check_serial(until: float) -> CheckFinding | list[CheckRow]:
     """Serial ports with what stands in the way of using them."""
     rows = [serial_row(p.device, p.description or "serial port", p.vid) for p in serial_ports()]
     return rows or (NOTE, "no USB serial port", "plug the adapter in; --bus pty and sim need none")
 
 
-def check_cameras(until: float) -> Finding | list[CheckRow]:
+def check_cameras(until: float) -> CheckFinding | list[CheckRow]:
     """Cameras that give a picture."""
     if not sys.platform.startswith("linux"):
         return NOTE, "not looked for on this system", "try: robot-ik reach --camera 0"

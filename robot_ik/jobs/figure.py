@@ -43,6 +43,8 @@ _FILM_SIZE, _FOLLOW = (960, 720), 2.0
 # From where the camera looks, in heights of the robot.
 _FROM = np.array([1.5, -1.95, 0.52])
 BALL_RADIUS = 0.05
+NEAR_ENOUGH = 0.005
+"""m between hand and ball at which it counts as reached."""
 _SHADES = (0.87, 0.87, 0.85, 1.0), (0.80, 0.80, 0.78, 1.0)
 TILES = tuple(
     ((float(i), float(j), -0.011), (0.5, 0.5, 0.01), _SHADES[(i + j) % 2])
@@ -86,8 +88,9 @@ class FigureReport:
     misses: list[tuple[str, float]] = field(default_factory=list)
 
     @property
-    def worst(self) -> float:
-        return max((miss for _, miss in self.misses), default=0.0)
+    def arrived(self) -> bool:
+        """Whether every hand that went to a ball came near enough to it."""
+        return all(miss <= NEAR_ENOUGH for _, miss in self.misses)
 
 
 def read_balls(file: Path) -> tuple[tuple[float, float, float], ...]:

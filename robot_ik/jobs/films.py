@@ -71,6 +71,7 @@ class Film(PictureSink):
         self._stream: Any = None
         self._palettes: Any = None
         self._first = self._last = 0
+        self._written = False
 
     def write(self, image: Image, time: float) -> None:
         import av
@@ -121,14 +122,13 @@ class Film(PictureSink):
         self._stream.codec_context.time_base = Fraction(1, _TICKS)
 
     def close(self) -> Path | None:
-        if self._container is None:
-            return self._path if self._path.exists() and self._last else None
-        self._encode(None)
-        self._container.close()
-        self._container = None
-        os.replace(self._part, self._path)
-        self._last = 1
-        return self._path
+        if self._container is not None:
+            self._encode(None)
+            self._container.close()
+            self._container = None
+            os.replace(self._part, self._path)
+            self._written = True
+        return self._path if self._written else None
 
 
 def _palettes(width: int, height: int) -> Any:

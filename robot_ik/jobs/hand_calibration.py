@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Protocol, TypeVar
 
 from robot_ik.errors import ArmStateError
@@ -14,11 +16,14 @@ from robot_ik.hardware.calibration import (
     STILL_TICKS,
     OperatorError,
     Sweep,
+    calibrated,
+    check_calibration,
     check_sweep,
     counting_directions,
     measured_calibration,
 )
-from robot_ik.hardware.calibration_file import Calibration
+from robot_ik.hardware.calibration_file import Calibration, calibration_beside, save_lerobot
+from robot_ik.hardware.config import ArmConfig
 from robot_ik.hardware.joint_map import Sign
 
 STILL_SAMPLES = 10
@@ -86,6 +91,28 @@ def calibrate_by_hand(arm: Arm, person: Person, pose: Mapping[str, float], limit
         judge = functools.partial(counting_directions, config, joint, dict(sweep.now), sweep.now)
         directions |= _step(person, text, sample, judge)
     return measured_calibration(bus, config, sweep, zero, pose, directions, limits)
+
+
+def save_calibrated(
+    arm: Arm, found: Calibration, out: Path, limits: Limits, lerobot: Path | None = None
+) -> ArmConfig:
+    """The calibrated arm, in the arm file ``out``; what was measured goes into a file beside it.
+
+    It is compared with the servos of the connected arm before anything is written, and the arm file is
+    written last: it is the one that is used.  ``lerobot``: where LeRobot's calibration goes.
+
+    Raises:
+        HardwareError: Calibration and servos do not agree.
+        OutputError: A file cannot be written.
+    """
+    found = replace(found, file=calibration_beside(out))
+    config = calibrated(arm.config, found)
+    check_calibration(arm.bus, config, found, limits)
+    if lerobot is not None:
+        save_lerobot(lerobot, found)
+    found.save(calibration_beside(out))
+    config.save(out)
+    return config
 
 
 def _step(person: Person, text: str, sample: Callable[[], None], judge: Callable[[], Found]) -> Found:

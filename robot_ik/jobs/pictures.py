@@ -1,4 +1,4 @@
-"""Pictures of cameras, films and folders, one after the other: markers in them, views of a board in them."""
+"""Pictures of cameras, films and folders, one after the other: markers in them, views to calibrate from."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from robot_ik.camera import sources
-from robot_ik.camera.boards.board import Board, BoardView
 from robot_ik.camera.boards.patterns import describe
 from robot_ik.camera.bodies import MarkerBody
 from robot_ik.camera.calibration.views import ViewGatherer, missing_text
+from robot_ik.camera.detection import guess_dictionary
 from robot_ik.camera.drawing.overlay import draw_axes, draw_marker_outline
 from robot_ik.camera.image import dictionary_size, write_image
 from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.camera.observations import BodyObservation, MarkerObservation, marker_points
 from robot_ik.camera.sources import FolderSource, Frame, FrameSource, ImageSource, VideoSource, require_frame
 from robot_ik.camera.tracker import MarkerTracker
-from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError, FrameTimeoutError
+from robot_ik.errors import CalibrationError, CameraError, CameraNotFoundError
 from robot_ik.files import make_folder
 from robot_ik.geometry import Pose
 from robot_ik.ports import Array, Image
@@ -273,50 +273,19 @@ def _pictures(name: str) -> Iterator[tuple[str, int, Frame | CameraError, bool]]
             yield name, 0, source.read(), False
 
 
-# ------------------------------------------------------------------------------------ views of a board
+# Pictures without a marker that are looked at again for markers of other kinds.
+GUESSED_FROM = 3
 
 
-def board_views(
-    source: FrameSource,
-    board: Board,
-    intrinsics: CameraIntrinsics,
-    most: int,
-    *,
-    progress: Callable[[int], None] = lambda searched: None,
-    left_out: Callable[[str], None] = lambda why: None,
-    unseen: Callable[[Image], None] = lambda image: None,
-) -> tuple[list[BoardView], int]:
-    """The views of a board in the next ``most`` pictures of a source, and how many were searched.
+def hint_of_other_markers(dictionary: str, blank: Sequence[Image], others: str = "") -> str:
+    """What to do about markers that are in pictures where none was found; empty: there are no such.
 
-    ``progress`` is given how many have been searched, ``left_out`` why a file cannot be used, ``unseen`` each
-    picture without the board.
+    ``others`` is for those of this ``dictionary``.
     """
-    views: list[BoardView] = []
-    searched = 0
-    try:
-        for frame in frames_of(source):
-            if isinstance(frame, CameraNotFoundError):
-                left_out(str(frame.args[0]))
-                continue
-            searched += 1
-            if (view := board.see(frame, intrinsics)) is not None:
-                views.append(view)
-            else:
-                unseen(frame.image)
-            progress(searched)
-            if searched == most:
-                break
-    except FrameTimeoutError:
-        pass
-    return views, searched
-
-
-def board_misses(views: Sequence[BoardView], pose: Pose, intrinsics: CameraIntrinsics) -> list[float]:
-    """Median distance of the corners of each view from where a board at ``pose`` would have them, px."""
-    return [
-        float(np.median(np.linalg.norm(intrinsics.project(pose.apply(view.points)) - view.pixels, axis=1)))
-        for view in views
-    ]
+    found = guess_dictionary(blank)
+    if found == dictionary:
+        return f"other markers of this dictionary are there: {others}" if others else ""
+    return f"there are markers of {found}, none of {dictionary}: --dictionary {found}" if found else ""
 
 
 # ------------------------------------------------------------------------------- views to calibrate from

@@ -312,13 +312,13 @@ def open_vision(request: ReachRequest, setup: RobotSetup, stack: contextlib.Exit
             if request.goal is None:
                 raise
             return None  # a goal was given, and nothing can be seen: the read-back must do
-        stage = scene.synthetic(setup.robot)
+        pictured = scene.synthetic(setup.robot)
         if request.rehearsal.blank_marker:
-            stage = stage.with_marker(scene.marker_id, condition="blank")
-        synthetic = SyntheticSource(stage, setup.true_q, seed=request.seed, clock=setup.clock)
+            pictured = pictured.with_marker(scene.marker_id, condition="blank")
+        synthetic = SyntheticSource(pictured, setup.true_q, seed=request.seed, clock=setup.clock)
         source = stack.enter_context(synthetic)
-        metal = setup.arm is not None and setup.arm.virtual_bus is None
-        why = "the synthetic camera cannot see real servos" if metal else ""
+        real_servos = setup.arm is not None and setup.arm.virtual_bus is None
+        why = "the synthetic camera cannot see real servos" if real_servos else ""
     park = PostureGoal(q=setup.robot.home) if request.when_lost == "park" else None
     return Vision(
         scene, source, setup, why_blind=why, synthetic=synthetic, lead=request.lead,

@@ -121,3 +121,13 @@ def test_what_is_missed_or_interrupted_is_reported(
     else:
         assert "1 of 1 as wanted; not all measured" in out
     assert json.loads(file.read_text(encoding="utf-8"))["complete"] is (code == 1)
+
+
+def test_a_table_names_a_row_once(capsys: pytest.CaptureFixture[str]) -> None:
+    rows = [("walk", Quantity("slip", 0.5, "mm", 0.1)), ("walk", Quantity("speed", 1.2, "m/s", least=1.1))]
+    bench.show_quantities("motion", [*rows, ("jump", Quantity("balls", 3))])
+    out = capsys.readouterr().out.splitlines()
+    assert [line.split()[:2] for line in out[:4]] == [
+        ["motion", "quantity"], ["walk", "slip"], ["speed", "1.2"], ["jump", "balls"],
+    ]  # fmt: skip
+    assert out[4] == "1 of 2 as wanted"

@@ -14,6 +14,7 @@ import pytest
 from robot_ik.camera.bodies import grid_body
 from robot_ik.camera.calibration.extrinsics import CameraExtrinsics
 from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
+from robot_ik.cli.arguments import pose_text
 from robot_ik.cli.reach import ReachOptions, make_request
 from robot_ik.errors import CalibrationError, ConfigError
 from robot_ik.geometry import Pose, rotation_exp
@@ -112,3 +113,8 @@ def test_what_cannot_be_done_is_reported(robot_ik: Any, arguments: list[str], co
     run.assert_one_screen_error(code)
     assert words in run.err
     assert not Path("place.toml").exists()
+
+
+def test_a_pose_for_people_has_no_minus_zero() -> None:
+    shown = pose_text(Pose((-1e-9, 0.0, -0.1), (1.0, -1e-9, 0.0, 0.0)))
+    assert shown == "0.00 0.00 -100.00 mm, wxyz 1.00000 0.00000 0.00000 0.00000"

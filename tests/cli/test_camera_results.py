@@ -17,6 +17,7 @@ from robot_ik.camera.synthetic.datasets import STANDARD_CAMERA, render_markers
 from robot_ik.errors import OutputError
 from robot_ik.files import claimed, make_folder, write_atomically
 from robot_ik.geometry import Pose
+from robot_ik.jobs import locate
 from robot_ik.jobs.ar import job
 from robot_ik.jobs.arm_camera import handeye, verify
 
@@ -62,6 +63,7 @@ def idle(monkeypatch: pytest.MonkeyPatch) -> None:
 
     for module, name in (
         (sources, "open_source"),
+        (locate, "run_locate"),
         (handeye, "run_handeye"),
         (verify, "run_verify"),
         (job, "load_robot"),

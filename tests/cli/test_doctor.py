@@ -91,7 +91,7 @@ def test_a_check_that_crashes_becomes_a_row() -> None:
 def test_it_never_takes_longer_than_it_may() -> None:
     """Ten children that would sleep for ten minutes each: the later ones get what time is left."""
 
-    def slow(until: float) -> doctor.Finding:
+    def slow(until: float) -> doctor.CheckFinding:
         doctor.in_time(environment.run_probe("import time; time.sleep(600)", timeout=doctor.time_left(until)))
         return environment.OK, "not late", ""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import inspect
 import os
 import re
 import signal
@@ -58,11 +59,13 @@ def raising(error: BaseException) -> Any:
     return call
 
 
-def test_help_names_every_command_on_one_screen(robot_ik: Any) -> None:
+def test_help_names_every_command_on_one_screen(robot_ik: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     for arguments in (["--help"], ["-h"], ["help"]):
         run = robot_ik(*arguments)
         assert run.code == 0 and run.err == ""
         assert len(run.out.splitlines()) < 30
+        assert "130 Ctrl-C" in run.out, "the line is folded"
         for name, command in COMMANDS.items():
             assert f"{name} " in run.out and command.about in run.out
 
@@ -85,6 +88,11 @@ def test_help_of_each_command(name: str, robot_ik: Any, monkeypatch: pytest.Monk
     assert text.startswith(f"usage: robot-ik {name} [-h]")
     first_line = (options.__doc__ or "").strip().splitlines()[0]
     assert first_line[:60] in text
+    # The second line of an option's text would begin a line of the help in mid sentence.
+    paragraph = r'^    """[^"\n]*\n    \w[^"]*"""$'
+    for kind in options.__mro__[:-1]:
+        own = inspect.getsource(kind).partition(f'"""{kind.__doc__}"""')[2]
+        assert not re.search(paragraph, own, re.MULTILINE)
     for field in dataclasses.fields(options):
         if "Positional" not in str(field.type):  # those go by another name
             assert "--" + field.name.replace("_", "-") in text, field.name

@@ -28,7 +28,6 @@ def test_every_method_is_listed(robot_ik: Any) -> None:
             assert word in line
     rows = json.loads(robot_ik("solvers", "--json").out)
     assert [row["name"] for row in rows["solvers"]] == list(SOLVERS)
-    assert rows["auto"] in SOLVERS
 
 
 def test_a_method_without_parts_of_poses_lists_no_goal_that_is_one() -> None:

@@ -59,7 +59,7 @@ _CASES = {
 _NEES_RANGE = (0.3, 3.0)
 
 
-def honesty(effort: Effort) -> Iterator[Quantity]:
+def consistency(effort: Effort) -> Iterator[Quantity]:
     """The camera's pose and the zeros of six joints by the pictures of a webcam that stands.
 
     Each seed has an arm with hidden offsets, a camera, and a 2×2 board in the hand.

@@ -30,7 +30,7 @@ from robot_ik.jobs.pictures import MarkerFinder
 from robot_ik.ports import Image
 
 #: The boards that photographs may show: OpenCV's own chessboard has 9 × 6 inner corners; its ChArUco board,
-#: and that of ``robot-ik camera sheet``.
+#: and that of ``robot-ik camera print charuco``.
 CHESSBOARD = ChessboardPattern(9, 6, 0.025)
 CHARUCOS = (
     CharucoPattern(5, 7, 0.04, 0.02, "DICT_6X6_250", legacy=True),

@@ -221,13 +221,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     runner = commands.add_parser("run", help="measure")
     runner.add_argument("--environments", type=Path, help="what install made")
     runner.add_argument("--out", type=Path, required=True, help="folder for the results")
-    runner.add_argument("--robots", nargs="+", default=[*ARMS, FIGURE], choices=[*ARMS, FIGURE])
-    runner.add_argument("--count", type=int, default=1000, help="problems of a kind")
-    runner.add_argument("--rounds", type=int, default=3)
-    runner.add_argument("--seconds", type=float, default=8.0, help="for a set of problems")
-    runner.add_argument("--seed", type=int, default=0)
+    runner.add_argument(
+        "--robots", nargs="+", default=[*ARMS, FIGURE], choices=[*ARMS, FIGURE], help="default: all"
+    )
+    runner.add_argument("--count", type=int, default=1000, help="problems of a kind (1000)")
+    runner.add_argument(
+        "--rounds", type=int, default=3, help="runs of each library; the fastest time counts (3)"
+    )
+    runner.add_argument("--seconds", type=float, default=8.0, help="longest time for a set of problems (8)")
+    runner.add_argument("--seed", type=int, default=0, help="of the problems (0)")
     for one in (maker, runner):
-        one.add_argument("--libraries", nargs="+", default=[*worker.LIBRARIES], metavar="NAME")
+        one.add_argument(
+            "--libraries", nargs="+", default=[*worker.LIBRARIES], metavar="NAME", help="default: all"
+        )
     asked = parser.parse_args(arguments)
     strangers = [name for name in asked.libraries if name not in worker.LIBRARIES and ":" not in name]
     if strangers:

@@ -115,8 +115,8 @@ def _circle_angles(step: float) -> Array:
 class _Circle:
     """A goal on a circle: ``start`` is rotated about ``axis`` through ``centre``, a step of degrees a frame.
 
-    Its orientation begins as ``wxyz`` and is rotated about ``turn``, ``slowness`` times slower; None: it has
-    none.
+    Its orientation begins as ``wxyz`` and is rotated about the axis ``rotation``, ``slowness`` times slower;
+    None: it has none.
     """
 
     joints: int
@@ -125,15 +125,15 @@ class _Circle:
     start: Array
     step: float = CIRCLE_STEP
     centre: Array = field(default_factory=lambda: np.zeros(3))
-    turn: Array | None = None
+    rotation: Array | None = None
     wxyz: Array | None = None
     slowness: float = 1.0
 
     def pose(self, at: float) -> Pose:
         position = self.centre + _rotated(self.axis, at, self.start)
-        if self.turn is None:
+        if self.rotation is None:
             return Pose(position)
-        return Pose(position, _about(self.turn, at / self.slowness, self.wxyz))
+        return Pose(position, _about(self.rotation, at / self.slowness, self.wxyz))
 
 
 _DIAGONALLY = "about (1,1,0) from the z axis"
@@ -141,17 +141,17 @@ _CIRCLES = {
     1: _Circle(3, "circle about the origin in XY", Z, 1.5 * X),
     2: _Circle(5, "circle in XY", Z, 2.5 * X),
     3: _Circle(5, f"circle in XY, the orientation turning {SLOWNESS:g} times slower about z, from the last "
-               "link pointing outwards", Z, 2.5 * X, turn=Z, wxyz=TO_X, slowness=SLOWNESS),
+               "link pointing outwards", Z, 2.5 * X, rotation=Z, wxyz=TO_X, slowness=SLOWNESS),
     4: _Circle(5, "circle in XZ", Y, 2.5 * X),
     5: _Circle(5, "circle in YZ", X, 2.5 * Y),
     6: _Circle(5, f"{_DIAGONALLY} in {SMALL_STEP:g}° steps", DIAGONAL, 2.5 * Z, SMALL_STEP),
     7: _Circle(5, f"{_DIAGONALLY} in {SMALL_STEP:g}° steps, the orientation turning as much, from the last "
-               "link pointing outwards", DIAGONAL, 2.5 * Z, SMALL_STEP, turn=DIAGONAL),
+               "link pointing outwards", DIAGONAL, 2.5 * Z, SMALL_STEP, rotation=DIAGONAL),
     8: _Circle(5, "fixed at (0, 0, 2.5) m, the orientation turning about (1,1,0)", DIAGONAL, 0.0 * Z,
-               centre=2.5 * Z, turn=DIAGONAL),
+               centre=2.5 * Z, rotation=DIAGONAL),
     9: _Circle(5, f"{_DIAGONALLY} in {LARGE_STEP:g}° steps", DIAGONAL, 2.5 * Z, LARGE_STEP),
     10: _Circle(5, "on one side of the origin: circle of 1 m about (2, 0, 0) m and the axis (1,1,0), the "
-                "orientation turning about (1,-1,1)", DIAGONAL, Z, centre=SIDE, turn=SKEW, wxyz=TO_X),
+                "orientation turning about (1,-1,1)", DIAGONAL, Z, centre=SIDE, rotation=SKEW, wxyz=TO_X),
 }  # fmt: skip
 
 
@@ -159,7 +159,7 @@ def _circles(number: int, frames: int | None) -> Course:
     row = _CIRCLES[number]
     at = _circle_angles(row.step)[:frames]
     targets = [row.pose(float(a)) for a in at]
-    return _course(row.joints, row.turn is not None, row.moves, "°", at, targets)
+    return _course(row.joints, row.rotation is not None, row.moves, "°", at, targets)
 
 
 NUMBERS = tuple(range(1, 14))

@@ -29,6 +29,7 @@ from robot_ik.camera.intrinsics import CameraIntrinsics
 from robot_ik.errors import CalibrationError, ConfigError, MarkerNotFoundError
 from robot_ik.files import plain
 from robot_ik.geometry import Pose
+from robot_ik.hardware.calibration_file import zeros_moved
 from robot_ik.hardware.config import ArmConfig
 from robot_ik.jobs import Progress
 from robot_ik.jobs.arm_camera.handeye import (
@@ -117,12 +118,12 @@ class VerifyRequest(HandEyeRequest):
 
 # Pictures of the marker on the table by which the simulated camera is located.
 _LOCATE_PICTURES = 5
-# A place found by moving the arm has the arm's errors in it: so little is it worth here, metres and rad.
+# A camera's pose found by moving the arm has the arm's errors in it: it is worth so little, metres and rad.
 _BY_THE_ARM = (0.05, float(np.deg2rad(5.0)))
 # A view that is so many times less sure than the middle one does not count.
 _UNSURE = 5.0
-# No place is known better than this: keeps its covariance regular.
-_LEAST = np.diag([1e-6**2] * 3 + [1e-6**2] * 3)
+# No pose is known better than this (m and rad, squared): keeps its covariance regular.
+_LEAST = 1e-12 * np.eye(6)
 
 
 @dataclass(eq=False, kw_only=True)
@@ -180,6 +181,14 @@ class VerifyReport(ArmCameraReport[VerifySamples]):
         return self.fit is not None and (
             summary(self.judged(corrected=True)).rms_m < summary(self.judged(corrected=False)).rms_m
         )
+
+    def zero_ticks(self) -> dict[str, tuple[int, int]]:
+        """Servo -> zero of the arm file as it is, and as it should be, ticks; of those that are to change."""
+        if self.config is None:
+            return {}
+        pairs = zip(self.config.servos, zeros_moved(self.config, self.offsets()).servos, strict=True)
+        zeros = {was.name: (was.zero_ticks, new.zero_ticks) for was, new in pairs}
+        return {name: both for name, both in zeros.items() if both[0] != both[1]}
 
     def offsets(self) -> dict[str, float]:
         """Joint -> rad, of those that could be determined."""
@@ -276,7 +285,7 @@ def _locate(
     extrinsics: CameraExtrinsics | None,
     progress: Progress,
 ) -> VerifySamples:
-    """What is known before the first sample; no place: it is found by the marker on the table."""
+    """What is known before the first sample; without extrinsics the camera is located here."""
     if extrinsics is None:
         progress("locating the camera", 0.0)
         extrinsics = _located(setup, scene)
@@ -296,7 +305,7 @@ def _locate(
 
 
 def _located(setup: RobotSetup, scene: HandEyeScene) -> CameraExtrinsics:
-    """The simulated camera finds its place by the marker on the table, as a person would have it do."""
+    """The simulated camera is located by the marker on the table, as a person would have it done."""
     around, lens = scene_for(setup.robot, setup.frame), scene.task.intrinsics
     marker = MarkerBoard({around.marker_id: (around.marker_size, Pose())}, around.dictionary)
     views = [marker.see(scene.take(), lens) for _ in range(_LOCATE_PICTURES)]
