@@ -37,6 +37,8 @@ COUNTS: tuple[Count, ...] = get_args(Count)
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 GOAL_KINDS: tuple[GoalKind, ...] = get_args(GoalKind)
 FORMAT = 1
+RATE = 60
+"""Ticks a second."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +253,6 @@ class Start:
     # One for each instance; empty: the usual ones.
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
     seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1  # of the ball's random positions
-    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0  # ticks a second, Hz
 
 
 def checked_start(start: Start) -> Start:

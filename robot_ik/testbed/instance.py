@@ -21,7 +21,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
-from robot_ik.testbed.commands import DragLink
+from robot_ik.testbed.commands import RATE, DragLink
 from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, retarget
 
 TRAIL = 120
@@ -85,13 +85,12 @@ class Instance:
 
     Args:
         robot: Within the limits that hold.
-        rate: Ticks a second, Hz.
     """
 
-    def __init__(self, robot: Robot, rate: float) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.solver: Solver | None = None
-        self._rate, self.data = rate, mujoco.MjData(robot.model)
+        self.data = mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
         self._body, self._local = frame.body, frame.local
         self.refused = self.note = ""
@@ -165,7 +164,7 @@ class Instance:
         try:
             if self._drag is None or self._held != held:
                 self._drag = Drag(
-                    self.robot, pinned=goals.kept, start=self.q, rate=self._rate, speed=_DRAG_SPEED,
+                    self.robot, pinned=goals.kept, start=self.q, rate=RATE, speed=_DRAG_SPEED,
                     balance=goals.balanced,
                 )  # fmt: skip
                 self._drag.grab(*held)
@@ -195,7 +194,7 @@ class Instance:
         rotation, position = self._tool()
         self.miss, self.angle = off(goals, rotation, position, ball)
         self._trail = appended(self._trail, position, TRAIL)
-        kept = round(HISTORY_SECONDS * self._rate)
+        kept = round(HISTORY_SECONDS * RATE)
         self._errors = appended(self._errors, (self.miss, self.manipulability), kept)
 
     def measure_manipulability(self) -> None:
