@@ -204,7 +204,8 @@ class Page(Closing):
 
     def _new_scene(self, view: View) -> BrowserScene:
         """The scene of the session's robot and its number of instances."""
-        self._grab = None
+        if self._grab is not None:
+            self._end_drag()
         scene = BrowserScene(self.server, self.session.robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
@@ -226,8 +227,10 @@ class Page(Closing):
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
         scene, k = self._scene, self._index(event)
+        name = scene.name_of(event.target)
+        if name is None:
+            return  # the robot changed under the mouse: that drag is over
         if self._grab is None:
-            name = scene.name_of(event.target)
             one = self._view.instances[k]
             body = scene.robot.model.body(name).id
             rotation = viser.transforms.SO3(one.xquat[body]).as_matrix()
@@ -236,8 +239,11 @@ class Page(Closing):
         position = np.array(event.end_position) - scene.offsets[k]
         self.session.send(DragLink(k, *self._grab, _floats(position)))
         if event.phase == "end":
-            self._grab = None
-            self.session.send(Release())
+            self._end_drag()
+
+    def _end_drag(self) -> None:
+        self._grab = None
+        self.session.send(Release())
 
     def _index(self, event: Any) -> int:
         return min(event.instance_index or 0, self._view.count - 1)
@@ -288,9 +294,8 @@ class Page(Closing):
 
     def _driver_left(self) -> None:
         """No drag goes on, and a servo arm holds."""
-        self._grab = None
-        if self._view.dragged:
-            self.session.send(Release())
+        if self._grab is not None:
+            self._end_drag()
         if self._view.arm is not None and self._view.arm.mode in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 
