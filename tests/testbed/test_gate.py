@@ -274,6 +274,7 @@ def drag(bed: Bed, phase: str, **changed: Any) -> dict[str, Any]:
 def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
     bed: Bed, browser: Browser, capfd: pytest.CaptureFixture[str]
 ) -> None:
+    bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
     browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
     bed.session.send(SetCount(2))
@@ -305,6 +306,7 @@ def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(bed: Bed,
 
 
 def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
+    bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
     browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
     browser.close()
