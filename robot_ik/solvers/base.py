@@ -113,7 +113,8 @@ class Solver(ABC):
         for goal in problem.given:
             if not self.supports(goal):
                 part = isinstance(goal, self.goals)
-                return f"a {goal.name}" + (" that asks for single axes only" if part else "")
+                name = f"{'an' if goal.name[0] in 'aeiou' else 'a'} {goal.name}"
+                return name + (" that asks for single axes only" if part else "")
         return next((_FEATURES[feature] for feature in sorted(problem.features - self.capabilities)), "")
 
     def require_support(self, problem: Problem) -> None:

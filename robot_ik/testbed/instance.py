@@ -77,7 +77,14 @@ class InstanceView:
     statistics: Statistics  # of the last ``WINDOW`` solves
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
-    errors: Array  # (n, 2) history: miss in m, manipulability
+    errors: Array  # (n, 3) history: miss in m, in rad, manipulability
+
+    @property
+    def off(self) -> str:
+        """How far the tool is off what the ball asks; in degrees where the angle alone is missed."""
+        if self.miss <= _TOLERANCE.position and self.angle > _TOLERANCE.angle:
+            return f"{math.degrees(self.angle):.2f}°"
+        return f"{1e3 * self.miss:.2f} mm"
 
 
 class Instance:
@@ -104,7 +111,7 @@ class Instance:
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
         self.miss = self.angle = self.manipulability = 0.0
-        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 2))
+        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 3))
         self._begin_statistics()
         self._goals: tuple[tuple[str, float, float], ...] = ()
 
@@ -195,7 +202,7 @@ class Instance:
         self.miss, self.angle = off(goals, rotation, position, ball)
         self._trail = appended(self._trail, position, TRAIL)
         kept = round(HISTORY_SECONDS * RATE)
-        self._errors = appended(self._errors, (self.miss, self.manipulability), kept)
+        self._errors = appended(self._errors, (self.miss, self.angle, self.manipulability), kept)
 
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""

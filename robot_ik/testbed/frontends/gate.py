@@ -298,7 +298,7 @@ def _camera(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
 
 
 def _is_gone(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    """Whether there is no such widget or node: a method or robot that changed under the mouse took it away."""
+    """Whether there is no such widget or node (any more: a change of method or robot takes some away)."""
     match message["type"]:
         case "ViewerCameraMessage":
             return False

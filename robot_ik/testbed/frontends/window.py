@@ -433,7 +433,8 @@ class SessionWindow(_ViewerWindow):
         ]
         for k, one in enumerate(view.instances):
             solved = f"{100.0 * one.statistics.solved:.0f} %"
-            found = f"{1e3 * one.miss:.2f} mm, {one.iterations} steps, {solved}"
+            off = one.off.replace("°", " deg")  # MuJoCo's letters are ASCII
+            found = f"{off}, {one.iterations} steps, {solved}"
             rows.append((f"{k + 1} {one.method}", found if one.able else one.status))
         if view.message:
             rows.append(("", view.message[:80]))
