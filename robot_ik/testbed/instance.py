@@ -86,6 +86,14 @@ class InstanceView:
             return f"{math.degrees(self.angle):.2f}°"
         return f"{1e3 * self.miss:.2f} mm"
 
+    @property
+    def summary(self) -> str:
+        """What its last solve gave, in one line, or why its method cannot serve what is asked."""
+        if not self.able:
+            return self.status
+        solved = f", {100.0 * self.statistics.solved:.0f} % solved" if self.statistics.count else ""
+        return f"{self.off} off, {self.iterations} steps{solved}"
+
 
 class Instance:
     """One robot with its method; it stands still until it has one.

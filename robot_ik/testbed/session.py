@@ -33,6 +33,7 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.instance import Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.setup import (
+    CURVE_PERIOD,
     ExtraGoal,
     MethodChoice,
     Ready,
@@ -104,6 +105,15 @@ class View:
     def count(self) -> commands.Count:
         """Instances side by side."""
         return len(self.instances)  # type: ignore[return-value]
+
+    @property
+    def state(self) -> str:
+        """What goes on, in a few words."""
+        if self.tick == 0:
+            return "getting ready"
+        if self.dragged:
+            return f"{self.dragged} is dragged"
+        return "running" if self.running else "holding still"
 
     def digest(self) -> str:
         """A fingerprint of all that the commands decide: not of times, and not of a servo arm."""
@@ -282,7 +292,7 @@ class Session(Closing):
         """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
-        curve, times = self._ready.curve, np.linspace(0.0, 8.0, 9)
+        curve, times = self._ready.curve, np.linspace(0.0, CURVE_PERIOD, 9)
         return np.array([curve.poll(float(t)).target.position for t in times])
 
     # ---------------------------------------------------------------------------------------- commands

@@ -129,6 +129,7 @@ _ARM_LABELS = {
     "Follow": "follow", "Hold": "hold", "Torque off": "release", "Teach": "teach", "Replay": "replay",
 }  # fmt: skip
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
+_STATE_DOTS = {"running": "#16a34a", "holding still": "#dc2626"}
 _INK = "#808a97"  # of axes: readable on light and dark
 _ERROR_RANGE = (1e-3, 1e3)  # mm, degrees: an axis that fits itself jumps
 _DECADES = (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)  # its ticks: those between become grey blocks
@@ -182,14 +183,10 @@ class RunPanel:
 
     def show(self, view: View) -> None:
         """State line and menus, five times a second."""
-        dot, label = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
-        if view.dragged:
-            dot, label = "#f58220", f"{view.dragged} is dragged"
-        if view.tick == 0:
-            dot, label = "#f58220", "getting ready"
+        dot = _STATE_DOTS.get(view.state, "#f58220")
         hint = HINT if view.figure is None else FIGURE_HINT
         line = html.escape(view.busy or view.message or hint)
-        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
+        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(view.state)}</b><br>{line}'
         self._state.content = self._large + page(text)
         self._motion.follow(view.motion)
         if view.robot not in self._robot.handle.options:  # one of somebody's own
