@@ -31,7 +31,7 @@ from robot_ik.robot import Robot, load_robot
 from robot_ik.robot_file import catalogue
 from robot_ik.testbed.arm import ArmLink
 from robot_ik.testbed.arrangement import GOAL_COLOUR
-from robot_ik.testbed.commands import CommandLog
+from robot_ik.testbed.commands import RATE, CommandLog
 from robot_ik.testbed.frontends.recorder import Recorder
 from robot_ik.testbed.session import Session, View, replayed
 
@@ -143,7 +143,7 @@ def film(
         ConfigError: Nothing happens in the log and no length is given.
         OutputError: Something cannot be written.
     """
-    wanted = log.ticks if seconds is None else round(seconds * log.start.rate)
+    wanted = log.ticks if seconds is None else round(seconds * RATE)
     if not wanted:
         raise ConfigError(
             "it says nothing of its length", file="command log", key="end", allowed="--seconds N"
@@ -151,14 +151,14 @@ def film(
     log = replace(log, ticks=wanted, commands=tuple(c for c in log.commands if c[0] < wanted))
     if record is not None:
         require_recording(record)
-    every = max(1, round(log.start.rate / rate_hz))
+    every = max(1, round(RATE / rate_hz))
     artist, _ = make_artist(backend)
     view: View | None = None
     with contextlib.ExitStack() as stack:
         stack.callback(artist.close)
         write = None
         if out is not None:
-            write = stack.enter_context(open_sink(out, log.start.rate / every, overwrite=overwrite)).write
+            write = stack.enter_context(open_sink(out, RATE / every, overwrite=overwrite)).write
         recorder: Recorder | None = None
         rows: Recording | None = None
         joints: tuple[str, ...] = ()

@@ -1,1 +1,1 @@
-"""The testbed: front ends that show robots and, later, the session behind them."""
+"""The testbed: an interactive session that solves for a moving ball, and the front ends that show it."""

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.alias_generators import to_snake
 
+import robot_ik as rik
 from robot_ik.errors import ConfigError, did_you_mean
 from robot_ik.files import write_atomically
 from robot_ik.reading import parse_json, read_text, shown
@@ -37,6 +38,8 @@ COUNTS: tuple[Count, ...] = get_args(Count)
 MOTIONS: tuple[Motion, ...] = get_args(Motion)
 GOAL_KINDS: tuple[GoalKind, ...] = get_args(GoalKind)
 FORMAT = 1
+RATE = 60
+"""Ticks a second."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +254,6 @@ class Start:
     # One for each instance; empty: the usual ones.
     methods: Annotated[tuple[str, ...], Field(strict=False, max_length=4)] = ()
     seed: Annotated[int, Field(ge=0, le=1 << 62)] = 1  # of the ball's random positions
-    rate: Annotated[float, Field(ge=1.0, le=1000.0)] = 60.0  # ticks a second, Hz
 
 
 def checked_start(start: Start) -> Start:
@@ -325,8 +327,6 @@ class CommandLog:
 
 STEP = 0.02
 """Metres of one nudge of the ball."""
-# In the order in which a key goes through them where there is no menu.
-_CYCLE = ("dls", "lm", "analytic", "sdls", "pseudoinverse", "transpose", "bfgs", "ccd", "fabrik")
 
 
 @dataclass(frozen=True)
@@ -347,6 +347,10 @@ def _next(values: tuple[_Value, ...], value: object) -> _Value:
     return values[(values.index(value) + 1) % len(values) if value in values else 0]
 
 
+def _next_method(view: View) -> str:
+    return _next(tuple(rik.SOLVERS), view.instances[0].method)
+
+
 KEYMAP: tuple[Key, ...] = (
     Key("start / pause", "space", "Space", lambda view: SetRunning(not view.running)),
     Key("reset", "R", "R", lambda view: Reset()),
@@ -354,9 +358,7 @@ KEYMAP: tuple[Key, ...] = (
     Key("one robot", "1", "1", lambda view: SetCount(COUNTS[0])),
     Key("compare two", "2", "2", lambda view: SetCount(COUNTS[1])),
     Key("compare four", "4", "4", lambda view: SetCount(COUNTS[2])),
-    Key(
-        "next method of robot 1", "M", "M", lambda view: SetMethod(0, _next(_CYCLE, view.instances[0].method))
-    ),
+    Key("next method of robot 1", "M", "M", lambda view: SetMethod(0, _next_method(view))),
     Key("next kind of goal", "K", "K", lambda view: SetGoalKind(_next(GOAL_KINDS, view.kind))),
     Key("joint limits on / off", "O", "O", lambda view: SetLimits(not view.limits)),
     Key("branches of robot 1", "B", "B", lambda view: ShowBranches(not view.show_branches)),

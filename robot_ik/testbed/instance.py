@@ -21,7 +21,7 @@ from robot_ik.problem import Problem
 from robot_ik.robot import Robot
 from robot_ik.solution import Solution
 from robot_ik.solvers.base import Solver
-from robot_ik.testbed.commands import DragLink
+from robot_ik.testbed.commands import RATE, DragLink
 from robot_ik.testbed.setup import BUDGET, RobotGoals, gaze_axis, retarget
 
 TRAIL = 120
@@ -77,7 +77,22 @@ class InstanceView:
     statistics: Statistics  # of the last ``WINDOW`` solves
     goals: tuple[tuple[str, float, float], ...]  # (name, m, rad) off at the last full second
     trail: Array  # (n, 3) where the tool was, oldest first
-    errors: Array  # (n, 2) history: miss in m, manipulability
+    errors: Array  # (n, 3) history: miss in m, in rad, manipulability
+
+    @property
+    def off(self) -> str:
+        """How far the tool is off what the ball asks; in degrees where the angle alone is missed."""
+        if self.miss <= _TOLERANCE.position and self.angle > _TOLERANCE.angle:
+            return f"{math.degrees(self.angle):.2f}°"
+        return f"{1e3 * self.miss:.2f} mm"
+
+    @property
+    def summary(self) -> str:
+        """What its last solve gave, in one line, or why its method cannot serve what is asked."""
+        if not self.able:
+            return self.status
+        solved = f", {100.0 * self.statistics.solved:.0f} % solved" if self.statistics.count else ""
+        return f"{self.off} off, {self.iterations} steps{solved}"
 
 
 class Instance:
@@ -85,13 +100,12 @@ class Instance:
 
     Args:
         robot: Within the limits that hold.
-        rate: Ticks a second, Hz.
     """
 
-    def __init__(self, robot: Robot, rate: float) -> None:
+    def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.solver: Solver | None = None
-        self._rate, self.data = rate, mujoco.MjData(robot.model)
+        self.data = mujoco.MjData(robot.model)
         frame = robot.frame(robot.tool)
         self._body, self._local = frame.body, frame.local
         self.refused = self.note = ""
@@ -105,7 +119,7 @@ class Instance:
         self._held: tuple[str, tuple[float, float, float]] | None = None
         self._status, self._iterations = "", 0
         self.miss = self.angle = self.manipulability = 0.0
-        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 2))
+        self._trail, self._errors = np.empty((0, 3)), np.empty((0, 3))
         self._begin_statistics()
         self._goals: tuple[tuple[str, float, float], ...] = ()
 
@@ -165,7 +179,7 @@ class Instance:
         try:
             if self._drag is None or self._held != held:
                 self._drag = Drag(
-                    self.robot, pinned=goals.kept, start=self.q, rate=self._rate, speed=_DRAG_SPEED,
+                    self.robot, pinned=goals.kept, start=self.q, rate=RATE, speed=_DRAG_SPEED,
                     balance=goals.balanced,
                 )  # fmt: skip
                 self._drag.grab(*held)
@@ -195,8 +209,8 @@ class Instance:
         rotation, position = self._tool()
         self.miss, self.angle = off(goals, rotation, position, ball)
         self._trail = appended(self._trail, position, TRAIL)
-        kept = round(HISTORY_SECONDS * self._rate)
-        self._errors = appended(self._errors, (self.miss, self.manipulability), kept)
+        kept = round(HISTORY_SECONDS * RATE)
+        self._errors = appended(self._errors, (self.miss, self.angle, self.manipulability), kept)
 
     def measure_manipulability(self) -> None:
         """Product of the singular values of the tool's Jacobian; costs 60 µs, so not in each tick."""

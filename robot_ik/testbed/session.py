@@ -33,6 +33,7 @@ from robot_ik.testbed import commands
 from robot_ik.testbed.instance import Instance, InstanceView
 from robot_ik.testbed.preparing import Preparer, SetupDone
 from robot_ik.testbed.setup import (
+    CURVE_PERIOD,
     ExtraGoal,
     MethodChoice,
     Ready,
@@ -105,6 +106,15 @@ class View:
         """Instances side by side."""
         return len(self.instances)  # type: ignore[return-value]
 
+    @property
+    def state(self) -> str:
+        """What goes on, in a few words."""
+        if self.tick == 0:
+            return "getting ready"
+        if self.dragged:
+            return f"{self.dragged} is dragged"
+        return "running" if self.running else "holding still"
+
     def digest(self) -> str:
         """A fingerprint of all that the commands decide: not of times, and not of a servo arm."""
         seen = hashlib.sha256()
@@ -145,7 +155,6 @@ class Session(Closing):
             choice.solver()
         self._queue: queue.SimpleQueue[commands.Command] = queue.SimpleQueue()
         self._log: list[tuple[int, commands.Command]] = []
-        self._period = 1.0 / self.start.rate
         self._tick, self._phase = 0, 0.0
         self._motion: commands.Motion = "curve"
         self._running, self._speed = True, 1.0
@@ -211,7 +220,7 @@ class Session(Closing):
             self.arm.follow(self.instances[0].robot, self.instances[0].q, self._running)
 
     def _step(self, ready: Ready) -> None:
-        self._phase += self._speed * self._period
+        self._phase += self._speed / commands.RATE
         if self._motion != "hand" and self._drag is None:
             self._ball = self._moving_ball()
         if self._drag is not None:
@@ -226,7 +235,7 @@ class Session(Closing):
         for one in self.instances:
             if self._tick % _SLOW_TICKS == 0:
                 one.measure_manipulability()
-            if self._tick % round(self.start.rate) == 0:
+            if self._tick % commands.RATE == 0:
                 one.measure_statistics(ready.goals, self._ball)
         if ready.setup.branches and self._tick % _BRANCH_TICKS == 0:
             self._find_branches(ready)
@@ -248,7 +257,7 @@ class Session(Closing):
         text, until = self._message
         return View(
             tick=self._tick,
-            now=self._tick * self._period,
+            now=self._tick / commands.RATE,
             robot=setup.robot,
             motion=self._motion,
             running=self._running,
@@ -283,7 +292,7 @@ class Session(Closing):
         """(n, 3) positions of the ball on its curve, for a camera that shall see all of it."""
         if self._ready is None:
             return np.array([self._ball.position])
-        curve, times = self._ready.curve, np.linspace(0.0, 8.0, 9)
+        curve, times = self._ready.curve, np.linspace(0.0, CURVE_PERIOD, 9)
         return np.array([curve.poll(float(t)).target.position for t in times])
 
     # ---------------------------------------------------------------------------------------- commands
@@ -390,7 +399,7 @@ class Session(Closing):
             self._stand(ready.robot, ready.setup.count)
         elif len(self.instances) != ready.setup.count:
             missing = ready.setup.count - len(self.instances)
-            fresh = [Instance(ready.robot, self.start.rate) for _ in range(missing)]
+            fresh = [Instance(ready.robot) for _ in range(missing)]
             self.instances = [*self.instances, *fresh][: ready.setup.count]
         self.robot, self._branches = ready.robot, ()
         self._set_figure(before, ready)
@@ -420,7 +429,7 @@ class Session(Closing):
     def _stand(self, robot: Robot, count: int) -> None:
         """New robots, at home."""
         self.robot = robot
-        self.instances = [Instance(robot, self.start.rate) for _ in range(count)]
+        self.instances = [Instance(robot) for _ in range(count)]
         self._ball = first_ball(robot)
         self._branches = ()
 
@@ -443,7 +452,7 @@ class Session(Closing):
 
     def _say(self, text: str) -> None:
         _log.debug("%s", text)
-        self._message = text, self._tick + round(MESSAGE_SECONDS * self.start.rate)
+        self._message = text, self._tick + round(MESSAGE_SECONDS * commands.RATE)
 
 
 def replayed(log: commands.CommandLog) -> Iterator[Session]:
@@ -483,7 +492,7 @@ def run(
     It runs on absolute deadlines of the clock ``now`` (seconds) until ``stop`` is set, or ``draw`` gives
     False as that of a closed window does; after a stall it goes on from there and does not hurry.
     """
-    step, due, count = 1.0 / session.start.rate, now(), 0
+    step, due, count = 1.0 / commands.RATE, now(), 0
     with short_switch_interval():
         while not stop.is_set():
             session.tick()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import queue
 import time
 from collections.abc import Iterator
@@ -12,11 +13,16 @@ import numpy as np
 import pytest
 
 pytest.importorskip("viser", reason="needs the extra web")
+import viser
+
+from robot_ik.figure.decide import Decision
+from robot_ik.geometry import Pose
 from robot_ik.robot import load_robot
-from robot_ik.testbed.commands import Command, SetRobot, Start
+from robot_ik.testbed.arrangement import FIELD_OF_VIEW
+from robot_ik.testbed.commands import Command, MoveGoal, SetMotion, SetRobot, Start
 from robot_ik.testbed.frontends.browser import Page
 from robot_ik.testbed.frontends.page_server import PageServer
-from robot_ik.testbed.frontends.panels import joint_bars
+from robot_ik.testbed.frontends.panels import FigurePanel, MeasuredPanel, joint_bars
 from robot_ik.testbed.session import Session
 from tests.doc_pages import script
 from tests.waiting import LONG, wait_for
@@ -29,6 +35,12 @@ ELSEWHERE = {"Path", "Hand over"}
 
 class Sent(queue.SimpleQueue[Command]):
     """The commands of a page that nobody executes."""
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    with Session(Start(methods=("lm",)), beside=False) as made:
+        yield made
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +148,67 @@ def test_a_plot_of_distances_has_ticks_at_decades_only(controls: tuple[Page, Any
     plots = controls[0]._measured._plots
     for (_, name), plot in plots.items():
         splits = plot.axes[1].get("splits")
-        assert (splits is not None) == name.startswith("distance")
+        assert (splits is not None) == ("to the goal" in name)
         if splits is not None:
             assert np.diff(np.log10(splits)) == pytest.approx(1.0)
+
+
+def test_menus_wait_for_what_is_being_prepared(controls: tuple[Page, Any, Sent]) -> None:
+    """Compiling may take half a minute: a menu that goes back meanwhile looks as if it had refused."""
+    page, view = controls[0], controls[0]._view
+    menu = page._goals._kind
+    menu.handle.value, menu._touched = "aim at the ball", -np.inf  # chosen a while ago
+    page._goals.show(dataclasses.replace(view, busy="compiling lm …"))
+    assert menu.value == "aim at the ball"
+    page._goals.show(dataclasses.replace(view, busy=""))
+    assert menu.value == "pose"
+
+
+def test_who_only_watches_is_told_so_once(
+    controls: tuple[Page, Any, Sent], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page, told = controls[0], []
+    monkeypatch.setattr(viser.ClientHandle, "add_notification", lambda *given, **named: told.append(given))
+    connection = next(iter(page.server._websock_server._live_connections.values()))
+    for _ in range(20):  # a drag sends so many a second
+        page._correct(connection, {"type": "SceneNodeDragMessage", "name": "/robot/ball"})
+    assert len(told) == 1
+
+
+def test_a_page_that_is_loaded_anew_sees_a_ball_that_was_taken_away(
+    controls: tuple[Page, Any, Sent],
+) -> None:
+    page = controls[0]
+    client = next(iter(page.server.get_clients().values()))
+    before, ball = page._view, np.array((3.0, 2.0, 1.0))
+    page._view = dataclasses.replace(before, ball=Pose(ball))
+    try:
+        page._fit_camera(page._scene, client)
+    finally:
+        page._view = before
+    forward = client.camera.look_at - client.camera.position
+    to_ball = ball - client.camera.position
+    cosine = forward @ to_ball / np.linalg.norm(forward) / np.linalg.norm(to_ball)
+    assert np.arccos(cosine) < 0.5 * FIELD_OF_VIEW * max(1.0, client.camera.aspect)
+
+
+def test_what_a_figure_decides_is_a_sentence() -> None:
+    decision = Decision("walk", "left", "the ball is far", then="reach")
+    acting = SimpleNamespace(waiting=False, decision=decision, action="walk", phase=0.5)
+    shown = FigurePanel._figure_text(SimpleNamespace(can_act=True, figure=acting))  # type: ignore[arg-type]
+    assert shown.startswith("<b>walk</b>, then reach with the left hand<br>the ball is far")
+
+
+def test_a_row_says_how_the_last_solve_ended_and_what_is_off(session: Session) -> None:
+    for command in (SetMotion("hand"), MoveGoal((0.0, 0.0, 9.0))):
+        session.send(command)
+    for _ in range(60):
+        session.tick()
+    one = session.view().instances[0]
+    row = MeasuredPanel._row(0, one, acting=False)
+    assert one.status != "converged" and f"<small>{one.status}</small>" in row and "mm</td>" in row
+    aimed = dataclasses.replace(one, miss=0.0, angle=0.5)
+    assert aimed.off == "28.65°" and "28.65°</td>" in MeasuredPanel._row(0, aimed, acting=False)
 
 
 def test_no_joint_stands_at_minus_zero() -> None:

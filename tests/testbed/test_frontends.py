@@ -5,11 +5,13 @@ from __future__ import annotations
 import csv
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+import robot_ik as rik
 from robot_ik.camera.drawing.renderers import PainterArtist
 from robot_ik.cli.main import main
 from robot_ik.errors import MissingExtraError
@@ -67,6 +69,16 @@ def test_no_key_means_two_things() -> None:
         assert len(set(keys)) == len(keys)
     # viser's scene moves its camera with these, and no switch turns that off
     assert not {"W", "A", "S", "D", "Q", "E"} & {key.browser for key in KEYMAP}
+
+
+def test_the_key_for_methods_goes_through_all_of_them() -> None:
+    key = next(key for key in KEYMAP if key.about.startswith("next method"))
+    method, seen = "dls", set()
+    for _ in rik.SOLVERS:
+        command = key.command(SimpleNamespace(instances=[SimpleNamespace(method=method)]))  # type: ignore
+        assert isinstance(command, SetMethod)
+        seen.add(method := command.method)
+    assert seen == set(rik.SOLVERS)
 
 
 def near(image: Any, colour: tuple[int, int, int], within: int = 40) -> int:

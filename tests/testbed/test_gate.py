@@ -21,13 +21,14 @@ import pytest
 
 from robot_ik.errors import CameraError
 from robot_ik.jobs.testbed import arm_link
-from robot_ik.testbed.commands import Start
+from robot_ik.testbed.commands import SetCount, Start
 from robot_ik.testbed.session import Session, View, run
 from tests.memory import resident_memory
 from tests.testbed.conftest import Bed
 from tests.waiting import LONG, wait_for
 
 pytest.importorskip("viser", reason="needs the extra web")
+from robot_ik.testbed.frontends.gate import BAD_LIMIT
 
 
 class Browser:
@@ -261,14 +262,53 @@ def test_one_browser_drives_the_others_watch_and_stop_works_from_all(bed: Bed, b
     watcher.close()
 
 
-def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
-    handle = bed.page._scene.bodies[-1][1]
-    drag = {
-        "type": "SceneNodeDragMessage", "phase": "start", "name": handle.name, "instance_index": 0,
+def drag(bed: Bed, phase: str, **changed: Any) -> dict[str, Any]:
+    """A message of a mouse that drags the robot's last part."""
+    name = bed.page._scene.bodies[-1][1].name
+    return {
+        "type": "SceneNodeDragMessage", "phase": phase, "name": name, "instance_index": 0,
         "start_position": [0.0, 0.0, 1.0], "start_screen_pos": [0.5, 0.5], "end_position": [0.1, 0.1, 1.0],
-        "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None,
+        "end_screen_pos": [0.5, 0.5], "button": "left", "modifier": None, **changed,
     }  # fmt: skip
-    browser.send(drag)
+
+
+def test_a_scene_that_changes_under_the_mouse_ends_the_drag(
+    bed: Bed, browser: Browser, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
+    browser.send(drag(bed, "start"))
+    bed.until(lambda view: view.dragged, "the part was not dragged")
+    bed.session.send(SetCount(2))
+    bed.until(lambda view: view.count == 2 and not view.dragged, "the drag goes on in another scene")
+    before = len(bed.sent)
+    for phase in (*["update"] * 5, "end"):
+        browser.send(drag(bed, phase))
+    browser.send(update(uuid_of(bed, "Speed"), value=1.5))
+    bed.until(lambda view: view.speed == 1.5)
+    assert [type(command).__name__ for command in bed.sent[before:]] == ["SetSpeed"]
+    assert "Traceback" not in "".join(capfd.readouterr())
+    browser.send(update(uuid_of(bed, "Speed"), value=1.0))
+    bed.session.send(SetCount(1))
+    bed.until(lambda view: view.speed == 1.0 and view.count == 1)
+
+
+def test_messages_to_what_is_gone_are_dropped_and_their_browser_is_not(bed: Bed, browser: Browser) -> None:
+    """A method that changes takes away a slider that is being moved."""
+    before = bed.page.gate.dropped["malformed"]
+    for _ in range(2 * BAD_LIMIT):
+        browser.send(update("taken-away", value=0.5))
+        browser.send(drag(bed, "update", name="/robot/taken_away"))
+        browser.send({"type": "CommandTriggerMessage", "uuid": "taken-away"})
+    browser.send(update(uuid_of(bed, "Speed"), value=1.5))
+    bed.until(lambda view: view.speed == 1.5, "the browser was dropped")
+    assert bed.page.gate.dropped["malformed"] == before
+    browser.send(update(uuid_of(bed, "Speed"), value=1.0))
+    bed.until(lambda view: view.speed == 1.0)
+
+
+def test_a_driver_who_is_lost_in_a_drag_lets_go(bed: Bed, browser: Browser) -> None:
+    bed.until(lambda view: view.tick > 0 and not view.busy)  # what dragging needs is compiled
+    browser.send(drag(bed, "start"))
     bed.until(lambda view: view.dragged, "the part was not dragged")
     browser.close()
     bed.until(lambda view: not view.dragged, "a lost browser still drags")

@@ -41,8 +41,9 @@ from robot_ik.testbed.session import Session, View
 LOG = logging.getLogger(__name__)
 ReadPicture = Callable[[], tuple[Image, str] | None]
 
-_LEFT, _RIGHT = 300, 350  # px
+_LEFT, _RIGHT = 300, 375  # px
 _PANEL_PERIOD, _TABLE_PERIOD, _CAMERA_PERIOD = 0.2, 1.0, 0.25  # seconds
+_NOTICE_SECONDS = 4.0
 _PHONE_ASPECT = 0.7
 _GIZMO = 0.15  # of the extent
 
@@ -72,6 +73,7 @@ class Page(Closing):
         self.server, self.gate, self.url = page_server.server, page_server.gate, page_server.url
         self._grab: tuple[str, tuple[float, float, float]] | None = None
         self._overlay = True
+        self._noticed: dict[int, float] = {}  # client -> when it was last told that it only watches
         self._camera = None if camera is None else _CameraThread(camera)
         gui = self.server.gui
         with self.server.atomic():
@@ -204,7 +206,8 @@ class Page(Closing):
 
     def _new_scene(self, view: View) -> BrowserScene:
         """The scene of the session's robot and its number of instances."""
-        self._grab = None
+        if self._grab is not None:
+            self._end_drag()
         scene = BrowserScene(self.server, self.session.robot, view.count)
         scene.on_drag(self._drag_ball, self._drag_link)
         scene.show_overlay(self._overlay)
@@ -226,8 +229,10 @@ class Page(Closing):
     async def _drag_link(self, event: Any) -> None:
         """``async``: viser keeps the order of a drag's phases only then."""
         scene, k = self._scene, self._index(event)
+        name = scene.name_of(event.target)
+        if name is None:
+            return  # the robot changed under the mouse: that drag is over
         if self._grab is None:
-            name = scene.name_of(event.target)
             one = self._view.instances[k]
             body = scene.robot.model.body(name).id
             rotation = viser.transforms.SO3(one.xquat[body]).as_matrix()
@@ -236,8 +241,11 @@ class Page(Closing):
         position = np.array(event.end_position) - scene.offsets[k]
         self.session.send(DragLink(k, *self._grab, _floats(position)))
         if event.phase == "end":
-            self._grab = None
-            self.session.send(Release())
+            self._end_drag()
+
+    def _end_drag(self) -> None:
+        self._grab = None
+        self.session.send(Release())
 
     def _index(self, event: Any) -> int:
         return min(event.instance_index or 0, self._view.count - 1)
@@ -262,9 +270,10 @@ class Page(Closing):
         aspect = client.camera.aspect
         if not (math.isfinite(aspect) and aspect > 0.05):
             return
-        position, target = scene.arrangement.camera(
-            self.session.ball_path(), aspect, phone=aspect < _PHONE_ASPECT
-        )
+        # A figure walks away, and a ball is taken along: a page that is loaded anew shall see both.
+        now = [self._view.ball.position, *(one.xpos[1:] for one in self._view.instances)]
+        path = np.vstack([self.session.ball_path(), *now])
+        position, target = scene.arrangement.camera(path, aspect, phone=aspect < _PHONE_ASPECT)
         with client.atomic():
             client.camera.position = position
             client.camera.look_at = target
@@ -280,17 +289,19 @@ class Page(Closing):
             if handle is not None and message["type"] == "GuiUpdateMessage":
                 true = vm.GuiUpdateMessage(message["uuid"], {"value": handle.value})
                 client._websock_connection.queue_message(true)
-            client.add_notification(
-                "Watching",
-                "Another browser drives; STOP works here, too. It hands over under Show, or is closed.",
-                auto_close_seconds=4.0,
-            )
+            if time.monotonic() - self._noticed.get(client.client_id, -math.inf) > _NOTICE_SECONDS:
+                self._noticed[client.client_id] = time.monotonic()
+                client.add_notification(
+                    "Watching",
+                    "Another browser drives; STOP works here, too. To drive from here, press Hand over there "
+                    "(under Show), or close it.",
+                    auto_close_seconds=_NOTICE_SECONDS,
+                )
 
     def _driver_left(self) -> None:
         """No drag goes on, and a servo arm holds."""
-        self._grab = None
-        if self._view.dragged:
-            self.session.send(Release())
+        if self._grab is not None:
+            self._end_drag()
         if self._view.arm is not None and self._view.arm.mode in ("follow", "replay"):
             self.session.send(SetArm("hold"))
 

@@ -181,7 +181,12 @@ class Gate:
             return False
         assert isinstance(raw, bytes)
         vm.Message.deserialize(raw)  # fields and their types as viser has them; it raises whatever it likes
-        if self._server is None or not (_finite(message) and check(self._server, message)):
+        if self._server is None or not _finite(message):
+            raise Malformed(kind)
+        if _is_gone(self._server, message):
+            self.dropped[f"{kind} to what is gone"] += 1
+            return False
+        if not check(self._server, message):
             raise Malformed(kind)
         if kind == "ViewerCameraMessage" or message.get("uuid") in self.always:
             return True
@@ -292,19 +297,29 @@ def _camera(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
     return 0.01 < math.sqrt(sum(one * one for one in message["wxyz"])) < 100.0
 
 
+def _is_gone(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
+    """Whether there is no such widget or node (any more: a change of method or robot takes some away)."""
+    match message["type"]:
+        case "ViewerCameraMessage":
+            return False
+        case "CommandTriggerMessage":
+            return message["uuid"] not in server.gui._command_handle_from_uuid
+        case "GuiUpdateMessage":
+            return message["uuid"] not in server.gui._gui_input_handle_from_uuid
+        case "SceneNodeDragMessage":
+            return message["name"] not in server.scene._handle_from_node_name
+    return message["name"] not in server.scene._handle_from_transform_controls_name
+
+
 def _command(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    return message["uuid"] in server.gui._command_handle_from_uuid
+    return True  # it carries nothing but its name
 
 
 def _transform(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    if message["name"] not in server.scene._handle_from_transform_controls_name:
-        return False
     return message["type"] != "TransformControlsUpdateMessage" or _numbers(message, wxyz=4, position=3)
 
 
 def _drag(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
-    if message["name"] not in server.scene._handle_from_node_name:
-        return False
     index = message.get("instance_index")
     if index is not None and not (isinstance(index, int) and 0 <= index < 4):
         return False
@@ -315,9 +330,9 @@ def _drag(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
 
 def _value(server: viser.ViserServer, message: Mapping[str, Any]) -> bool:
     """Whether a widget could have sent this value: viser itself takes any attribute, type and range."""
-    handle: Any = server.gui._gui_input_handle_from_uuid.get(message["uuid"])
+    handle: Any = server.gui._gui_input_handle_from_uuid[message["uuid"]]
     updates = message.get("updates")
-    if handle is None or not isinstance(updates, dict) or set(updates) != {"value"}:
+    if not isinstance(updates, dict) or set(updates) != {"value"}:
         return False
     value, now = updates["value"], handle.value
     if (options := getattr(handle, "options", None)) is not None:

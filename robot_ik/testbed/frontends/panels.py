@@ -41,7 +41,7 @@ STYLE = """<style>.rk{font:13px/1.45 system-ui,sans-serif;padding:0 .75em .5em}
 .rk i.dot{border-radius:5px}.rk small{opacity:.65}
 .rk .bar{position:relative;height:6px;border-radius:3px;background:rgba(128,128,128,.28)}
 .rk .bar b{position:absolute;top:-3px;width:4px;height:12px;border-radius:2px;margin-left:-2px}
-.rk .w{width:55%}.rk .no{color:#dc2626;white-space:normal;text-align:left}
+.rk .w{width:55%}.rk td.text,.rk .no{white-space:normal;text-align:left}.rk .no{color:#dc2626}
 .rk kbd{font:600 11px system-ui;border:1px solid rgba(128,128,128,.5);border-radius:4px;padding:0 5px}
 [role="tab"]{padding-inline:8px!important}
 @media(max-width:600px){[style*="max-height: 60%"]{width:100%!important;max-height:45%!important}
@@ -82,9 +82,9 @@ class Control:
         """What it shows."""
         return self.handle.value
 
-    def follow(self, value: Any) -> None:
-        """Shows what the session has; not under the hand that moves it."""
-        if time.monotonic() - self._touched > _HAND_SECONDS:
+    def follow(self, value: Any, busy: str = "") -> None:
+        """Shows what the session has; not under the hand that moves it, nor while that is still prepared."""
+        if not busy and time.monotonic() - self._touched > _HAND_SECONDS:
             self.handle.value = self._labels.get(value, value)
 
 
@@ -120,6 +120,7 @@ def option_widget(gui: viser.GuiApi, name: str, meta: Mapping[str, Any], value: 
 
 
 HINT = "Drag the orange ball, or any part of the robot."
+FIGURE_HINT = "Drag the orange ball: the figure decides what to do."
 _COUNT_LABELS = dict(zip(("one robot", "two methods", "four methods"), commands.COUNTS, strict=True))
 _MOTION_LABELS = dict(zip(("on a curve", "at random places", "by hand"), commands.MOTIONS, strict=True))
 _KINDS = ("pose", "position", "aim at the ball", "on a line", "on a plane")
@@ -128,8 +129,9 @@ _ARM_LABELS = {
     "Follow": "follow", "Hold": "hold", "Torque off": "release", "Teach": "teach", "Replay": "replay",
 }  # fmt: skip
 _FIGURE_LABELS = {"its methods": "off", "itself, following": "active", "itself, on demand": "passive"}
+_STATE_DOTS = {"running": "#16a34a", "holding still": "#dc2626"}
 _INK = "#808a97"  # of axes: readable on light and dark
-_ERROR_RANGE = (1e-3, 1e3)  # mm: an axis that fits itself jumps
+_ERROR_RANGE = (1e-3, 1e3)  # mm, degrees: an axis that fits itself jumps
 _DECADES = (1e-3, 1e-2, 1e-1, 1.0, 1e1, 1e2, 1e3)  # its ticks: those between become grey blocks
 _JOINTS_SHOWN = 8
 _STOP_HEIGHT = 52  # px
@@ -181,20 +183,16 @@ class RunPanel:
 
     def show(self, view: View) -> None:
         """State line and menus, five times a second."""
-        dot, label = ("#16a34a", "running") if view.running else ("#dc2626", "holding still")
-        if view.dragged:
-            dot, label = "#f58220", f"{view.dragged} is dragged"
-        if view.tick == 0:
-            dot, label = "#f58220", "getting ready"
-        line = html.escape(view.busy or view.message or HINT)
-        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(label)}</b><br>{line}'
+        dot = _STATE_DOTS.get(view.state, "#f58220")
+        hint = HINT if view.figure is None else FIGURE_HINT
+        line = html.escape(view.busy or view.message or hint)
+        text = f'<i class="dot" style="background:{dot}"></i><b>{html.escape(view.state)}</b><br>{line}'
         self._state.content = self._large + page(text)
         self._motion.follow(view.motion)
-        if not view.busy:
-            if view.robot not in self._robot.handle.options:  # one of somebody's own
-                self._robot.handle.options = (*self._robot.handle.options, view.robot)
-            self._robot.follow(view.robot)
-        self._count.follow(view.count)
+        if view.robot not in self._robot.handle.options:  # one of somebody's own
+            self._robot.handle.options = (*self._robot.handle.options, view.robot)
+        self._robot.follow(view.robot, view.busy)
+        self._count.follow(view.count, view.busy)
         self._speed.follow(view.speed)
 
 
@@ -211,7 +209,7 @@ class MethodPanel:
 
     def show(self, view: View) -> None:
         """Follows the session."""
-        self._limits.follow(view.limits)
+        self._limits.follow(view.limits, view.busy)
         for k, folder in enumerate(self._folders):
             folder.show(view.instances[k] if k < view.count else None, view.count, view.busy)
 
@@ -241,11 +239,10 @@ class _MethodFolder:
         if self._shown != one.method:
             self._shown = one.method
             self._rebuild(one)
-        if not busy:
-            self._menu.follow(one.method)
+        self._menu.follow(one.method, busy)
         for name, value in one.options:
             if name in self._widgets:
-                self._widgets[name].follow(value)
+                self._widgets[name].follow(value, busy)
 
     def _rebuild(self, one: InstanceView) -> None:
         for child in list(self._options._children.values()):
@@ -308,8 +305,8 @@ class GoalsPanel:
 
     def show(self, view: View) -> None:
         """Follows the session."""
-        self._kind.follow(view.kind)
-        self._branches.follow(view.show_branches)
+        self._kind.follow(view.kind, view.busy)
+        self._branches.follow(view.show_branches, view.busy)
         names = ("–", *(branch.name for branch in view.branches))
         self._pick.handle.visible = view.show_branches
         if self._pick.handle.options != names:
@@ -320,8 +317,8 @@ class GoalsPanel:
         for extra in view.extras:
             box, rank = self._rows[extra.name]
             if box is not None:
-                box.follow(extra.on)
-            rank.follow(extra.priority)
+                box.follow(extra.on, view.busy)
+            rank.follow(extra.priority, view.busy)
         rows = [
             (html.escape(name), f"{1e3 * metres:.2f}", f"{math.degrees(angle):.2f}")
             for name, metres, angle in view.instances[0].goals
@@ -369,8 +366,7 @@ class FigurePanel:
         """Decision, reason, and what it does now."""
         acting = view.figure
         self._mode.handle.visible = view.can_act
-        if not view.busy:
-            self._mode.follow("off" if acting is None else acting.mode)
+        self._mode.follow("off" if acting is None else acting.mode, view.busy)
         self._act.visible = acting is not None and acting.mode == "passive"
         self._text.content = page(self._figure_text(view))
 
@@ -385,15 +381,12 @@ class FigurePanel:
         if acting.waiting:
             return "<b>waits</b><br><small>drag the ball, then press Act now</small>"
         decision = acting.decision
+        does = f"<b>{decision.action}</b>" + (f", then {decision.then}" if decision.then else "")
         arm = f" with the {decision.arm} hand" if decision.arm else ""
-        then = f", then {decision.then}" if decision.then else ""
         share = round(100.0 * acting.phase)
         colour = hexadecimal(INSTANCE_COLOURS[0])
         bar = f'<div class="bar"><b style="left:{share}%;background:{colour}"></b></div>'
-        return (
-            f"<b>{decision.action}</b>{arm}{then}<br>{html.escape(decision.reason)}<br>"
-            f"<small>now: {acting.action}</small>{bar}"
-        )
+        return f"{does}{arm}<br>{html.escape(decision.reason)}<br><small>now: {acting.action}</small>{bar}"
 
 
 class ArmPanel:
@@ -463,7 +456,12 @@ def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 class MeasuredPanel:
     """Statistics, one plot with a menu, joints against their limits."""
 
-    _PLOTS: Mapping[str, tuple[int, str]] = {"distance to the goal, mm": (0, "mm"), "manipulability": (1, "")}
+    # Column of the history, and by what it is multiplied for a logarithmic axis; 0: a linear one.
+    _PLOTS: Mapping[str, tuple[int, float]] = {
+        "distance to the goal, mm": (0, 1e3),
+        "angle to the goal, °": (1, math.degrees(1.0)),
+        "manipulability": (2, 0.0),
+    }
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._table = gui.add_html("")
@@ -494,11 +492,10 @@ class MeasuredPanel:
         """The table, once a second."""
         acting = int(view.figure is not None)  # the first robot then, and it has no method
         rows = "".join(self._row(k, one, k < acting) for k, one in enumerate(view.instances))
-        head = "<tr><th>method</th><th>µs</th><th>p99</th><th>steps</th><th>solved</th><th>off mm</th></tr>"
-        counts = [one.statistics.count for one in view.instances[acting:]]
+        head = "<tr><th>method</th><th>µs</th><th>p99</th><th>steps</th><th>solved</th><th>off by</th></tr>"
         note = "the figure decides by itself: no method is measured"
-        if counts:
-            last = f"the last {min(counts)} solves of each"
+        if counts := [one.statistics.count for one in view.instances[acting:]]:
+            last = f"the last {max(counts)} solves" if any(counts) else "nothing solved yet"
             note = f"in this page, {last}; for comparable times: robot-ik bench"
         self._table.content = page(f"<table>{head}{rows}</table><small>{note}</small>")
 
@@ -506,17 +503,18 @@ class MeasuredPanel:
     def _row(k: int, one: InstanceView, acting: bool) -> str:
         colour, name = hexadecimal(INSTANCE_COLOURS[k]), html.escape(one.method or "…")
         name, note = ("itself", "") if acting else (name, one.note)
-        first = f'<td title="{html.escape(note)}"><i style="background:{colour}"></i>{name}</td>'
+        ended = html.escape(one.status if one.able else "") or "–"
+        first = f'<td title="{html.escape(note)}"><i style="background:{colour}"></i>{name}'
+        first += f"<br><small>{ended}</small></td>"
         if not one.able and not acting:
             return f'<tr>{first}<td colspan="5" class="no">{html.escape(one.status)}</td></tr>'
         if acting or not one.statistics.count:
-            off = f"{1e3 * one.miss:.2f}" if acting else "–"
-            return f"<tr>{first}{4 * '<td>–</td>'}<td>{off}</td></tr>"
+            return f"<tr>{first}{4 * '<td>–</td>'}<td>{one.off if acting else '–'}</td></tr>"
         s = one.statistics
         times = "".join(f"<td>{1e6 * t:.{0 if t > 1e-4 else 1}f}</td>" for t in (s.mean, s.p99))
         return (
             f"<tr>{first}{times}<td>{s.iterations:.1f}</td><td>{100.0 * s.solved:.0f} %</td>"
-            f"<td>{1e3 * one.miss:.2f}</td></tr>"
+            f"<td>{one.off}</td></tr>"
         )
 
     def draw(self, view: View, robot: Robot) -> None:
@@ -529,14 +527,14 @@ class MeasuredPanel:
         self._joints.content = page(joint_bars(view, robot))
 
     def _fill(self, plot: Any, view: View, name: str) -> None:
-        column, unit = self._PLOTS[name]
+        column, factor = self._PLOTS[name]
         n = min(len(one.errors) for one in view.instances)
         if n < 2:
             return
         times = (np.arange(n) - n + 1.0)[::3] * (view.now / max(view.tick, 1))
         rows = [one.errors[-n:, column][::3] for one in view.instances]
-        if unit:
-            rows = [np.clip(1e3 * row, 1.5 * _ERROR_RANGE[0], _ERROR_RANGE[1]) for row in rows]
+        if factor:
+            rows = [np.clip(factor * row, 1.5 * _ERROR_RANGE[0], _ERROR_RANGE[1]) for row in rows]
         else:
             top = 1.1 * max(1e-6, *(float(row.max()) for row in rows))
             if not 0.5 * plot.scales["y"]["range"][1] <= top <= plot.scales["y"]["range"][1]:
@@ -581,5 +579,6 @@ def _mark(k: int, share: float) -> str:
 
 def key_table() -> str:
     """The page's keys, from ``KEYMAP``."""
-    rows = [(f"<kbd>{key.browser}</kbd>", html.escape(key.about)) for key in commands.KEYMAP if key.browser]
-    return page(_table((), rows))
+    keys = [(key.browser, html.escape(key.about)) for key in commands.KEYMAP if key.browser]
+    rows = (f'<tr><td><kbd>{key}</kbd></td><td class="text">{about}</td></tr>' for key, about in keys)
+    return page(f"<table>{''.join(rows)}</table>")

@@ -160,9 +160,7 @@ class Recorder:
             y = round((1.6 * k + 1.5) * size)
             colour = INSTANCE_COLOURS[k][::-1]
             cv2.rectangle(image, (size, y - size), (2 * size, y), colour, -1)
-            what = one.status if not one.able else f"{1e3 * one.miss:.2f} mm off, {one.iterations} steps"
-            solved = f", {100.0 * one.statistics.solved:.0f} % solved" if one.statistics.count else ""
-            put_text(image, f"{one.method}: {what}{solved}", (round(2.5 * size), y), size, _INK)
+            put_text(image, f"{one.method}: {one.summary}", (round(2.5 * size), y), size, _INK)
 
 
 COLUMNS = (

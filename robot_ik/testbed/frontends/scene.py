@@ -261,10 +261,10 @@ class BrowserScene:
         """Takes all of it away."""
         self.root.remove()
 
-    def name_of(self, handle: object) -> str:
-        """The body that a handle draws."""
-        body = next(body for body, one in self.bodies if one is handle)
-        return str(self.robot.model.body(body).name)
+    def name_of(self, handle: object) -> str | None:
+        """The body that a handle draws; None where it is of a scene before this one."""
+        body = next((body for body, one in self.bodies if one is handle), None)
+        return None if body is None else str(self.robot.model.body(body).name)
 
     def on_drag(self, ball: Callable[[Any], Any], link: Callable[[Any], Any]) -> None:
         """Calls ``ball`` and ``link`` with viser's drag events."""

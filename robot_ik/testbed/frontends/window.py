@@ -429,12 +429,11 @@ class SessionWindow(_ViewerWindow):
             ("ball", " ".join(f"{value:+.3f}" for value in view.ball.position)),
             ("moves", view.motion),
             ("asks", view.kind),
-            ("state", view.busy or ("running" if view.running else "holding still")),
+            ("state", view.busy or view.state),
         ]
         for k, one in enumerate(view.instances):
-            solved = f"{100.0 * one.statistics.solved:.0f} %"
-            found = f"{1e3 * one.miss:.2f} mm, {one.iterations} steps, {solved}"
-            rows.append((f"{k + 1} {one.method}", found if one.able else one.status))
+            summary = one.summary.replace("°", " deg")  # MuJoCo's letters are ASCII
+            rows.append((f"{k + 1} {one.method}", summary))
         if view.message:
             rows.append(("", view.message[:80]))
         left, right = ("\n".join(column) for column in zip(*rows[:_TEXT_ROWS], strict=True))
