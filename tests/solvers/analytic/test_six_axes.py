@@ -144,6 +144,22 @@ def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_na
         assert near.converged and np.abs(near.q - q).max() < 0.02
 
 
+@pytest.mark.parametrize("off", [1e-9, 1e-7, 2e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("robot_name", ["puma560", "ur5e", "srs_arm"])
+def test_next_to_a_singular_wrist_every_branch_meets_the_goal(robot_name, off):
+    robot = load_robot(robot_name)
+    rng = np.random.default_rng(7)
+    bent = 5 if robot_name == "srs_arm" else 4
+    for _ in range(40):
+        q = robot.sample(rng)
+        q[bent] = off
+        goal = PoseGoal.at(None, robot.forward(q))
+        branches = solve_all(robot, goal, start=robot.sample(rng))
+        assert branches
+        assert max(max(goal.miss(robot, branch.q, goal.target)) for branch in branches) < 1e-6
+        assert solve(robot, goal, solver="analytic", tolerance=TIGHT).converged
+
+
 def test_a_stretched_elbow_is_solved():
     robot = load_robot("puma560")
     rng = np.random.default_rng(4)
