@@ -550,7 +550,7 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
             if rng.random() < 0.01:
                 session.send(kinds[rng.integers(len(kinds))]())
             session.tick()
-        # the same scene whenever memory is read: four robots with a figure hold some 50 MB more than one alone
+        # the same scene whenever memory is read: four robots with a figure hold 50 MB more than one alone
         view_after(session, SetRobot("puma560"), SetCount(1), SetFigure("off"), ticks=5)
         session._log.clear()  # it grows by design: a few bytes a command
         gc.collect()

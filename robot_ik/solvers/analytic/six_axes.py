@@ -113,7 +113,7 @@ def one_of(first, middle, half, amplitude, kept):
 
 @pure
 def free_place(k, start, lower, upper):
-    """Where a free angle is tried: at ``start``, then ever farther off on both sides, at last at its limits."""
+    """Where a free angle is tried: at ``start``, ever farther off on both sides, at last at its limits."""
     if k < _FREE_TRIES - 2:
         side = 1.0 if k % 2 == 1 else -1.0
         return start + side * ((k + 1) // 2) * (2.0 * math.pi / (_FREE_TRIES - 2))
@@ -124,10 +124,10 @@ def free_place(k, start, lower, upper):
 @pure
 def fit(angles, start, lower, upper):
     """Whether all of six angles have an image inside their limits."""
+    inside = True
     for j in range(6):
-        if not image(angles[j], start[j], lower[j], upper[j])[1]:
-            return False
-    return True
+        inside = inside and image(angles[j], start[j], lower[j], upper[j])[1]
+    return inside
 
 
 @pure
@@ -266,8 +266,8 @@ def three_parallel(axes, extra, target, start, lower, upper, branches):
             theta, weight = angle_between(u, rotate(h5, c5, s5, h6), a)  # R5 h6
             q6, _ = angle_between(h6, rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
-            # With axis 6 parallel to the three only θ ± q6 counts: the place of q6 nearest to the start is taken
-            # from which the elbow reaches and all angles are inside their limits, for each elbow by itself.
+            # With axis 6 parallel to the three only θ ± q6 counts.  Taken is the place of q6 nearest to the
+            # start from which the elbow reaches and all angles are inside their limits, for each elbow.
             free, settled = weight <= ALIGNED * ALIGNED, 0
             for k in range(_FREE_TRIES if free else 1):
                 if free:
