@@ -20,8 +20,6 @@ Array = NDArray[np.float64]
 
 # Below this angle the series of sin(x)/x is exact to double precision.
 _SMALL_ANGLE = 1e-8
-# How far rounding leaves the length of a unit quaternion from 1.
-_UNIT = 1e-15
 # How far a matrix may be from a rotation: what six written digits leave.
 ROUNDING = 1e-5
 # Squares of larger numbers, or of longer vectors, leave the range of floats.
@@ -67,7 +65,7 @@ def unit_quaternion(values: ArrayLike, error: type[RobotIkError] = InvalidGoalEr
     if norm < 1e-9:
         hint = "quaternions are w, x, y, z; 1 0 0 0 is no rotation"
         raise error("wxyz is a zero quaternion, which is no orientation", hint=hint)
-    if abs(norm - 1.0) > _UNIT:  # what was made a unit before keeps its bits
+    if norm != 1.0:
         array = array / norm
         array.setflags(write=False)
     return array
