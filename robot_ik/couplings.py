@@ -7,6 +7,7 @@ equality/joint).  Solvers move leaders only; ``kernels/kinematics.py`` lets the 
 from __future__ import annotations
 
 import itertools
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -23,8 +24,15 @@ from robot_ik.robot_file import RobotFile
 if TYPE_CHECKING:
     from robot_ik.robot import Robot
 
+_log = logging.getLogger(__name__)
 
 _DEGREE = 4
+# Equalities that are more than a joint that follows another: closed loops, mostly.
+_OTHERS = {
+    int(mujoco.mjtEq.mjEQ_CONNECT): "connect",
+    int(mujoco.mjtEq.mjEQ_WELD): "weld",
+    int(mujoco.mjtEq.mjEQ_TENDON): "tendon",
+}
 
 
 @dataclass(frozen=True)
@@ -39,11 +47,19 @@ class Coupling:
 def declared_couplings(model: mujoco.MjModel, file: RobotFile, names: Sequence[str]) -> list[Coupling]:
     """What the model's active joint equalities and ``robot.toml`` say, chains of them resolved.
 
+    Logs a warning where there are active equalities of other kinds, which no solver keeps.
+
     Raises:
         UnknownJointError: ``robot.toml`` names a joint that the model does not have.
         UnsupportedJointError: A joint coupled twice, in a circle, or by a law of more than four powers.
     """
     found: list[Coupling] = []
+    kinds = [int(kind) for kind, active in zip(model.eq_type, model.eq_active0, strict=True) if active]
+    if not_kept := sorted({_OTHERS[kind] for kind in kinds if kind in _OTHERS}):
+        _log.warning(
+            "%s: equalities of the kind %s are not kept: a solution need not satisfy them",
+            file.name, " and ".join(not_kept),
+        )  # fmt: skip
     for e in range(model.neq):
         if int(model.eq_type[e]) != int(mujoco.mjtEq.mjEQ_JOINT) or not model.eq_active0[e]:
             continue

@@ -193,3 +193,18 @@ def test_a_stiff_joint_moves_less_as_weighted_least_squares_says(tmp_path):
     for bad, says in (("j1 = 0.0", "stiffness"), ("j9 = 2.0", "j9")):
         with pytest.raises((ConfigError, UnknownJointError), match=says):
             described(tmp_path, "[stiffness]\n" + bad)
+
+
+@pytest.mark.parametrize(
+    ("equality", "kind"),
+    [
+        ('<connect body1="d" body2="a" anchor="0 0 0"/>', "connect"),
+        ('<weld body1="d" body2="a"/><connect body1="d" anchor="0 0 0"/>', "connect and weld"),
+        ('<connect body1="d" active="false" anchor="0 0 0"/>', ""),
+        (LAWS["linear"], ""),
+    ],
+)
+def test_equalities_that_no_solver_keeps_are_named_at_loading(tmp_path, caplog, equality, kind):
+    arm(tmp_path, equality)
+    said = [record.getMessage() for record in caplog.records]
+    assert (len(said) == 1 and f"of the kind {kind} are not kept" in said[0]) if kind else not said

@@ -62,7 +62,7 @@ def solve_axes(tree, goal, work, form, family, mode):
         subproblems.invert(target, form.inverse)
         found = spherical_wrist(axes, extra, form.inverse, start, lower, upper, branches)
     else:
-        found = three_parallel(axes, extra, target, start, branches)
+        found = three_parallel(axes, extra, target, start, lower, upper, branches)
     row = subproblems.nearest(branches, start, lower, upper, form.best)
     subproblems.take_branch(tree, goal, work, form, row, found)
 

@@ -25,12 +25,18 @@ from robot_ik.kernels.vectors import (
     scaled,
     three,
 )  # fmt: skip
-from robot_ik.solvers.analytic.subproblems import angle_between, angles_to_height, noinline, split_inside
+from robot_ik.solvers.analytic.subproblems import (
+    angle_between,
+    angles_to_height,
+    image,
+    noinline,
+    split_inside,
+)
 
 # Sine below which two axes count as parallel in a pose (a singular one): the free angle is then kept.
 ALIGNED = 1e-7
-# Places at which a free angle is tried.
-_FREE_TRIES = 64
+# Places at which a free angle is tried: the start, the joint's limits, and round the circle from the start.
+_FREE_TRIES = 66
 
 
 @pure
@@ -106,6 +112,32 @@ def one_of(first, middle, half, amplitude, kept):
 
 
 @pure
+def free_place(k, start, lower, upper):
+    """Where a free angle is tried: at ``start``, ever farther off on both sides, at last at its limits."""
+    if k < _FREE_TRIES - 2:
+        side = 1.0 if k % 2 == 1 else -1.0
+        return start + side * ((k + 1) // 2) * (2.0 * math.pi / (_FREE_TRIES - 2))
+    limit = lower if k == _FREE_TRIES - 2 else upper
+    return limit if math.isfinite(limit) else start
+
+
+@pure
+def fit(angles, start, lower, upper):
+    """Whether all of six angles have an image inside their limits."""
+    inside = True
+    for j in range(6):
+        inside = inside and image(angles[j], start[j], lower[j], upper[j])[1]
+    return inside
+
+
+@pure
+def put_row(branches, row, angles):
+    """Six angles as a branch."""
+    for j in range(6):
+        branches[row, j] = angles[j]
+
+
+@pure
 def clear(branches):
     """No branch yet: NaN."""
     for row in range(branches.shape[0]):
@@ -162,8 +194,14 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
     middle1, half1, amplitude1, possible = angles_to_height(u, scaled(-1.0, h1), d, height)
     if not possible:
         return 0
-    for shoulder in range(2):
-        q1 = one_of(shoulder == 0, middle1, half1, amplitude1, start[0])
+    # With the wrist's centre on axis 1 every q1 does: the place nearest to the start is taken from which all
+    # angles are inside their limits, for each branch by itself.
+    free, settled = amplitude1 < 1e-12, 0
+    for k in range(_FREE_TRIES if free else 2):
+        shoulder = 0 if free else k
+        q1 = middle1 + half1 if shoulder == 0 else middle1 - half1
+        if free:
+            q1 = free_place(k, start[0], lower[0], upper[0])
         c1, s1 = math.cos(q1), math.sin(q1)
         g = minus(plus(rotate(h1, c1, -s1, d), p1), p2)  # p2 -> centre
         middle3, half3, amplitude3, possible = elbow_angles(u, f, e, g)
@@ -175,18 +213,26 @@ def spherical_wrist(axes, extra, target, start, lower, upper, branches):
             q2 = first_link(u, f, e, c3, s3, g, start[1])
             c, s = (c1, math.cos(q2), c3), (s1, math.sin(q2), along3 * s3)
             for flip in range(2):
+                row = 4 * shoulder + 2 * elbow + flip
+                if settled >> row & 1:
+                    continue
                 q4, q5, q6, possible = wrist_angles(axes, target, extra, start, lower, upper, flip, c, s)
                 if not possible:
                     continue
-                row = 4 * shoulder + 2 * elbow + flip
-                branches[row, 0], branches[row, 1], branches[row, 2] = q1, q2, along3 * a3
-                branches[row, 3], branches[row, 4], branches[row, 5] = q4, q5, q6
-                found += 1
+                angles = q1, q2, along3 * a3, q4, q5, q6
+                if not free or fit(angles, start, lower, upper):
+                    settled |= 1 << row
+                elif not math.isnan(branches[row, 0]):
+                    continue  # the first one is nearer to the start
+                found += 1 if math.isnan(branches[row, 0]) else 0
+                put_row(branches, row, angles)
+        if free and settled == 15:
+            break
     return found
 
 
 @outlined
-def three_parallel(axes, extra, target, start, branches):
+def three_parallel(axes, extra, target, start, lower, upper, branches):
     """All branches of an arm whose axes 2, 3 and 4 are parallel and whose last two meet (Universal Robots).
 
     Fills ``branches`` (8, 6), row = 4·shoulder + 2·flip + elbow; a row that does not exist gets NaN.
@@ -220,32 +266,34 @@ def three_parallel(axes, extra, target, start, branches):
             theta, weight = angle_between(u, rotate(h5, c5, s5, h6), a)  # R5 h6
             q6, _ = angle_between(h6, rotate(h5, c5, -s5, u), held)  # R5ᵀ u
             q6 = -q6
-            # With axis 6 parallel to the three only θ ± q6 counts: try q6 as it is, then ever farther off,
-            # until the elbow reaches.
-            tries = 1 if weight > ALIGNED * ALIGNED else _FREE_TRIES
-            middle3, half3, amplitude3, possible = 0.0, 0.0, 0.0, False
-            v = 0.0, 0.0, 0.0
-            for k in range(tries):
-                if tries > 1:
-                    q6 = start[5] + (k + 1) // 2 * (2.0 * math.pi / _FREE_TRIES) * (
-                        1.0 if k % 2 == 1 else -1.0
-                    )
+            # With axis 6 parallel to the three only θ ± q6 counts.  Taken is the place of q6 nearest to the
+            # start from which the elbow reaches and all angles are inside their limits, for each elbow.
+            free, settled = weight <= ALIGNED * ALIGNED, 0
+            for k in range(_FREE_TRIES if free else 1):
+                if free:
+                    q6 = free_place(k, start[5], lower[5], upper[5])
                     # Across u lies h5; what the joints before 6 make of it gives θ.
                     m = relative_rotation(target, extra, rotate(h6, math.cos(q6), -math.sin(q6), h5))
                     theta, _ = angle_between(u, h5, back(axes, 0, c1, s1, m))
                 v = minus(g, rotate(u, math.cos(theta), math.sin(theta), minus(end, p4)))  # p2 -> p4
                 middle3, half3, amplitude3, possible = elbow_angles(u, f, e, v)
-                if possible:
+                if not possible:
+                    continue
+                for elbow in range(2):
+                    row = 4 * shoulder + 2 * flip + elbow
+                    if settled >> elbow & 1:
+                        continue
+                    a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
+                    q2 = first_link(u, f, e, math.cos(a3), math.sin(a3), v, start[1])
+                    angles = q1, q2, along3 * a3, along4 * (theta - q2 - a3), q5, q6
+                    if not free or fit(angles, start, lower, upper):
+                        settled |= 1 << elbow
+                    elif not math.isnan(branches[row, 0]):
+                        continue  # the first one is nearer to the start
+                    found += 1 if math.isnan(branches[row, 0]) else 0
+                    put_row(branches, row, angles)
+                if settled == 3:
                     break
-            if not possible:
-                continue
-            for elbow in range(2):
-                a3 = one_of(elbow == 0, middle3, half3, amplitude3, along3 * start[2])
-                q2 = first_link(u, f, e, math.cos(a3), math.sin(a3), v, start[1])
-                row = 4 * shoulder + 2 * flip + elbow
-                branches[row, 0], branches[row, 1], branches[row, 2] = q1, q2, along3 * a3
-                branches[row, 3], branches[row, 4], branches[row, 5] = along4 * (theta - q2 - a3), q5, q6
-                found += 1
     return found
 
 

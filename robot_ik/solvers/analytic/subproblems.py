@@ -18,7 +18,7 @@ from robot_ik.kernels.bundle import Layout
 from robot_ik.kernels.jit import outlined, pure
 from robot_ik.kernels.kinematics import clip
 from robot_ik.kernels.loop import copy, keep_best, measure
-from robot_ik.kernels.vectors import apply_back, cross, dot, three
+from robot_ik.kernels.vectors import apply_back, cross, dot, minus, scaled, three
 
 # Metres or cosines by which a reach, or the plane of a motion, may be missed through rounding.
 SLACK = 1e-9
@@ -39,10 +39,11 @@ def noinline(_typing: Any) -> Any:
 def angle_between(k, p, q):
     """Subproblem 1: the angle about k that rotates p towards q, and the product of their distances from k.
 
-    Where that product vanishes every angle does.
+    Where that product vanishes every angle does.  What lies along k is taken out first: of vectors that are
+    nearly parallel to it, as next to a singular pose, the differences of products would leave no digits.
     """
-    a = dot(p, q) - dot(k, p) * dot(k, q)
-    b = dot(k, cross(p, q))
+    p, q = minus(p, scaled(dot(k, p), k)), minus(q, scaled(dot(k, q), k))
+    a, b = dot(p, q), dot(k, cross(p, q))
     return math.atan2(b, a), math.sqrt(a * a + b * b)
 
 

@@ -144,6 +144,57 @@ def test_exactly_singular_poses_are_all_solved_and_the_free_angle_stays(robot_na
         assert near.converged and np.abs(near.q - q).max() < 0.02
 
 
+@pytest.mark.parametrize("off", [1e-9, 1e-7, 2e-7, 1e-6, 1e-5])
+@pytest.mark.parametrize("robot_name", ["puma560", "ur5e", "srs_arm"])
+def test_next_to_a_singular_wrist_every_branch_meets_the_goal(robot_name, off):
+    robot = load_robot(robot_name)
+    rng = np.random.default_rng(7)
+    bent = 5 if robot_name == "srs_arm" else 4
+    for _ in range(40):
+        q = robot.sample(rng)
+        q[bent] = off
+        goal = PoseGoal.at(None, robot.forward(q))
+        branches = solve_all(robot, goal, start=robot.sample(rng))
+        assert branches
+        assert max(max(goal.miss(robot, branch.q, goal.target)) for branch in branches) < 1e-6
+        assert solve(robot, goal, solver="analytic", tolerance=TIGHT).converged
+
+
+# Six hinges without offset at the shoulder: the wrist's centre can stand on the first axis.
+UPRIGHT = """<mujoco><compiler angle="radian"/><worldbody>
+<body><joint axis="0 0 1" range="-2 2"/><geom size="0.01"/>
+<body pos="0 0 0.3"><joint axis="0 1 0" range="-1.5 1.5"/><geom size="0.01"/>
+<body pos="0 0 0.4"><joint axis="0 1 0" range="-2.4 2.4"/><geom size="0.01"/>
+<body pos="0 0 0.35"><joint axis="0 0 1" range="-1 1"/><joint axis="0 1 0" range="-1.2 1.2"/>
+<joint axis="0 0 1" range="-2 2"/><geom size="0.01"/><site name="tip" pos="0.02 0 0.1"/>
+</body></body></body></body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize("name", ["ur5e", "upright"])
+def test_a_free_angle_gives_way_to_the_limits_of_the_other_joints(name):
+    robot = load_robot(UPRIGHT if name == "upright" else name)
+    if name == "ur5e":
+        robot = robot.with_limits([-3, -3, -2.5, -1.5, -2, -1.5], [3, 0, 2.5, 1.5, 2, 1.5])
+    rng = np.random.default_rng(9)
+    for _ in range(60):
+        q = robot.sample(rng)
+        if name == "ur5e":
+            q[4] = 0.0  # axis 6 parallel to 2, 3 and 4
+        else:
+            # A triangle with one side on axis 1.
+            height = rng.uniform(0.2, 0.7)
+            q[1] = np.arccos((0.4**2 + height**2 - 0.35**2) / (0.8 * height))
+            q[2] = -np.arctan2(0.4 * np.sin(q[1]), height - 0.4 * np.cos(q[1])) - q[1]
+        q = robot.clip(q)
+        goal = PoseGoal.at(None, robot.forward(q))
+        start = robot.sample(rng)
+        branches = solve_all(robot, goal, start=start)
+        assert branches
+        assert max(max(goal.miss(robot, branch.q, goal.target)) for branch in branches) < 1e-7
+        solution = solve(robot, goal, solver="analytic", start=start, tolerance=TIGHT)
+        assert solution.converged and np.abs(solution.q - branches[0].q).max() < 1e-6
+
+
 def test_a_stretched_elbow_is_solved():
     robot = load_robot("puma560")
     rng = np.random.default_rng(4)
