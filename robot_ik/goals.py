@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-
 @dataclass(frozen=True)
 class Tolerance:
     """What counts as reached: every goal within ``position`` metres and ``angle`` radians."""
@@ -264,3 +263,130 @@ class Goal:
         return metres, radians
 
 
+# Made once: goals are made in loops.
+_WHOLE_ORIENTATION = {
+    part: Rows(position=part, orientation=codes.ALL_AXES) for part in (codes.NO_POSITION, codes.WHOLE)
+}
+_WHOLE_POSITION = Rows(position=codes.WHOLE)
+
+
+def _orientation_rows(position: int, free_axis: str | ArrayLike | None) -> Rows:
+    """Rows of an orientation that may leave the rotation about one axis of the frame free."""
+    if free_axis is None:
+        return _WHOLE_ORIENTATION[position]
+    x, y, z = axis_vector(free_axis, "free_axis").tolist()
+    return Rows(position=position, orientation=codes.ONE_AXIS, axis=(x, y, z))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PointGoal(Goal):
+    """A point at ``position`` (3,), world, metres, or at some of its coordinates."""
+
+    position: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    axes: str = field(default="xyz", kw_only=True)
+
+    has_position: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weight = nonnegative_number(self.weight, "weight")
+        self._set(position=vector(self.position, 3, "position"), weight=weight, weights=(weight, 0.0))
+        self._set(rows=self._rows_of(axes_mask(self.axes)))
+
+    def _rows_of(self, mask: tuple[float, float, float]) -> Rows:
+        return _WHOLE_POSITION if all(mask) else Rows(position=codes.SOME_AXES, mask=mask)
+
+    @property
+    def target(self) -> Pose:
+        return Pose(self.position)
+
+    def moved_to(self, target: Pose) -> Self:
+        return replace(self, position=target.position)
+
+
+class PositionGoal(PointGoal):
+    """The frame's origin at ``position`` (3,), world, metres; its orientation is free.
+
+    Attributes:
+        axes: Which coordinates count; ``"z"`` asks for a height only.
+    """
+
+    name: ClassVar[str] = "position goal"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OrientationGoal(Goal):
+    """The frame oriented as the unit quaternion ``wxyz`` (4,), world; its position is free.
+
+    Attributes:
+        free_axis: Axis of the frame about which it may rotate freely ("z", "-x" or three numbers):
+            only where that axis points is then asked for.
+    """
+
+    wxyz: ArrayLike = ()
+    weight: float = field(default=1.0, kw_only=True)
+    free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
+
+    name: ClassVar[str] = "orientation goal"
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        weight = nonnegative_number(self.weight, "weight")
+        self._set(wxyz=unit_quaternion(self.wxyz), weight=weight, weights=(0.0, weight))
+        self._set(rows=_orientation_rows(codes.NO_POSITION, self.free_axis))
+
+    @property
+    def target(self) -> Pose:
+        return Pose((0.0, 0.0, 0.0), self.wxyz)
+
+    def moved_to(self, target: Pose) -> OrientationGoal:
+        return replace(self, wxyz=target.wxyz)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseGoal(Goal):
+    """The frame at ``position`` (3,) oriented as ``wxyz`` (4,), world.
+
+    Attributes:
+        free_axis: As in ``OrientationGoal``: a drill or a cup may rotate about its own axis.
+    """
+
+    position: ArrayLike = ()
+    wxyz: ArrayLike = (1.0, 0.0, 0.0, 0.0)
+    position_weight: float = field(default=1.0, kw_only=True)
+    angle_weight: float = field(default=1.0, kw_only=True)
+    free_axis: str | ArrayLike | None = field(default=None, kw_only=True)
+
+    name: ClassVar[str] = "pose goal"
+    has_position: ClassVar[bool] = True
+    has_angle: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        metres = nonnegative_number(self.position_weight, "position_weight")
+        radians = nonnegative_number(self.angle_weight, "angle_weight")
+        self._set(
+            position=vector(self.position, 3, "position"),
+            wxyz=unit_quaternion(self.wxyz),
+            position_weight=metres,
+            angle_weight=radians,
+            weights=(metres, radians),
+            rows=_orientation_rows(codes.WHOLE, self.free_axis),
+        )
+
+    @classmethod
+    def at(cls, frame: str | None, pose: Pose) -> PoseGoal:
+        """From a ``Pose``."""
+        given: object = pose
+        if not isinstance(given, Pose):
+            raise InvalidGoalError(f"not a pose: {given!r}", hint="Pose(position, wxyz)")
+        return cls(frame, pose.position, pose.wxyz)
+
+    @property
+    def target(self) -> Pose:
+        return Pose.of_checked(cast(Array, self.position), cast(Array, self.wxyz))
+
+    def moved_to(self, target: Pose) -> PoseGoal:
+        return replace(self, position=target.position, wxyz=target.wxyz)
