@@ -295,9 +295,7 @@ def motion_limits(
     Raises:
         UnknownJointError, ConfigError: robot.toml names another joint; a slide in degrees, a hinge in mm.
     """
-    for name in file.slides:
-        if name not in names:
-            raise UnknownJointError(name, names, hint=f"named by motion of {file.path}")
+    require_joints(file.slides, names, f"motion of {file.path}")
     kinds = tree.kind.tolist()
     for joint, kind in zip(joints, kinds, strict=True):
         if joint in (file.hinges if kind == SLIDE else file.slides):

@@ -211,8 +211,8 @@ def calibrate(
 
         monkeypatch.setattr(servo_hand, "Prompts", Scripted)
         monkeypatch.setattr(hand_calibration, "STILL_SAMPLES", 2)
-        where = ("--bus", desk.port, "--arm", nominal)
-        return robot_ik("servo", "calibrate", tmp_path / "mine.toml", *where, *options)
+        arm = () if "--arm" in options else ("--arm", nominal)
+        return robot_ik("servo", "calibrate", tmp_path / "mine.toml", "--bus", desk.port, *arm, *options)
 
     return run
 
