@@ -560,10 +560,12 @@ def test_fifty_minutes_of_random_commands_leave_memory_flat_and_nothing_stuck() 
                 view_after(session, SetGoalKind(kind), SetMethod(0, method), ticks=3)
         view_after(session, SetFigure("active"), ticks=200)
         view_after(session, SetFigure("off"), DragLink(0, "link2", (0.0, 0.0, 0.0), (0.1, 0.4, 0.9)), ticks=5)
-    whole = int(os.environ.get("ROBOT_IK_SOAK_MINUTES", "50"))
-    warm = max(3, whole // 10)  # the largest scene has been there: the allocator keeps what it needed
-    begin = minutes(warm)
-    grown = minutes(whole - warm) - begin
+    tenth = max(1, int(os.environ.get("ROBOT_IK_SOAK_MINUTES", "50")) // 10)
+    # First the largest scene has to come by: the allocator keeps what it needed.  Then memory is looked at
+    # often: after 45 minutes without, glibc keeps 11 MB of pages that are partly free (of `mallinfo2` as much
+    # is in use as before).
+    begin = minutes(max(3, tenth))
+    grown = max(minutes(tenth) for _ in range(9)) - begin
     session.send(SetRobot("puma560"))
     view = view_after(session, SetMethod(0, "dls"), SetGoalKind("pose"), Reset(), ticks=60)
     assert view.instances[0].miss < 1e-3 and grown < 10.0, f"{grown:.1f} MB"
