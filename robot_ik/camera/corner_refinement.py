@@ -138,10 +138,11 @@ def refine_markers(
             unrefined(corners, intrinsics),
             before.get(marker_id),
         )
-        one = _fitted(gray, lens, black, start, origin, shift, film, last.model if last is not None else ())
-        if last is not None and last.model and not one.refined:
-            one = _fitted(gray, lens, black, start, origin, shift, film, ())
-        refined.append(replace(one, misread=max(0, one.misread - allowed)))
+        model = last.model if last is not None else ()
+        one = _fitted(gray, lens, black, start, origin, shift, film, model, allowed)
+        if model and not one.refined:
+            one = _fitted(gray, lens, black, start, origin, shift, film, (), allowed)
+        refined.append(one)
     return refined
 
 
@@ -176,8 +177,12 @@ def _fitted(
     shift: tuple[float, float],
     film: bool,
     model: tuple[float, ...],
+    allowed: int,
 ) -> RefinedCorners:
-    """Corners by one print; where that fails those of the start, with how much the print explains."""
+    """Corners by one print; where that fails those of the start, with how much the print explains.
+
+    ``model`` is what a fit of the last picture found; so many cells that are ``allowed`` count as read.
+    """
     from_print, seen = _homography(start.normalized), _homography(start.corners - origin)
     reach, (sampled, most) = 0.5 + _MARGIN / len(black), _FILM if film else _SINGLE
     found = None if from_print is None or seen is None else _box(seen, gray.shape, reach, sampled)
@@ -201,7 +206,7 @@ def _fitted(
     state = fit_photometric(gray, lens, box, reach, black, fit, pixels, residuals, most)
     if state == NO_PRINT:
         return start
-    explained, misread = float(fit[REPORT, EXPLAINED]), int(fit[REPORT, MISREAD])
+    explained, misread = float(fit[REPORT, EXPLAINED]), max(0, int(fit[REPORT, MISREAD]) - allowed)
     if state != BY_PRINT:
         return replace(start, explained=explained, misread=misread)
     corners, covariance = fit[CORNERS : CORNERS + 4], fit[COVARIANCE : COVARIANCE + 8, :8].copy()

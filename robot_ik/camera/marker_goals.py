@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -236,9 +237,9 @@ def sigmas_at(covariance: Array, lever: ArrayLike) -> tuple[float, float]:
     """
     x, y, z = np.asarray(lever, dtype=float).tolist()
     jacobian = np.array([[1, 0, 0, 0, z, -y], [0, 1, 0, -z, 0, x], [0, 0, 1, y, -x, 0]])
-    metres = np.linalg.eigvalsh(jacobian @ covariance @ jacobian.T)[-1]
-    radians = np.linalg.eigvalsh(covariance[3:, 3:])[-1]
-    return float(np.sqrt(max(metres, 0.0))), float(np.sqrt(max(radians, 0.0)))
+    both = np.stack([jacobian @ covariance @ jacobian.T, covariance[3:, 3:]])
+    metres, radians = np.linalg.eigvalsh(both)[:, -1].tolist()
+    return math.sqrt(max(metres, 0.0)), math.sqrt(max(radians, 0.0))
 
 
 def goal_weight(sigma: float, trusted: float) -> float:

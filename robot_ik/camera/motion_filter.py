@@ -7,6 +7,7 @@ zero at low speed: an object that lies still is not shaken by the noise of its o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -105,9 +106,8 @@ class MotionFilter:
         self._least_noise = np.diag(np.repeat(np.square(self.options.least_sigma), 3))
         self._pose = Pose()
         self._rate = np.zeros(6)
-        self._covariance = np.zeros((12, 12))
-        # What the state of an object at rest is shaken by the noise of its observations alone.
-        self._shaking = np.zeros((12, 12))
+        # (2, 12, 12) covariance of the state, and how far noise of the observations alone moves one at rest.
+        self._spreads = np.zeros((2, 12, 12))
         # Mean squares of what prediction would have missed by, and of what holding would have: (2, 2).
         self._misses = np.zeros((2, 2))
         self._rejected = 0
@@ -143,10 +143,11 @@ class MotionFilter:
             return Update.LATE
         if time - self.time > _RESTART_AFTER:
             return self._begin(time, pose, noise, Update.RESTARTED)
-        predicted, step, spread = self._advanced(time - self.time)
+        predicted, spreads = self._advanced(time - self.time)
         innovation = pose.change_from(predicted)
+        spread = spreads[0, _POSE]
         weighted = np.linalg.solve(
-            spread[_POSE, _POSE] + noise, np.concatenate([spread[_POSE], innovation[:, None]], axis=1)
+            spread[:, _POSE] + noise, np.concatenate([spread, innovation[:, None]], axis=1)
         )
         gain, distance = weighted[:, :12].T, innovation @ weighted[:, 12]
         if not distance <= _GATE:
@@ -160,9 +161,7 @@ class MotionFilter:
         # How the observation was met by prediction and by holding.
         missed = np.stack([innovation, pose.change_from(self._pose)]).reshape(2, 2, 3)
         self._misses += _NEW_SHARE * (np.sum(missed**2, axis=2) - self._misses)
-        fresh, passed = gain @ noise @ gain.T, keep @ step
-        self._covariance = _symmetric(keep @ spread @ keep.T + fresh)  # Joseph's form
-        self._shaking = _symmetric(passed @ self._shaking @ passed.T + fresh)
+        self._spreads = _symmetric(keep @ spreads @ keep.T + gain @ noise @ gain.T)  # Joseph's form
         self._pose, self._rate = predicted.moved(change[_POSE]), self._rate + change[_RATE]
         self.time, self._rejected, self._rejected_at = time, 0, -np.inf
         self.moving = self._how_much_moving()
@@ -185,7 +184,7 @@ class MotionFilter:
         shares = np.repeat(self.moving, 3)
         horizon = span * shares
         pose = self._pose.moved(horizon * self._rate)
-        p = self._covariance
+        p = self._spreads[0]
         cross = p[_POSE, _RATE] * horizon
         spread = p[_POSE, _POSE] + cross + cross.T + p[_RATE, _RATE] * np.outer(horizon, horizon)
         spread = spread + self._density * horizon**3 / 3.0
@@ -195,14 +194,13 @@ class MotionFilter:
 
     def _how_much_moving(self) -> Array:
         """(2,) ``moving``, by the last observation."""
-        shares = np.empty(2)
-        for k, part in enumerate((slice(0, 3), slice(3, 6))):
-            rate, shaking = self._rate[part], self._shaking[6:, 6:][part, part]
-            # In its own direction: depth shakes ten times as much as what lies across the view.
-            sure = float(np.sqrt(rate @ np.linalg.solve(shaking + _TINY * np.eye(3), rate)))
-            speed = float(np.linalg.norm(rate))
-            share = min(max(min(speed / _REST_SPEED[k], sure / _SURE) - 1.0, 0.0), 1.0)
-            shares[k] = share * share * (3.0 - 2.0 * share)
+        rates = self._rate.reshape(2, 3)
+        shaking = np.stack([self._spreads[1, 6:9, 6:9], self._spreads[1, 9:, 9:]]) + _TINY * np.eye(3)
+        # In its own direction: depth shakes ten times as much as what lies across the view.
+        sure = np.sqrt(np.sum(rates * np.linalg.solve(shaking, rates[..., None])[..., 0], axis=1))
+        speeds = np.sqrt(np.sum(rates**2, axis=1))
+        shares = np.clip(np.minimum(speeds / _REST_SPEED, sure / _SURE) - 1.0, 0.0, 1.0)
+        shares = shares * shares * (3.0 - 2.0 * shares)
         missed, held = np.sqrt(self._misses)
         # Whole where prediction misses by less than half of what holding does, nothing where by as much.
         earned = np.clip(2.0 - 2.0 * missed / np.maximum(held, 1e-12), 0.0, 1.0)
@@ -210,41 +208,40 @@ class MotionFilter:
 
     def _noise(self, time: float, covariance: ArrayLike) -> Array:
         noise = np.array(covariance, dtype=float)
-        good = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and bool(np.isfinite(time))
-        if not good or np.linalg.eigvalsh(_symmetric(noise))[0] < -1e-9 * abs(np.trace(noise)):
+        good = noise.shape == (6, 6) and bool(np.isfinite(noise).all()) and math.isfinite(time)
+        noise = _symmetric(noise) if good else noise
+        if not good or np.linalg.eigvalsh(noise)[0] < -1e-9 * abs(noise.trace()):
             raise CameraError(
                 f"an observation at {time} s with no finite, positive covariance (6, 6) cannot be filtered",
                 hint="give the covariance of the observation: position over rotation, m and rad",
             )
-        return _symmetric(noise) + self._least_noise
+        return noise + self._least_noise
 
     def _begin(self, time: float, pose: Pose, noise: Array, how: Update) -> Update:
         self.time, self._pose, self._rate = float(time), pose, np.zeros(6)
         self._rejected, self._rejected_at = 0, -np.inf
-        self._covariance = np.zeros((12, 12))
-        self._covariance[_POSE, _POSE] = noise
-        self._covariance[_RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
-        self._shaking = np.zeros((12, 12))
-        self._shaking[_POSE, _POSE] = noise
+        self._spreads = np.zeros((2, 12, 12))
+        self._spreads[:, _POSE, _POSE] = noise
+        self._spreads[0, _RATE, _RATE] = np.diag(np.repeat(np.square(self.options.initial_speed_sigma), 3))
         self._misses, self.moving = np.zeros((2, 2)), np.zeros(2)
         return how
 
-    def _advanced(self, span: float) -> tuple[Pose, Array, Array]:
-        """Pose, transition (12, 12) and covariance ``span`` seconds after the last observation."""
+    def _advanced(self, span: float) -> tuple[Pose, Array]:
+        """Pose and ``_spreads`` (2, 12, 12) ``span`` seconds after the last observation."""
         step = np.eye(12)
         step[3:6, 3:6] = quat_to_matrix(rotation_exp(span * self._rate[3:]))
         step[_POSE, _RATE] = span * np.eye(6)
-        spread = step @ self._covariance @ step.T
-        density = self._density
-        spread[_POSE, _POSE] += density * span**3 / 3.0
-        spread[_POSE, _RATE] += density * span**2 / 2.0
-        spread[_RATE, _POSE] += density * span**2 / 2.0
-        spread[_RATE, _RATE] += density * span
-        return self._pose.moved(span * self._rate), step, _symmetric(spread)
+        spreads = step @ self._spreads @ step.T
+        gained, spread = span * self._density, spreads[0]
+        spread[_POSE, _POSE] += gained * span**2 / 3.0
+        spread[_POSE, _RATE] += gained * span / 2.0
+        spread[_RATE, _POSE] += gained * span / 2.0
+        spread[_RATE, _RATE] += gained
+        return self._pose.moved(span * self._rate), spreads
 
 
 def _symmetric(matrix: Array) -> Array:
-    return np.asarray(0.5 * (matrix + matrix.T))
+    return np.asarray(0.5 * (matrix + matrix.mT))
 
 
 # ------------------------------------------------------------------------------------------

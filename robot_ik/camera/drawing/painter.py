@@ -243,7 +243,7 @@ def bounding_box(faces: Faces, width: int, height: int, margin: int = 3) -> Box:
     return (x0, y0, x1, y1) if x1 > x0 and y1 > y0 else EMPTY
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)
 def _cells(count: int, width: int) -> tuple[Float32, Float32, int, int, tuple[float, float]]:
     """Samples in a row of cells, each of one column and so many rows of pixels that they fill the lanes.
 
@@ -276,7 +276,8 @@ class SurfaceSamples:
         self._whose = np.zeros(shape, dtype=np.int32)
         self._light = np.zeros((1, 12), dtype=np.float32)
         self._owner = np.full(1, -1)
-        self._extent = np.tile(np.array([width, 0]), (shape[0], 1))
+        self._extent = np.zeros((shape[0], 2), dtype=np.int64)
+        self._extent[:, 0] = width
 
     def fill(self, faces: Faces, *, occluders: Mask | bool = False) -> None:
         """Adds faces; ``occluders`` (ngeom,) or all: they hide what is behind them and are not drawn.

@@ -338,13 +338,12 @@ def lay_over(image, colour, coverage, alpha, left, top):
                 for k in range(3):
                     image[row + top, column + left, k] = colour[row, column, k]
             elif c > 0:
-                keep = 65280 - c * share  # 255 * 256 is all of it
+                keep = 65536 - ((c * share * 65793 + 32768) >> 16)  # c * share = 255 * 256 keeps nothing
                 for k in range(3):
                     old = int(image[row + top, column + left, k])
                     new = int(colour[row, column, k])
-                    image[row + top, column + left, k] = np.uint8(
-                        min((old * keep + new * share * 255 + 32640) // 65280, 255)
-                    )
+                    mixed = (old * keep + new * share * 256 + 32768) >> 16
+                    image[row + top, column + left, k] = np.uint8(min(mixed, 255))
 
 
 # ------------------------------------------------------------------------------------------

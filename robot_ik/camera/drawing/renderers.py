@@ -114,7 +114,8 @@ class Artist(ABC):
     ) -> Drawing:
         """The sheets of one picture: the robot over its shadow; ``qpos`` is (model.nq,)."""
         faces = painter.faces_in_picture(drawn.model, qpos, intrinsics, drawn.camera(pose_board_camera))
-        faces = replace(faces, inverse=faces.inverse / drawn.scale, points=faces.points * drawn.scale)
+        if drawn.scale != 1.0:
+            faces = replace(faces, inverse=faces.inverse / drawn.scale, points=faces.points * drawn.scale)
         box = painter.bounding_box(faces, *intrinsics.size)
         if box == EMPTY:
             return Drawing()
