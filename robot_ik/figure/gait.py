@@ -2,7 +2,7 @@
 
 A foot rolls on its true sole (``figure.Sole``), so that it neither slips nor sinks by construction; in the
 air its lowest point follows the same curve with a clearance.  The centre of mass is planned over a
-zero-moment point under the feet and corrected twice by the whole body's own dynamics (``balance``).  The
+zero-moment point under the feet and corrected four times by the whole body's own dynamics (``balance``).  The
 pelvis goes as high as legs let it.  Human numbers: ``docs/theory/figure.md``.
 """
 
@@ -271,7 +271,7 @@ class _Plan:
             was = mine[-1].print if mine else at
             share = min(1.0, float(np.hypot(at.x - was.x, at.y - was.y)) / (2 * gait.length))
             mine.append(_Footfall(at, strike, np.inf, k < 2, k >= len(prints) - 2, share))
-        self.com, self.zmp = plan_center(self._pressure(), x, self.omega).at(self.times)
+        self.com, self.zmp = plan_center(self._pressure(), x, self.omega, self.times)
         self.foot_positions = np.empty((2, len(self.times), 3))
         self.yaw, self.pitch = np.empty((2, len(self.times))), np.empty((2, len(self.times)))
         self.toes = np.zeros((2, len(self.times)))
