@@ -142,9 +142,6 @@ def run_figure(abilities: Abilities, request: FigureRequest) -> Iterator[FigureF
             yield session.step()
         return
     for ball in request.balls:
-        if request.mode == "passive":  # leaving it frees the ball
-            session.set_mode("active")
-            session.set_mode("passive")
         session.set_ball(ball)
         if request.mode == "passive":
             session.start_passive()
