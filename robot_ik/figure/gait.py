@@ -25,7 +25,7 @@ from robot_ik.figure.balance import (
     zero_moment_slices,
 )
 from robot_ik.figure.figure import DT, GRAVITY, SIDES, Figure
-from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once, finished
+from robot_ik.figure.frames import FrameRows, Frames, Slices, at_once
 from robot_ik.geometry import axis_rotations
 from robot_ik.motion.timing import minimum_jerk
 from robot_ik.ports import Array
@@ -498,16 +498,6 @@ def walk_slices(figure: Figure, q: Array, prints: Sequence[Footprint], gait: Gai
 
 
 walk = at_once(walk_slices)
-
-
-def solve_walk_once(figure: Figure, prints: Sequence[Footprint]) -> int:
-    """Solves the frames of a walk over ``prints`` once, without corrections; how many: what a frame costs."""
-    plan = _Plan(figure, prints, WALK, figure.center(figure.home)[:2])
-    pelvis, _, heading = plan.trunk()
-    height = plan.pelvis_height(
-        pelvis, plan.com - 0.012 * axis_rotations("z", heading)[:, :2, 0], WALK.knee_deg
-    )
-    return len(finished(_solve(plan, figure.home, height, np.zeros_like(plan.com))).q)
 
 
 def _solve(plan: _Plan, q: Array, height: Array, shift: Array) -> Slices[Frames]:
