@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,7 +20,7 @@ from robot_ik.camera.registration import Seen
 from robot_ik.camera.synthetic.camera import look_at
 from robot_ik.errors import ConfigError
 from robot_ik.figure.abilities import Abilities
-from robot_ik.figure.decide import Decider, Decision
+from robot_ik.figure.decide import Decision
 from robot_ik.figure.figure import RATE, SIDES, Figure, lowest_points
 from robot_ik.figure.gait import AIR, CONTACTS, FLAT
 from robot_ik.figure.lion import HOLD, LEAN, REACH, Lion
@@ -382,12 +382,3 @@ def record(
         for done, frame in enumerate(picked, start=1):
             sink.write(painter.paint(frame), frame.t)
             progress(done, len(picked))
-
-
-def decide_balls(
-    abilities: Abilities, balls: Sequence[tuple[float, float, float]], stance: tuple[float, float, float]
-) -> Iterator[dict[str, object]]:
-    """A decision for each ball, each on its own, without moving."""
-    decider = Decider(abilities)
-    for ball in balls:
-        yield {"ball": ball, **asdict(decider.decide(ball, stance))}
