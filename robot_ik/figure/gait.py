@@ -130,11 +130,12 @@ def print_of(stance: Array, side: int, half: float, toe_out: float = 0.0) -> Foo
 
 
 def prints_of(figure: Figure, q: Array) -> tuple[Footprint, Footprint]:
-    """Where the feet stand at q."""
-    found = []
+    """Where the feet stand at q; their yaws differ by no more than π, also where a figure faces backwards."""
+    found: list[Footprint] = []
     for side, name in enumerate(SIDES):
         (x, y, _), matrix = figure.pose(q, figure.feet[name].frame)
         yaw = float(np.arctan2(matrix[1, 0], matrix[0, 0]))
+        yaw += 2 * np.pi * round((found[0].yaw - yaw) / (2 * np.pi)) if found else 0.0
         found.append(Footprint(side, float(x), float(y), yaw))
     return found[0], found[1]
 

@@ -163,6 +163,14 @@ def test_a_jump_too_high_is_refused(figure: Figure) -> None:
         jump(figure, figure.home, np.array([0.2, 0.0, 3.0]), "right", 3.5)
 
 
+def test_feet_either_side_of_backwards_walk_on(figure: Figure) -> None:
+    """Yaws of π less and −π more than a little: as numbers a whole turn apart, which a foot would make."""
+    turned = figure.posture({"left_hip_yaw": 1e-6, "right_hip_yaw": 1e-6})
+    q = figure.placed(turned, 0.0, 0.0, np.pi)
+    found = walk(figure, q, walk_prints(figure, prints_of(figure, q), np.array([-2.0, 0.0, np.pi])))
+    assert found.frames.miss.max() < 1e-5
+
+
 def test_the_center_of_mass_follows_its_zero_moment_point() -> None:
     """x'' = ω² (x − p) by finite differences, at rest at both ends."""
     nodes = [
