@@ -376,9 +376,9 @@ def jump_slices(
     start, stance = to_stance(figure, q)
     ball = in_stance_frame(stance, np.asarray(ball, dtype=float))
     found: Motion | None = None
-    for abduction, more in _WAYS:
-        plan = plan_jump(figure, ball, arm, max(speed, min(speed + more, TAKE_OFF)), abduction)
-        motion = yield from _motion(plan, start)
+    ways = ((max(speed, min(speed + more, TAKE_OFF)), abduction) for abduction, more in _WAYS)
+    for faster, abduction in dict.fromkeys(ways):  # near the fastest take-off some are the same
+        motion = yield from _motion(plan_jump(figure, ball, arm, faster, abduction), start)
         found = found or motion
         if not touches_itself(figure, motion.q):
             found = motion

@@ -11,7 +11,7 @@ from robot_ik.figure.actions import take
 from robot_ik.figure.balance import derivatives, hull_margin, plan_center
 from robot_ik.figure.figure import Figure
 from robot_ik.figure.gait import SHUFFLE, Walk, prints_of, shuffle_prints, walk, walk_prints
-from robot_ik.figure.jump import jump
+from robot_ik.figure.jump import jump, jump_slices
 from robot_ik.geometry import axis_rotations
 
 Array = NDArray[np.float64]
@@ -156,6 +156,15 @@ def test_a_jump_in_which_bodies_would_touch_is_made_another_way(
     measure = measure_motion(figure, motion.q, motion.contact, speeds="jump")
     require_feet(measure)
     assert near <= 0.005 and measure.self_contact == 0
+
+
+def test_no_jump_is_tried_twice(figure: Figure) -> None:
+    """At the fastest take-off bodies touch, and there is one other way: the arm aside, no faster."""
+
+    def slices(ball: tuple[float, float, float], speed: float) -> int:
+        return sum(1 for _ in jump_slices(figure, figure.home, np.array(ball), "right", speed))
+
+    assert slices((0.024, -0.028, 2.582), 2.6) < 2.5 * slices((0.2, -0.2, 2.35), 2.5)
 
 
 def test_a_jump_too_high_is_refused(figure: Figure) -> None:
