@@ -17,7 +17,7 @@ from robot_ik.figure.abilities import POINTS, SHARE, SLACK, Abilities
 from robot_ik.figure.decide import ACTIONS, Box, Decider, Decision, HalfSpace, inside_body
 from robot_ik.figure.figure import Figure, load_figure
 from robot_ik.figure.frames import Frames, PreparedRows
-from robot_ik.figure.poses import BEND, REACH, best_pose, touches_itself
+from robot_ik.figure.poses import BEND, REACH, best_pose, find_pose, touches_itself
 from robot_ik.geometry import axis_rotations
 from robot_ik.robot import load_robot
 
@@ -284,6 +284,13 @@ def test_the_judge_says_today_what_it_said(figure: Figure) -> None:
 def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider: Decider) -> None:
     judge = _judge.Judge(figure)
     agreement(decider, [(ball, judge.label(ball, _judge.STARTS, k)) for k, ball in _judge.drawn(1000, 77)])
+
+
+def test_an_admissible_pose_is_not_left_for_one_that_is_not(figure: Figure) -> None:
+    """The natural pose touches the body, hardly; from a start that runs into it, the hand comes a bit nearer."""
+    ball, start = np.array([0.0648, -0.2155, 1.2582]), figure.posture({"left_shoulder_roll": -0.5})
+    assert best_pose(figure, ball, "right", REACH, start[None]).flaw  # type: ignore[union-attr]
+    assert not find_pose(figure, ball, "right", REACH, start[None]).flaw
 
 
 def test_a_figure_needs_feet_but_not_hands(figure: Figure, abilities: Abilities) -> None:
