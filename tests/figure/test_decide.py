@@ -287,7 +287,7 @@ def test_decisions_agree_on_a_thousand_balls_judged_now(figure: Figure, decider:
 
 
 def test_an_admissible_pose_is_not_left_for_one_that_is_not(figure: Figure) -> None:
-    """The natural pose touches the body, hardly; from a start that runs into it, the hand comes a bit nearer."""
+    """The natural pose hardly touches the body; from a start that runs into it the hand comes nearer."""
     ball, start = np.array([0.0648, -0.2155, 1.2582]), figure.posture({"left_shoulder_roll": -0.5})
     assert best_pose(figure, ball, "right", REACH, start[None]).flaw  # type: ignore[union-attr]
     assert not find_pose(figure, ball, "right", REACH, start[None]).flaw
