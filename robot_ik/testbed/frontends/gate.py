@@ -185,11 +185,11 @@ class Gate:
         if self._server is None or not _finite(message):
             raise Malformed(kind)
         named, registry, check = row
-        there = attrgetter(registry)(self._server) if registry else {}
-        if registry and message[named] not in there:  # a change of method or robot takes some away
+        handle = attrgetter(registry)(self._server).get(message[named]) if registry else None
+        if registry and handle is None:  # a change of method or robot takes some away
             self.dropped[f"{kind} to what is gone"] += 1
             return False
-        if not check(there.get(message.get(named)), message):
+        if not check(handle, message):
             raise Malformed(kind)
         if kind == "ViewerCameraMessage" or message.get("uuid") in self.always:
             return True
